@@ -1,0 +1,52 @@
+"""Every error that fishmj raises on purpose. One line each: what, where, got, expected, what to do."""
+
+from difflib import get_close_matches
+
+
+class FishmjError(Exception):
+    """Base of all errors that a user can mend."""
+
+
+class ConfigError(FishmjError, ValueError):
+    """A setting is impossible or inconsistent."""
+
+
+class UnknownName(FishmjError, KeyError):
+    """A task, water, controller, effect or key that does not exist."""
+
+    def __init__(self, kind: str, name: str, known):
+        known = sorted(str(k) for k in known)
+        near = get_close_matches(str(name), known, 1, 0.5)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        self.message = f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}."
+        super().__init__(self.message)
+
+    def __str__(self) -> str:
+        return self.message
+
+
+class LogError(FishmjError, ValueError):
+    """A trial folder or table breaks the schema; the message is file:line:column with the fix."""
+
+
+class StoreError(FishmjError, OSError):
+    """A file is truncated, changed, of the wrong kind, or could not be written."""
+
+
+class SimDiverged(FishmjError, ArithmeticError):
+    """The simulation left the finite numbers. Carries time, term, link and the last states."""
+
+    def __init__(self, message: str, *, time: float = float("nan"), term: str = "", link: str = "", states=None):
+        super().__init__(message)
+        self.time, self.term, self.link, self.states = time, term, link, states
+
+
+class MissingExtra(FishmjError, ImportError):
+    """An optional package is not installed; the message has the install line."""
+
+    def __init__(self, package: str, extra: str, needed_for: str):
+        super().__init__(f'{needed_for} needs {package}: pip install "fishmj[{extra}]"')
+
+
+class InjectionError(FishmjError, RuntimeError):
+    """The process-wide passive-force callback is used in a way that MuJoCo cannot serve."""

@@ -1,0 +1,145 @@
+"""From sections to numbers: displaced volume, inertia, added-mass moments and strips of every link.
+
+Elliptical section of height h(s) and width w(s) at station s:  A = pi/4 h w,
+displaced volume V = integral A ds, lateral added mass per length mu = k rho pi/4 h^2 (slender body, Lighthill 1960).
+Widths are scaled by one factor so that rho V = total mass: the fish is neutrally buoyant (docs/decisions.md).
+Link frame: x towards the nose, y left, z up, origin at the link's front joint; for the head the origin is the
+reference point, the centre of mass of the straight fish projected on the long axis.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from fishmj.mjcf.description import Robot
+
+_FINE = 240  # quadrature points per link
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """All arrays are float64; N links, K strips a link; positions along the link's own x axis from its origin, m."""
+
+    n_links: int
+    origin: np.ndarray  # (N,) x of each link's origin in the straight fish, measured from the reference point, m
+    span: np.ndarray  # (N, 2) rear and front end of each link along its x axis, m
+    joint: np.ndarray  # (N-1,) x of the rear hinge of links 0..N-2 along their own x axis, m
+    mass: np.ndarray  # (N,) kg
+    com: np.ndarray  # (N, 3) centre of mass in the link frame, m
+    inertia: np.ndarray  # (N, 3) about the centre of mass, link axes, kg m2
+    displaced: np.ndarray  # (N,) mass of displaced water, kg
+    buoyancy: np.ndarray  # (N,) x of the centre of buoyancy in the link frame, m
+    mu: np.ndarray  # (N, 3) moments 0, 1, 2 of rho pi/4 h^2 ds, kg, kg m, kg m2
+    mu_vertical: np.ndarray  # (N, 3) the same with the width in place of the height
+    strip_x: np.ndarray  # (N, K) strip centres, m
+    strip_h: np.ndarray  # (N, K) height times ds, m2
+    strip_w: np.ndarray  # (N, K) width times ds, m2
+    strip_p: np.ndarray  # (N, K) perimeter times ds, m2
+    tail_x: float  # x of the trailing edge in the last link's frame, m
+    tail_h: float  # its height, m
+    frontal: float  # largest cross-section, m2
+    reference: float  # reference point, measured from the nose, m
+    width_scale: float  # factor on all section widths
+
+
+def geometry_of(robot: Robot, stations: int | None = None) -> Geometry:
+    """Integrate the sections of `robot`; `stations` strips a link (default: its water table, else 6)."""
+    k = int(stations or robot.water.get("stations", 6))
+    rho = robot.density_water
+    n = len(robot.links)
+    raw_volume = sum(_quadrature(link, _FINE)[2] @ _area(link, _FINE) for link in robot.links)
+    scale = robot.mass / (rho * raw_volume)
+    fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])[:-1]  # from the nose, backwards
+    com_back = [_com_back(link) for link in robot.links]
+    reference = float(sum(link.mass * (f + c) for link, f, c in zip(robot.links, fronts, com_back, strict=True)) / robot.mass)
+    zeros = {
+        name: np.zeros((n, m))
+        for name, m in [("mu", 3), ("mu_v", 3), ("x", k), ("h", k), ("w", k), ("p", k), ("com", 3), ("inertia", 3), ("span", 2)]
+    }
+    displaced, buoyancy, mass = np.zeros(n), np.zeros(n), np.array([link.mass for link in robot.links])
+    for i, link in enumerate(robot.links):
+        lead = reference if i == 0 else 0.0  # the link's front end along its own x axis
+        s, ds, weight = _quadrature(link, _FINE)
+        h, w = _section(link, s, scale)
+        area = pi / 4 * h * w
+        x = lead - s
+        displaced[i] = rho * np.sum(area * weight)
+        buoyancy[i] = rho * np.sum(area * x * weight) / displaced[i]
+        for m in range(3):
+            zeros["mu"][i, m] = np.sum(rho * pi / 4 * h**2 * x**m * weight)
+            zeros["mu_v"][i, m] = np.sum(rho * pi / 4 * w**2 * x**m * weight)
+        s, ds, weight = _quadrature(link, k)
+        fine = np.linspace(-0.5, 0.5, 41)[None, :] * ds + s[:, None]  # strip averages, so that few strips keep the areas
+        h, w = _section(link, fine, scale)
+        zeros["x"][i] = lead - s
+        zeros["h"][i], zeros["w"][i] = h.mean(1) * ds, w.mean(1) * ds
+        zeros["p"][i] = _perimeter(h, w).mean(1) * ds
+        zeros["span"][i] = lead - link.length, lead
+        zeros["com"][i] = lead - com_back[i], *(link.com[1:] if link.com else (0.0, 0.0))
+        zeros["inertia"][i] = _inertia(link, scale, zeros["com"][i], lead)
+    heights = [row[1] * row[2] for link in robot.links for row in link.sections]
+    return Geometry(
+        n_links=n,
+        origin=np.concatenate([[0.0], reference - fronts[1:]]),
+        span=zeros["span"],
+        joint=zeros["span"][:-1, 0].copy(),
+        mass=mass,
+        com=zeros["com"],
+        inertia=zeros["inertia"],
+        displaced=displaced,
+        buoyancy=buoyancy,
+        mu=zeros["mu"],
+        mu_vertical=zeros["mu_v"],
+        strip_x=zeros["x"],
+        strip_h=zeros["h"],
+        strip_w=zeros["w"],
+        strip_p=zeros["p"],
+        tail_x=float(zeros["span"][-1, 0]),
+        tail_h=float(robot.links[-1].sections[-1][1]),
+        frontal=float(pi / 4 * scale * max(heights)),
+        reference=reference,
+        width_scale=float(scale),
+    )
+
+
+def _quadrature(link, n):
+    """Midpoints (n,), step and weights (n,) along the link, measured from its front end."""
+    ds = link.length / n
+    return (np.arange(n) + 0.5) * ds, ds, np.full(n, ds)
+
+
+def _section(link, s, scale):
+    rows = np.array(link.sections)
+    return np.interp(s, rows[:, 0], rows[:, 1]), np.interp(s, rows[:, 0], rows[:, 2]) * scale
+
+
+def _area(link, n):
+    h, w = _section(link, _quadrature(link, n)[0], 1.0)
+    return pi / 4 * h * w
+
+
+def _perimeter(h, w):
+    """Ramanujan's first formula for the perimeter of an ellipse with axes h and w."""
+    a, b = h / 2, w / 2
+    return pi * (3 * (a + b) - np.sqrt((3 * a + b) * (a + 3 * b)))
+
+
+def _com_back(link):
+    if link.com is not None:
+        return link.com[0]
+    s, _, weight = _quadrature(link, _FINE)
+    area = _area(link, _FINE)
+    return float(np.sum(area * s * weight) / np.sum(area * weight))
+
+
+def _inertia(link, scale, com, lead):
+    """Mass spread like the displaced volume, moved to the stated centre of mass: (Ixx, Iyy, Izz), kg m2."""
+    s, _, weight = _quadrature(link, _FINE)
+    h, w = _section(link, s, scale)
+    share = link.mass * h * w * weight / np.sum(h * w * weight)
+    x = lead - s
+    centre = np.sum(share * x) / link.mass
+    lengthwise = np.sum(share * (x - centre) ** 2)
+    ixx = np.sum(share * (h**2 + w**2)) / 16
+    return np.array([ixx, lengthwise + np.sum(share * h**2) / 16, lengthwise + np.sum(share * w**2) / 16])
