@@ -1,0 +1,113 @@
+"""Engines: advance a batch of fish by bus ticks of 20 ms. All give the same swim; they differ in speed and in where they run.
+
+    planar    JAX, closed form; CPU and GPU, jit-able
+    compiled  numba, generated from the closed form; CPU (extra `fast`)
+    batch     MuJoCo C, many fish at once; the judge
+    mjx       MuJoCo in JAX; GPU, jit-able
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.flow import Current
+from fishmj.hydro_fit import chain, terms
+from fishmj.mjcf.description import Robot, load_robot
+
+NAMES = ("planar", "compiled", "batch", "mjx")
+BUFFER = 9  # bus commands remembered, newest last: latencies up to 7 ticks
+COEFFICIENTS = "k and cn of every link, then the scalars of terms.Coefficients in their order"
+
+
+class FishState(NamedTuple):
+    """Physics of B fish with J joints: nv = 3 + J."""
+
+    q: Any  # (B, nv) m, rad
+    v: Any  # (B, nv) m/s, rad/s
+    attached: Any  # (B,) tail attachment, 0..1
+    buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last
+
+
+class FishParams(NamedTuple):
+    """What differs from fish to fish."""
+
+    mass: Any  # (B, N) factors
+    kp: Any  # (B, J) N m/rad
+    kv: Any  # (B, J) N m s/rad
+    kb: Any  # (B, J) N m s/rad
+    zero: Any  # (B, J) rad
+    water: Any  # (B, 2 N + 9) coefficients of the strip model, flat
+    delay: Any  # (B,) int, command latency in physics steps
+
+
+class Trace(NamedTuple):
+    """What happened at the end of each of T bus ticks."""
+
+    pose: Any  # (B, T, 3) x, y, yaw of the reference point, m, rad
+    joint: Any  # (B, T, J) encoder angles, rad
+    rate: Any  # (B, T, J) rad/s
+    velocity: Any  # (B, T, 3) true x', y', yaw', world frame
+    power: Any  # (B, T) servos, W, mean over the tick
+
+
+def make(name: str, robot: "Robot | str" = "fish", **options):
+    """An engine by name. Raises UnknownName, MissingExtra."""
+    from importlib import import_module
+
+    if name not in NAMES:
+        raise UnknownName("engine", name, NAMES)
+    return import_module(f"fishmj.engines.{name}").Engine(load_robot(robot), **options)
+
+
+def flat_water(c: terms.Coefficients) -> np.ndarray:
+    """Coefficients as one row, in the order that `swimmer` reads."""
+    return np.array([*c.k, *c.cn, *c[2:]], float)
+
+
+def nominal_params(robot: Robot, batch: int) -> FishParams:
+    """The calibrated fish, `batch` times, without randomisation (NumPy)."""
+    s = chain.nominal(robot)
+    rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))  # noqa: E731
+    delay = round(robot.timing.command_latency / robot.timing.physics_dt)
+    return FishParams(
+        mass=rows(s.mass),
+        kp=rows(s.kp),
+        kv=rows(s.kv),
+        kb=rows(s.kb),
+        zero=rows(s.zero),
+        water=rows(flat_water(s.water)),
+        delay=np.full(batch, delay, np.int32),
+    )
+
+
+def swimmer(params: FishParams) -> chain.Swimmer:
+    """Component lists for the closed form from (B, ...) arrays."""
+    columns = lambda a: [a[..., i] for i in range(a.shape[-1])]  # noqa: E731
+    n = params.mass.shape[-1]
+    w = columns(params.water)
+    water = terms.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
+    return chain.Swimmer(*(columns(a) for a in params[:5]), water)
+
+
+def at_rest(robot: Robot, pose) -> FishState:
+    """Straight fish at rest over ground at poses (B, 3) [m, rad], commands at zero (NumPy)."""
+    pose = np.asarray(pose, float)
+    batch, joints = len(pose), robot.n_joints
+    q = np.concatenate([pose, np.zeros((batch, joints))], -1)
+    return FishState(q, np.zeros_like(q), np.full(batch, 0.5), np.zeros((batch, BUFFER, joints)))
+
+
+def ticks_per(robot: Robot) -> tuple[int, int]:
+    """(physics steps in a bus tick, bus ticks in a control step)."""
+    t = robot.timing
+    return round(t.bus_dt / t.physics_dt), round(t.control_dt / t.bus_dt)
+
+
+def check_commands(commands, joints: int) -> None:
+    """Commands are (B, T, J) rad; anything else is one clear error."""
+    if commands.ndim != 3 or commands.shape[-1] != joints:
+        raise ConfigError(f"commands: got shape {commands.shape}, expected (fish, ticks, {joints}) joint angles in rad")
+
+
+__all__ = ["BUFFER", "NAMES", "Current", "FishParams", "FishState", "Trace", "at_rest", "flat_water", "make", "nominal_params", "swimmer"]

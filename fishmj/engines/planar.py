@@ -1,0 +1,106 @@
+"""The closed-form planar fish in JAX: batched, jit-able, on CPU and GPU.
+
+One bus tick: remember the command, look the flow up at every link, then five physics steps of `hydro_fit.chain.step`, each
+with the command that has arrived by then.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.flow import Current, sample
+from fishmj.hydro_fit import chain
+from fishmj.mjcf.description import Robot
+
+
+def quantise(xp, robot: Robot, commands):
+    """What the servo makes of a bus command: clamped to its range, rounded to its resolution [rad]."""
+    s = robot.servo
+    return xp.round(xp.minimum(xp.maximum(commands, -s.range), s.range) / s.resolution) * s.resolution
+
+
+def link_centres(xp, ch: chain.Chain, q):
+    """World positions of the link centres, (B, N, 2) m, from q (B, nv)."""
+    heading = q[..., 2]
+    x, y = q[..., 0], q[..., 1]
+    out = []
+    for i in range(ch.n):
+        if i > 0:
+            x, y = x + ch.d[i - 1] * xp.cos(heading), y + ch.d[i - 1] * xp.sin(heading)
+            heading = heading + q[..., 2 + i]
+        mid = sum(ch.strips.x[i]) / len(ch.strips.x[i])
+        out.append(xp.stack([x + mid * xp.cos(heading), y + mid * xp.sin(heading)], -1))
+    return xp.stack(out, -2)
+
+
+def arrived(xp, buffer, delay, steps: int, ramp: bool):
+    """Servo targets for each physics step of a tick: list of (B, J), given the newest command at buffer[:, -1].
+
+    A command sent at the start of a tick is active `delay` physics steps later. With `ramp` the servo moves linearly
+    from one command to the next in one tick (the firmware's timed move).
+    """
+    whole, part = delay // steps, delay % steps
+    rows = xp.arange(buffer.shape[0])
+    last = buffer.shape[1] - 1
+    newest, previous, before = (buffer[rows, xp.maximum(last - whole - i, 0)] for i in range(3))
+    out = []
+    for j in range(steps):
+        fresh = (j >= part)[:, None]
+        target = xp.where(fresh, newest, previous)
+        if ramp:
+            came_from = xp.where(fresh, previous, before)
+            share = (xp.where(j >= part, j - part, j - part + steps) + 1) / steps
+            target = came_from + share[:, None] * (target - came_from)
+        out.append(target)
+    return out
+
+
+class Engine:
+    """Closed-form engine. `advance` is pure and may be called inside jit, vmap and scan."""
+
+    jittable = True
+
+    def __init__(self, robot: Robot, unroll: int = 1):
+        self.robot, self.chain, self.unroll = robot, chain.chain_of(robot), unroll
+        self.steps, self.ticks = ticks_per(robot)
+        self.ramp = robot.timing.command_path == "move_time"
+
+    @partial(jax.jit, static_argnums=0)
+    def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
+        """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
+
+        Returns:
+            (FishState, Trace with T ticks).
+        """
+        check_commands(commands, self.robot.n_joints)
+        sw = swimmer(params)
+        commands = quantise(jnp, self.robot, commands)
+
+        def one_tick(carry, inputs):
+            state, tick = carry
+            buffer = jnp.concatenate([state.buffer[:, 1:], inputs[:, None]], 1)
+            flow, ambient = sample(jnp, current, link_centres(jnp, self.chain, state.q), tick)
+            targets = jnp.stack(arrived(jnp, buffer, params.delay, self.steps, self.ramp))
+            flow = [(flow[:, i, 0], flow[:, i, 1]) for i in range(self.chain.n)]
+            ambient = (ambient[:, 0], ambient[:, 1])
+
+            def one_step(inner, target):
+                q, v, attached, power = inner
+                target = [target[:, j] for j in range(self.chain.n - 1)]
+                s = chain.step(jnp, self.chain, sw, q, v, attached, target, flow, ambient)
+                return (tuple(s.q), tuple(s.v), s.attached, power + s.power), None
+
+            split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731
+            start = (split(state.q), split(state.v), state.attached, jnp.zeros_like(state.attached))
+            (q, v, attached, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
+            q, v = jnp.stack(q, -1), jnp.stack(v, -1)
+            out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)
+            return (FishState(q, v, attached, buffer), tick + 1), out
+
+        (state, _), trace = lax.scan(one_tick, (state, tick), jnp.swapaxes(commands, 0, 1))
+        return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
+
+
