@@ -1,0 +1,123 @@
+"""Robot description -> MuJoCo model.
+
+The head's body frame is the robot's reference point: x towards the nose, y left, z up. Every other link's frame sits at
+its front hinge, axis z. Inertias are stated, shapes are only looked at: nothing collides, and MuJoCo's own fluid stays off.
+
+    root = "planar"   slides x, y and hinge yaw:  q = (x, y, psi, j1 ..),  the same as the closed-form chain's
+    root = "free"     a free joint in gravity; buoyancy comes with the water
+
+Servo, natively:  torque = clip(kp (command - q) - kv w, +-T) - kb w.  The clipped part is a position actuator, kb w is joint
+damping, integrated implicitly by the Euler integrator: the torque-speed line of a DC motor (docs/decisions.md).
+"""
+
+import mujoco
+import numpy as np
+
+from fishmj.errors import ConfigError, InjectionError, UnknownName
+from fishmj.mjcf import outline
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.units import G
+
+ROOTS = ("planar", "free")
+PLANAR_JOINTS = (
+    ("x", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0)),
+    ("y", mujoco.mjtJoint.mjJNT_SLIDE, (0, 1, 0)),
+    ("yaw", mujoco.mjtJoint.mjJNT_HINGE, (0, 0, 1)),
+)
+
+
+def build(robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = False, ellipsoid: bool = False) -> mujoco.MjModel:
+    """Compile the MuJoCo model of `robot`.
+
+    Args:
+        robot: a description, a TOML path or a shipped name.
+        root: "planar" (x, y, yaw) or "free".
+        bare: leave out geoms and sites (batched engines never look at them).
+        ellipsoid: give the links MuJoCo's own ellipsoid fluid instead of leaving the water to `fishmj.hydro_fit`.
+
+    Raises:
+        ConfigError: the description cannot be built.
+        InjectionError: called inside an `inject` block, where MuJoCo cannot compile.
+    """
+    if mujoco.get_mjcb_passive() is not None:
+        raise InjectionError(
+            "mjcf.build: a passive-force callback is installed, and MuJoCo cannot compile a model meanwhile;"
+            " build the model before the inject block, or leave the inject block first"
+        )
+    return build_spec(robot, root, bare=bare, ellipsoid=ellipsoid).compile()
+
+
+def mjcf_xml(robot: "Robot | str" = "fish", root: str = "planar") -> str:
+    """The same model as MJCF text."""
+    spec = build_spec(robot, root)
+    spec.compile()
+    return spec.to_xml()
+
+
+def build_spec(
+    robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = False, ellipsoid: bool = False
+) -> mujoco.MjSpec:
+    """The editable `mujoco.MjSpec` behind `build`; arguments and errors as there."""
+    if root not in ROOTS:
+        raise UnknownName("root", root, ROOTS)
+    robot = load_robot(robot)
+    geometry = geometry_of(robot)
+    if np.any(geometry.com[:, 1] != 0.0):
+        raise ConfigError(f"{robot.name}: link com must have y = 0 (left-right symmetry), got {geometry.com[:, 1].tolist()} m")
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    _options(spec, robot, root, ellipsoid)
+    parent = spec.worldbody
+    for i, link in enumerate(robot.links):
+        body = parent.add_body(name=link.name, pos=[geometry.joint[i - 1] if i else 0.0, 0, 0])
+        body.mass, body.ipos, body.inertia = geometry.mass[i], geometry.com[i], geometry.inertia[i]
+        body.explicitinertial = True
+        if i == 0:
+            _add_root(body, root)
+        else:
+            _add_servo(spec, body, robot, f"j{i}")
+        if ellipsoid:
+            outline.add_ellipsoid(body, geometry, i)
+        if not bare:
+            outline.add_link(spec, body, robot, geometry, i)
+        parent = body
+    return spec
+
+
+def _options(spec, robot: Robot, root: str, ellipsoid: bool) -> None:
+    spec.option.timestep = robot.timing.physics_dt
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # implicit in joint damping, explicit in the rest
+    spec.option.gravity = [0, 0, -G if root == "free" else 0.0]
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    if ellipsoid:
+        spec.option.density, spec.option.viscosity = robot.density_water, outline.DYNAMIC_VISCOSITY
+
+
+def _add_root(body, root: str) -> None:
+    if root == "free":
+        body.add_freejoint(name="root")
+        return
+    for name, kind, axis in PLANAR_JOINTS:
+        body.add_joint(name=name, type=kind, axis=axis)
+
+
+def _add_servo(spec, body, robot: Robot, name: str) -> None:
+    s = robot.servo
+    joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], damping=[s.kb, 0, 0])
+    joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE  # the command is clamped, as on the robot; see docs/decisions.md
+    actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.set_to_position(kp=s.kp, kv=s.kv)
+    actuator.forcelimited = actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    actuator.forcerange = [-s.torque, s.torque]
+    actuator.ctrlrange = [-s.range, s.range]
+
+
+def reference_qpos(model: mujoco.MjModel, x: float, y: float, yaw: float, joints) -> np.ndarray:
+    """qpos (nq,) of a level fish at (x, y) [m] heading yaw [rad] with the given joint angles, for either root."""
+    if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
+        return np.array([x, y, 0.0, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2), *joints])
+    return np.array([x, y, yaw, *joints], float)
+
+
+__all__ = ["ROOTS", "Geometry", "build", "build_spec", "mjcf_xml", "reference_qpos"]
