@@ -1,0 +1,24 @@
+"""Files that survive a crash: atomic writes, checksums, arrays without pickle, rotating checkpoints. NumPy only."""
+
+from fishmj.store.arrays import read_npz, read_tensors, write_npz, write_tensors
+from fishmj.store.atomic import plain, read_json, sync_folder, write_bytes, write_json, write_text
+from fishmj.store.checkpoints import Checkpoint, Checkpoints
+from fishmj.store.manifest import Change, Manifest, sha256
+
+__all__ = [
+    "Change",
+    "Checkpoint",
+    "Checkpoints",
+    "Manifest",
+    "plain",
+    "read_json",
+    "read_npz",
+    "read_tensors",
+    "sha256",
+    "sync_folder",
+    "write_bytes",
+    "write_json",
+    "write_npz",
+    "write_tensors",
+    "write_text",
+]

@@ -1,0 +1,145 @@
+"""Arrays on disk without pickle: `.npz` archives and safetensors files that carry their own checksum."""
+
+import hashlib
+import io
+import json
+import struct
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import StoreError
+from fishmj.store.atomic import plain, write_bytes
+
+_BROKEN = (  # what NumPy and zipfile raise on damaged input
+    *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError),
+    *(EOFError, OSError, NotImplementedError, RuntimeError, OverflowError, MemoryError, IndexError, AttributeError),
+)
+
+
+def write_npz(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
+    """Replace a compressed `.npz` archive atomically; object arrays are refused (they would need pickle)."""
+    arrays = {name: np.asarray(value) for name, value in arrays.items()}
+    for name, value in arrays.items():
+        _refuse(path, name, value, "O")
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return write_bytes(path, buffer.getvalue())
+
+
+def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+    """All arrays of an `.npz`, every member's CRC checked, pickled objects refused.
+
+    Raises:
+        StoreError: missing, truncated, bit-flipped, not an archive, or with pickled objects.
+    """
+    path, arrays = Path(path), {}
+    if not path.is_file():
+        raise StoreError(f"{path}: no such file")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.namelist():
+                if member.endswith(".pkl"):
+                    raise _pickle_error(path, member)
+                data = io.BytesIO(archive.read(member))  # a whole read checks the CRC
+                if _npy_holds_objects(data):
+                    raise _pickle_error(path, member.removesuffix(".npy"))
+                arrays[member.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
+    except StoreError:
+        raise
+    except _BROKEN as error:
+        with open(path, "rb") as file:
+            if _looks_pickled(file.read(2)):
+                raise _pickle_error(path, "the whole file") from error
+        raise StoreError(
+            f"{path}: damaged or not an .npz archive ({type(error).__name__}: {error}); "
+            f"{path.stat().st_size} bytes on disk; restore it or write it again"
+        ) from error
+    return arrays
+
+
+def write_tensors(path: str | Path, arrays: dict[str, np.ndarray], meta: dict) -> Path:
+    """Write named arrays and a JSON `meta` as one safetensors file that carries its own sha256.
+
+    Shapes survive as they are, 0-d included. Raises StoreError for object or text arrays and for a failed write.
+    """
+    from safetensors.numpy import save
+
+    packed = {}
+    for name, value in arrays.items():
+        value = np.array(value, order="C")  # ascontiguousarray would turn 0-d into 1-d
+        _refuse(path, name, value, "OUSVMm")
+        packed[name] = value.astype(value.dtype.newbyteorder("="), copy=False)
+    header = json.dumps(plain(meta), sort_keys=True)
+    return write_bytes(path, save(packed, {"fishmj": header, "sha256": _digest(packed, header)}))
+
+
+def read_tensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Arrays and meta of a file written by `write_tensors`; the embedded sha256 is checked before anything is returned.
+
+    Raises:
+        StoreError: missing, truncated, bit-flipped, pickled, or written by something else.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from error
+    try:
+        size = int.from_bytes(data[:8], "little")
+        header = json.loads(data[8 : 8 + size])["__metadata__"]
+        arrays, expected = dict(load(data)), header["sha256"]
+        got = _digest(arrays, header["fishmj"])
+    except (SafetensorError, *_BROKEN) as error:
+        if _looks_pickled(data[:2]) or data[:2] == b"PK":  # torch.save writes a zip with a pickle inside
+            raise _pickle_error(path, "the whole file") from error
+        raise StoreError(
+            f"{path}: truncated, damaged or not a fishmj tensor file ({type(error).__name__}: {error}); {len(data)} bytes on disk"
+        ) from error
+    if got != expected:
+        raise StoreError(f"{path}: sha256 mismatch: expected {expected}, got {got}; the file changed after it was written")
+    return arrays, json.loads(header["fishmj"])
+
+
+def _digest(arrays: dict[str, np.ndarray], header: str) -> str:
+    """sha256 over the JSON header, then name, dtype, shape and bytes of every array in name order."""
+    total = hashlib.sha256(header.encode())
+    for name in sorted(arrays):
+        value = arrays[name]
+        total.update(f"\0{name}\0{value.dtype.str}\0{value.shape}\0".encode())
+        total.update(value.tobytes())
+    return total.hexdigest()
+
+
+def _npy_holds_objects(data: io.BytesIO) -> bool:
+    """True when a `.npy` member's header says dtype object; leaves the position at the start."""
+    version = np.lib.format.read_magic(data)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    dtype = read_header(data)[2]
+    data.seek(0)
+    return dtype.hasobject
+
+
+def _looks_pickled(start: bytes) -> bool:
+    """Opcode PROTO and a protocol number 2..5 open every modern pickle."""
+    return start[:1] == b"\x80" and start[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
+
+
+def _pickle_error(path, what) -> StoreError:
+    return StoreError(
+        f"{path}: {what} holds pickled objects, which can run code when loaded; refused. Load it once where you trust it and "
+        "save plain arrays: fishmj.store.write_npz(path, {name: numpy.asarray(value, dtype=float)})"
+    )
+
+
+def _refuse(path, name: str, value: np.ndarray, kinds: str) -> None:
+    if value.dtype.hasobject or value.dtype.kind in kinds:
+        raise StoreError(
+            f"{path}: array {name!r} has dtype {value.dtype}; only numbers and bools are stored, put text into the meta"
+        )

@@ -1,0 +1,107 @@
+"""Atomic writes: the old file or the new one, never a part.
+
+A write goes to a temporary file in the target's folder, is flushed and fsynced, renamed over the target in one step
+(POSIX rename is atomic) and the folder is fsynced. Every failure is a `StoreError` that names the file and what to do;
+a full disk also says how many bytes were needed.
+"""
+
+import errno
+import json
+import math
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+
+from fishmj.errors import StoreError
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def write_bytes(path: str | Path, data: bytes) -> Path:
+    """Replace `path` by `data` atomically; parent folders are made.
+
+    Raises:
+        StoreError: could not be written; `errno` is kept, the old file is untouched, no temporary file stays.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise _write_error(path, error, len(data)) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+    return path
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Replace a UTF-8 text file atomically."""
+    try:
+        return write_bytes(path, text.encode("utf-8"))
+    except UnicodeEncodeError as error:
+        raise StoreError(f"{path}: text is not valid Unicode ({error}); remove lone surrogates") from error
+
+
+def write_json(path: str | Path, value) -> Path:
+    """Replace a JSON file atomically. NumPy values become plain ones, NaN and infinity become null."""
+    return write_text(path, json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n")
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames inside `folder` durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def plain(value):
+    """`value` with only what strict JSON knows: NumPy scalars and arrays, tuples, paths and dataclass-free dicts."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def read_json(path: str | Path):
+    """Parse one JSON file.
+
+    Raises:
+        StoreError: missing or not JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise StoreError(f"{path}: not valid JSON: {error}; write it again from its source") from error
+
+
+def _write_error(path: Path, error: OSError, needed: int) -> StoreError:
+    if error.errno in _FULL:
+        free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else 0
+        text = f"{path}: disk full: needs {needed} bytes, {free} free; the old file is untouched; free some space and save again"
+    else:
+        text = f"{path}: could not be written ({error.strerror or error}); needs {needed} bytes; the old file is untouched"
+    failure = StoreError(text)
+    failure.errno = error.errno
+    return failure
