@@ -1,0 +1,56 @@
+# make demo         train a fish, judge it, watch it
+# make test         style, types, import order, tests, and the wheel in a fresh environment
+# make test-extras  what needs the extra sb3
+# make bench        one JSON line a benchmark
+# make lint         style and types only
+# VENV=path         another environment than .venv
+SHELL := /bin/bash
+VENV ?= .venv
+PY := $(VENV)/bin/python
+JOBS ?= 2
+STEP := .ci/step
+INSTALLED := $(VENV)/.fishmj-installed
+SB3 := $(VENV)/.fishmj-sb3
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: demo test test-extras bench lint install manifest wheel clean
+.DEFAULT_GOAL := test
+
+install: $(INSTALLED)
+
+$(INSTALLED): pyproject.toml
+	@$(STEP) "environment" .ci/environment $(VENV)
+	@$(STEP) "install" $(PY) -m pip install --quiet --editable ".[fast,dev]"
+	@touch $@
+
+$(SB3): $(INSTALLED)
+	@$(STEP) "install sb3" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3]"
+	@touch $@
+
+demo: $(INSTALLED)
+	$(PY) -m fishmj.demo
+
+bench: $(INSTALLED)
+	$(PY) -m fishmj.bench
+
+lint: $(INSTALLED)
+	@$(STEP) "style" $(PY) -m ruff check .
+	@$(STEP) "format" $(PY) -m ruff format --check .
+	@$(STEP) "types" $(PY) -m mypy
+
+test: lint
+	@$(STEP) "import order" $(PY) -m pytest -q tests/test_architecture.py
+	@$(STEP) "tests" $(PY) -m pytest -q -n $(JOBS) --dist loadfile --durations 15 --ignore tests/test_architecture.py
+	@$(MAKE) --no-print-directory wheel
+
+wheel: $(INSTALLED)
+	@$(STEP) "wheel" $(PY) .ci/wheel
+
+test-extras: $(SB3)
+	@$(STEP) "sb3" $(PY) -m pytest -q -m sb3 --durations 5
+
+manifest: $(INSTALLED)
+	$(PY) -m fishmj.manifest data/calib --write
+
+clean:
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,209 @@
+"""What every command line shares: errors as exit codes, one JSON object last, tables, a progress line with the time left.
+
+Exit codes: 0 an answer, 1 a check that fails, 2 bad input, 3 too short or too quiet to tell, 70 a fault of fishmj itself,
+130 interrupted by the user. This module is the only one that prints.
+"""
+
+import argparse
+import json
+import math
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import IO, Any
+
+from fishmj.errors import FishmjError
+
+OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 70, 130, 141
+
+Main = Callable[[list[str]], int | None]
+
+
+def run(main: Main, argv: Sequence[str] | None = None) -> int:
+    """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
+
+    With `--json` among the arguments an error is also one JSON object on stdout: {"error", "kind", "exit"}.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return int(main(argv) or OK)
+    except FishmjError as error:
+        return _fail(argv, " ".join(str(error).split()), type(error).__name__, BAD_INPUT)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else OK if stop.code is None else _fail(argv, str(stop.code), "exit", 1)
+    except KeyboardInterrupt:
+        return _fail(argv, "interrupted", "KeyboardInterrupt", INTERRUPTED)
+    except BrokenPipeError:
+        sys.stdout = None  # type: ignore[assignment]  # the reader is gone: nothing to flush at exit
+        return PIPE_CLOSED
+    except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
+        traceback.print_exc()
+        return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT)
+
+
+def _fail(argv: Sequence[str], message: str, kind: str, code: int) -> int:
+    print(f"fishmj: {message}", file=sys.stderr)
+    if "--json" in argv:
+        emit_json({"error": message, "kind": kind, "exit": code})
+    return code
+
+
+def parser(verb: str, summary: str, *, json: bool = True) -> argparse.ArgumentParser:
+    """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise."""
+    made = argparse.ArgumentParser(prog=f"fishmj {verb}", description=summary, allow_abbrev=False)
+    if json:
+        made.add_argument("--json", action="store_true", help="print one JSON object last")
+    return made
+
+
+def say(*lines: str) -> None:
+    """Print lines for a human, at once."""
+    for line in lines:
+        print(line, flush=True)
+
+
+def warn(message: str) -> None:
+    """Print one line on stderr that does not stop the command."""
+    print(f"fishmj: {message}", file=sys.stderr, flush=True)
+
+
+def emit_json(value: Any) -> None:
+    """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
+    print(json.dumps(plain(value), allow_nan=False), flush=True)
+
+
+def plain(value: Any) -> Any:
+    """The value in JSON's own types."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # NumPy and JAX, scalars too
+        return plain(value.tolist())
+    if isinstance(value, Iterable):
+        return [plain(item) for item in value]
+    return str(value)
+
+
+def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> str:
+    """Rows as a Markdown table that also reads well in a terminal: numbers to the right, floats to 4 digits, NaN as `-`."""
+    names = list(columns if columns is not None else rows[0] if rows else [])
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    wide = [max([len(name), 3, *(len(row[i]) for row in cells)]) for i, name in enumerate(names)]
+    right = [bool(rows) and all(_is_number(row.get(name)) for row in rows) for name in names]
+
+    def line(values: Sequence[str]) -> str:
+        return "| " + " | ".join(v.rjust(w) if r else v.ljust(w) for v, w, r in zip(values, wide, right, strict=True)) + " |"
+
+    rule = "|" + "|".join("-" * (w + 1) + (":" if r else "-") for w, r in zip(wide, right, strict=True)) + "|"
+    return "\n".join([line(names), rule, *map(line, cells)])
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def duration(seconds: float) -> str:
+    """`7.2 s`, `3 min 05 s`, `2 h 10 min`."""
+    if not math.isfinite(seconds):
+        return "?"
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+class Progress:
+    """A line with a bar, the rate and the time left; on a file or pipe a plain line now and then.
+
+        with Progress(1_000_000, "train", unit="steps") as bar:
+            bar.update(done, reward=0.4)
+
+    The time left comes from the last `memory` seconds of progress, so that a slow start (compilation) is forgotten.
+    """
+
+    def __init__(
+        self,
+        total: float,
+        label: str,
+        unit: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        every: float | None = None,
+        memory: float = 30.0,
+    ):
+        self.total, self.label, self.unit = total, label, unit
+        self._stream = sys.stderr if stream is None else stream
+        self._live = bool(getattr(self._stream, "isatty", lambda: False)())
+        self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
+        self._clock, self._memory = clock, memory
+        self._start = clock()
+        self._shown = -math.inf
+        self._seen = [(self._start, 0.0)]  # (time [s], done), the last `memory` seconds
+        self._width = 0
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        if self._live and self._width:
+            print(file=self._stream, flush=True)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the start."""
+        return self._clock() - self._start
+
+    @property
+    def rate(self) -> float:
+        """Units a second over the remembered time; 0 before the first update."""
+        (t0, d0), (t1, d1) = self._seen[0], self._seen[-1]
+        return (d1 - d0) / (t1 - t0) if t1 > t0 else 0.0
+
+    @property
+    def left(self) -> float:
+        """Seconds left at the present rate; infinite before the first update."""
+        return max(self.total - self._seen[-1][1], 0.0) / self.rate if self.rate > 0 else math.inf
+
+    def update(self, done: float, **fields: Any) -> None:
+        """Report `done` of `total` and any named figures; prints only when it is time to."""
+        now = self._clock()
+        self._seen.append((now, done))
+        while len(self._seen) > 2 and now - self._seen[1][0] > self._memory:
+            self._seen.pop(0)
+        if done < self.total and now - self._shown < self._every:
+            return
+        self._shown = now
+        line = self.line(**fields)
+        if self._live:
+            print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
+            self._width = len(line)
+        else:
+            print(line, file=self._stream, flush=True)
+
+    def line(self, **fields: Any) -> str:
+        """The text of the line as it stands."""
+        done = self._seen[-1][1]
+        part = min(done / self.total, 1.0) if self.total else 1.0
+        ahead = f"{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
+        figures = "".join(f"  {name} {_cell(value)}" for name, value in fields.items())
+        return (
+            f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(self.rate)} {self.unit}/s  {ahead}{figures}"
+        )
+
+
+def _short(number: float) -> str:
+    for scale, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if abs(number) >= scale:
+            return f"{number / scale:.3g}{letter}"
+    return f"{number:.3g}"
