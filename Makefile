@@ -3,6 +3,7 @@
 # make test-extras  what needs the extra sb3
 # make bench        one JSON line a benchmark
 # make lint         style and types only
+# make manifest     state the sha256 of data/calib after a change there
 # VENV=path         another environment than .venv
 SHELL := /bin/bash
 VENV ?= .venv
@@ -50,7 +51,7 @@ test-extras: $(SB3)
 	@$(STEP) "sb3" $(PY) -m pytest -q -m sb3 --durations 5
 
 manifest: $(INSTALLED)
-	$(PY) -m fishmj.manifest data/calib --write
+	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"
 
 clean:
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

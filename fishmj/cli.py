@@ -28,7 +28,6 @@ VERBS = (
     "deploy",
     "hydro_fit",
     "lbm_oracle",
-    "manifest",
 )
 _HERE = Path(__file__).resolve().parent
 

@@ -35,7 +35,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail(argv, "interrupted", "KeyboardInterrupt", INTERRUPTED)
     except BrokenPipeError:
-        sys.stdout = None  # type: ignore[assignment]  # the reader is gone: nothing to flush at exit
+        sys.stdout = None  # the reader is gone: nothing to flush at exit
         return PIPE_CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
         traceback.print_exc()
@@ -74,7 +74,7 @@ def emit_json(value: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's own types."""
+    """The value in JSON's own types; needs no NumPy, so that `doctor` can speak where it is missing."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
