@@ -1,0 +1,146 @@
+"""The house rules that a reader can rely on: import order, small files, a light `import fishmj`, no unsafe loading."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "fishmj"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+CODE = [path for folder in ("fishmj", "tests", "examples") for path in sorted((ROOT / folder).rglob("*.py"))]
+
+LIMIT = 300  # lines
+LONGER: dict[str, str] = {}  # file -> why it may be longer
+SIBLINGS = {frozenset(("hydro_fit", "lbm_oracle"))}  # same level, never import each other
+FORBIDDEN = {"utils", "util", "common", "core", "manager", "managers", "helpers", "misc"}
+UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+
+
+def levels() -> dict[str, int]:
+    """Room -> level, read from the table in docs/architecture.md."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| L(\d) \| ([^|]*) \|", text, flags=re.MULTILINE)
+    return {room.rstrip("/"): int(level) for level, rooms in rows for room in re.findall(r"`([\w/]+)`", rooms)}
+
+
+LEVELS = levels()
+
+
+def room(path: Path) -> str:
+    """`fishmj/log/trial.py` -> `log`; `fishmj/calib.py` -> `calib`; the package's own `__init__` -> ``."""
+    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return "" if first == "__init__" else first
+
+
+def imported_rooms(path: Path, text: str | None = None) -> list[tuple[str, int]]:
+    """(room, line) of every import of fishmj in a file, at the top or inside a function."""
+    tree = ast.parse(path.read_text(encoding="utf-8") if text is None else text)
+    parts = path.relative_to(ROOT).parts
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, node.lineno) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(parts[: len(parts) - node.level]) if node.level else ""
+            name = ".".join(x for x in (base, node.module or "") if x)
+            deep = name == "fishmj"  # `from fishmj import log` imports the room log
+            found += [(f"{name}.{alias.name}" if deep else name, node.lineno) for alias in node.names]
+    return [(name.split(".")[1], line) for name, line in found if name.startswith("fishmj.")]
+
+
+def wrong_way(path: Path, text: str | None = None) -> list[str]:
+    """Imports that go up the table, or across to a sibling."""
+    here = room(path)
+    level = LEVELS.get(here, -1)
+    return [
+        f"{path.relative_to(ROOT)}:{line}: {here or 'fishmj'} (L{level}) imports {there} (L{LEVELS[there]})"
+        for there, line in imported_rooms(path, text)
+        if there in LEVELS and there != here and (LEVELS[there] > level or frozenset((here, there)) in SIBLINGS)
+    ]
+
+
+def test_every_room_has_a_level():
+    rooms = {room(path) for path in SOURCES} - {""}
+    assert rooms <= set(LEVELS), f"add {sorted(rooms - set(LEVELS))} to the table in docs/architecture.md"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_down_the_table(path):
+    assert wrong_way(path) == []
+
+
+def test_an_import_that_goes_up_is_found():
+    """The rule itself is awake: each spelling of a wrong import is caught."""
+    flow, water = PACKAGE / "flow.py", PACKAGE / "hydro_fit" / "terms.py"
+    for text in ("from fishmj import tasks", "import fishmj.tasks.env", "def f():\n    from fishmj.tasks import env"):
+        assert wrong_way(flow, text), text
+    assert wrong_way(water, "from fishmj.lbm_oracle import guard")
+    assert wrong_way(water, "from ..tasks import env")
+    assert not wrong_way(water, "from fishmj.flow import Flow\nfrom . import chain")
+
+
+def test_rooms_of_one_level_do_not_import_in_circles():
+    edges = {(room(p), there) for p in SOURCES for there, _ in imported_rooms(p) if there in LEVELS and there != room(p)}
+    after: dict[str, set[str]] = {}
+    for here, there in edges:
+        if LEVELS.get(here) == LEVELS[there]:
+            after.setdefault(here, set()).add(there)
+
+    def reach(start: str) -> set[str]:
+        seen: set[str] = set()
+        todo = list(after.get(start, ()))
+        while todo:
+            name = todo.pop()
+            if name not in seen:
+                seen.add(name)
+                todo += after.get(name, ())
+        return seen
+
+    assert [name for name in after if name in reach(name)] == []
+
+
+@pytest.mark.parametrize("path", CODE, ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_are_small(path):
+    name, lines = str(path.relative_to(ROOT)), len(path.read_text(encoding="utf-8").splitlines())
+    assert lines <= LIMIT or LONGER.get(name), f"{name}: {lines} lines, limit {LIMIT}: split it, or list it with the reason"
+
+
+def test_listed_long_files_still_are_long():
+    for name in LONGER:
+        assert len((ROOT / name).read_text(encoding="utf-8").splitlines()) > LIMIT, f"{name} is small now: take it off the list"
+
+
+def test_no_room_is_called_utils():
+    names = {part.removesuffix(".py") for path in SOURCES for part in path.relative_to(PACKAGE).parts}
+    assert names & FORBIDDEN == set()
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_nothing_can_run_code_from_a_file(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = {alias.name.split(".")[0] for alias in node.names} | {(getattr(node, "module", "") or "").split(".")[0]}
+            assert not names & UNSAFE_MODULES, f"{path}:{node.lineno} imports {names & UNSAFE_MODULES}"
+        if isinstance(node, ast.Call):
+            assert not (isinstance(node.func, ast.Name) and node.func.id == "eval"), f"{path}:{node.lineno} calls eval"
+            for key in node.keywords:
+                allowed = not (key.arg == "allow_pickle" and getattr(key.value, "value", None) is not False)
+                assert allowed, f"{path}:{node.lineno} allows pickle"
+
+
+def test_import_fishmj_loads_numpy_at_most():
+    code = "import sys; before = set(sys.modules); import fishmj; print(*(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = {name.split(".")[0] for name in done.stdout.split()} - set(sys.stdlib_module_names)
+    assert {name for name in loaded if not name.startswith("_")} <= {"fishmj", "numpy"}
+
+
+def test_the_command_line_starts_without_the_heavy_packages():
+    code = "import sys; from fishmj import cli; cli.usage(); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    heavy = {"jax", "mujoco", "dm_control", "numba", "torch", "matplotlib", "cv2", "meshcat", "warp"}
+    assert heavy.isdisjoint(done.stdout.split())
