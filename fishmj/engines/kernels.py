@@ -1,0 +1,217 @@
+# ruff: noqa: F821
+"""The loops of the compiled engine around the generated physics.
+
+These functions are compiled as text: `native.py` puts a decorator on each and, in front, a header that defines `real` (the
+float type), the elementary functions, the straight-line `physics`, `centres` and `forces`, and the names in capitals. The
+workspace `w` holds one quantity a row and LANES fish a row, so every loop over `i` becomes vector instructions. `advance`
+mirrors `planar.Engine.advance` and `flow.sample` line by line; tests/test_compiled.py holds them equal.
+"""
+
+import numpy as np
+from numpy import floor
+
+
+def load(w, base, values, block):
+    """Columns of values (B, n) into rows base.. of w; spare lanes of the last block repeat the last fish."""
+    last = values.shape[0] - 1
+    for j in range(values.shape[1]):
+        for i in range(LANES):
+            w[(base + j) * LANES + i] = values[min(block + i, last), j]
+
+
+def store(values, w, base, block):
+    """Rows base.. of w into the columns of values (B, n)."""
+    for i in range(min(LANES, values.shape[0] - block)):
+        for j in range(values.shape[1]):
+            values[block + i, j] = w[(base + j) * LANES + i]
+
+
+def load_delay(w, delay, block):
+    """Command latency in whole bus ticks and the physics steps left over."""
+    for i in range(LANES):
+        steps = delay[min(block + i, delay.shape[0] - 1), 0]
+        w[WHOLE * LANES + i] = real(steps // STEPS)
+        w[PART * LANES + i] = real(steps % STEPS)
+
+
+def load_commands(line, buffer, commands, block):
+    """Bus commands in order of time, remembered then new, as the servo sees them: clamped and quantised."""
+    ticks = commands.shape[1]
+    for i in range(LANES):
+        b = min(block + i, buffer.shape[0] - 1)
+        for k in range(BUFFER):
+            for j in range(JOINTS):
+                line[(k * JOINTS + j) * LANES + i] = buffer[b, k, j]
+        for k in range(ticks):
+            for j in range(JOINTS):
+                clamped = minimum(maximum(commands[b, k, j], -RANGE), RANGE)
+                line[((BUFFER + k) * JOINTS + j) * LANES + i] = np.rint(clamped / RESOLUTION) * RESOLUTION
+
+
+def store_commands(buffer, line, ticks, block):
+    """The newest BUFFER commands."""
+    for i in range(min(LANES, buffer.shape[0] - block)):
+        for k in range(BUFFER):
+            for j in range(JOINTS):
+                buffer[block + i, k, j] = line[((ticks + k) * JOINTS + j) * LANES + i]
+
+
+def pick_commands(w, line, k):
+    """The command that arrives in tick k, the one before and the one before that, for each lane's latency."""
+    for age in range(3):
+        for j in range(JOINTS):
+            row = (RECENT + age * JOINTS + j) * LANES
+            for i in range(LANES):
+                place = maximum(real(BUFFER - 1 - age) - w[WHOLE * LANES + i], real(0.0)) + real(k + 1)
+                w[row + i] = line[(np.uint32(place) * np.uint32(JOINTS) + np.uint32(j)) * np.uint32(LANES) + np.uint32(i)]
+
+
+def aim(w, step):
+    """Servo targets at one physics step of a tick; with RAMP the servo moves from command to command in one tick."""
+    for j in range(JOINTS):
+        newest, previous, before = (RECENT + j) * LANES, (RECENT + JOINTS + j) * LANES, (RECENT + 2 * JOINTS + j) * LANES
+        for i in range(LANES):
+            late = real(step) - w[PART * LANES + i]
+            fresh = late >= real(0.0)
+            target = w[newest + i] if fresh else w[previous + i]
+            if RAMP:
+                origin = w[previous + i] if fresh else w[before + i]
+                share = ((late if fresh else late + real(STEPS)) + real(1.0)) / real(STEPS)
+                target = origin + share * (target - origin)
+            w[(TARGET + j) * LANES + i] = target
+
+
+def wrapped(x, size):
+    """Whole number x modulo size, as an index; 0 for what is not a number."""
+    x = x - size * floor(x / size)
+    return np.uint32(x if real(0.0) <= x < size else real(0.0))
+
+
+def spatial_flow(w, table, cells, cell):
+    """Frozen turbulence at the link centres: bilinear in the periodic table (S, cells, cells, 2), flat."""
+    size, n = real(cells), np.uint32(cells)
+    for link in range(LINKS):
+        for i in range(LANES):
+            cos, sin, rms = w[TURN * LANES + i], w[(TURN + 1) * LANES + i], w[RMS * LANES + i]
+            mean_x, mean_y = w[MEAN * LANES + i], w[(MEAN + 1) * LANES + i]
+            time = w[CLOCK * LANES + i] * TICK
+            x = w[(CENTRE + 2 * link) * LANES + i] - mean_x * time
+            y = w[(CENTRE + 2 * link + 1) * LANES + i] - mean_y * time
+            gx = (cos * x + sin * y) / cell + w[OFFSET * LANES + i]
+            gy = (cos * y - sin * x) / cell + w[(OFFSET + 1) * LANES + i]
+            fx, fy = floor(gx), floor(gy)
+            ax, ay = gx - fx, gy - fy
+            ix, iy = wrapped(fx, size), wrapped(fy, size)
+            jx, jy = wrapped(fx + real(1.0), size), wrapped(fy + real(1.0), size)
+            rows = np.uint32(w[SLICE * LANES + i]) * n
+            a, b = ((rows + ix) * n + iy) * np.uint32(2), ((rows + ix) * n + jy) * np.uint32(2)
+            c, d = ((rows + jx) * n + iy) * np.uint32(2), ((rows + jx) * n + jy) * np.uint32(2)
+            one = np.uint32(1)
+            wa, wb = (real(1.0) - ax) * (real(1.0) - ay), (real(1.0) - ax) * ay
+            wc, wd = ax * (real(1.0) - ay), ax * ay
+            u = wa * table[a] + wb * table[b] + wc * table[c] + wd * table[d]
+            v = wa * table[a + one] + wb * table[b + one] + wc * table[c + one] + wd * table[d + one]
+            w[(FLOW + 2 * link) * LANES + i] = mean_x + rms * (cos * u - sin * v)
+            w[(FLOW + 2 * link + 1) * LANES + i] = mean_y + rms * (sin * u + cos * v)
+    for i in range(LANES):
+        w[AMBIENT * LANES + i] = w[(AMBIENT + 1) * LANES + i] = real(0.0)
+
+
+def gust_flow(w, table, cells):
+    """Gusts, uniform in space: the row of the table (S, cells, 2), flat, at this tick, and the slope to the next."""
+    for i in range(LANES):
+        cos, sin, rms = w[TURN * LANES + i], w[(TURN + 1) * LANES + i], w[RMS * LANES + i]
+        start = int(w[SLICE * LANES + i]) * cells
+        now = (int(w[CLOCK * LANES + i]) + int(w[OFFSET * LANES + i])) % cells
+        here, ahead = 2 * (start + now), 2 * (start + (now + 1) % cells)
+        u, v = table[here], table[here + 1]
+        du, dv = table[ahead] - u, table[ahead + 1] - v
+        w[AMBIENT * LANES + i] = rms * (cos * du - sin * dv) / TICK
+        w[(AMBIENT + 1) * LANES + i] = rms * (sin * du + cos * dv) / TICK
+        for link in range(LINKS):
+            w[(FLOW + 2 * link) * LANES + i] = w[MEAN * LANES + i] + rms * (cos * u - sin * v)
+            w[(FLOW + 2 * link + 1) * LANES + i] = w[(MEAN + 1) * LANES + i] + rms * (sin * u + cos * v)
+
+
+def record(w, k, block, pose, joint, rate, velocity, power):
+    """Tick k of the trace."""
+    for i in range(min(LANES, pose.shape[0] - block)):
+        b = block + i
+        for j in range(3):
+            pose[b, k, j] = w[(Q + j) * LANES + i]
+            velocity[b, k, j] = w[(V + j) * LANES + i]
+        for j in range(JOINTS):
+            joint[b, k, j] = w[(Q + 3 + j) * LANES + i] - w[(ZERO + j) * LANES + i]
+            rate[b, k, j] = w[(V + 3 + j) * LANES + i]
+        power[b, k] = w[POWER * LANES + i] / real(STEPS)
+
+
+def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock, table, cells, cell, gust, trace):
+    """Advance fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
+    w, ticks = np.zeros(ROWS * LANES, real), commands.shape[1]
+    line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
+    q, v, attached = state
+    mass, kp, kv, kb, zero, water = swimmer
+    mean, rms, row, offset, turn = current
+    pose, joint, rate, velocity, power = trace
+    for block in range(first, stop, LANES):
+        load(w, Q, q, block)
+        load(w, V, v, block)
+        load(w, ATTACHED, attached, block)
+        load(w, MASS, mass, block)
+        load(w, KP, kp, block)
+        load(w, KV, kv, block)
+        load(w, KB, kb, block)
+        load(w, ZERO, zero, block)
+        load(w, WATER, water, block)
+        load(w, MEAN, mean, block)
+        load(w, RMS, rms, block)
+        load(w, SLICE, row, block)
+        load(w, OFFSET, offset, block)
+        load(w, TURN, turn, block)
+        load(w, CLOCK, clock, block)
+        load_delay(w, delay, block)
+        load_commands(line, buffer, commands, block)
+        for k in range(ticks):
+            pick_commands(w, line, k)
+            if gust:
+                gust_flow(w, table, cells)
+            else:
+                centres(w)
+                spatial_flow(w, table, cells, cell)
+            for i in range(LANES):
+                w[CLOCK * LANES + i] += real(1.0)
+                w[POWER * LANES + i] = real(0.0)
+            for step in range(STEPS):
+                aim(w, step)
+                physics(w)
+            record(w, k, block, pose, joint, rate, velocity, power)
+        store(q, w, Q, block)
+        store(v, w, V, block)
+        store(attached, w, ATTACHED, block)
+        store_commands(buffer, line, ticks, block)
+
+
+def evaluate(first, stop, state, swimmer, target, flow, ambient, out):
+    """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
+    w = np.zeros(ROWS * LANES, real)
+    q, v, attached = state
+    mass, kp, kv, kb, zero, water = swimmer
+    applied, attached_new, power = out
+    for block in range(first, stop, LANES):
+        load(w, Q, q, block)
+        load(w, V, v, block)
+        load(w, ATTACHED, attached, block)
+        load(w, MASS, mass, block)
+        load(w, KP, kp, block)
+        load(w, KV, kv, block)
+        load(w, KB, kb, block)
+        load(w, ZERO, zero, block)
+        load(w, WATER, water, block)
+        load(w, TARGET, target, block)
+        load(w, FLOW, flow, block)
+        load(w, AMBIENT, ambient, block)
+        forces(w)
+        store(applied, w, APPLIED, block)
+        store(attached_new, w, ATTACHED, block)
+        store(power, w, POWER, block)
