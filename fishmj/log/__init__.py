@@ -1,0 +1,23 @@
+"""The trial folder: one log schema for simulators, evaluator, robot and data sets. See docs/logs.md."""
+
+from fishmj.log.dataset import Dataset, read_dataset, write_dataset
+from fishmj.log.folder import read_trial, write_trial
+from fishmj.log.schema import SCHEMA, TABLES, TableSpec
+from fishmj.log.trial import Table, Trial, gaps, numbered, segments, stacked
+
+__all__ = [
+    "SCHEMA",
+    "TABLES",
+    "Dataset",
+    "Table",
+    "TableSpec",
+    "Trial",
+    "gaps",
+    "numbered",
+    "read_dataset",
+    "read_trial",
+    "segments",
+    "stacked",
+    "write_dataset",
+    "write_trial",
+]

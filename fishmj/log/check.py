@@ -1,0 +1,173 @@
+"""Is a table or a meta dictionary what the schema says? The same checks run on reading and on writing.
+
+A breach is a `LogError` that begins with file:line:column (row number and column number for binary tables) and ends
+with the fix. What is merely absent or unusual is returned as notes.
+"""
+
+import math
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.log.schema import META, ORIGINS, SCHEMA, TableSpec, look_up, table_spec
+from fishmj.log.trial import Table, gaps
+
+Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
+
+# Bounds on magnitude, beyond any fish in a tank; a value outside is a mistake of units.
+ANGLE = math.pi  # rad, a joint
+SPIN = 30.0  # rad/s, a joint or the body; a fast servo turns at 5 to 8 rad/s
+REACH = 100.0  # m
+SPEED = 20.0  # m/s
+PERIOD = 5.0  # s, the slowest sensible median time step
+_LIMITS = {
+    "angle": (ANGLE, "degrees; the schema says rad. Multiply the column by pi/180"),
+    "rate": (SPIN, "degrees per second; the schema says rad/s. Multiply the column by pi/180"),
+    "position": (REACH, "millimetres or pixels; the schema says m. Convert the column"),
+    "speed": (SPEED, "mm/s; the schema says m/s. Divide the column by 1000"),
+}
+
+
+def check_table(name: str, table: Table, place: Place) -> list[str]:
+    """Raise `LogError` for the first breach of the schema; return notes about gaps and extra columns."""
+    spec = table_spec(name)
+    _check_shapes(name, table, place)
+    extra = check_columns(name, spec, list(table), place)
+    for column, values in table.items():
+        _check_finite(column, values, place)
+    _check_time(table["t"], place)
+    for column, values in table.items():
+        _check_units(spec.kind(column), column, values, table["t"], place)
+    notes = [f"{name}: column {column!r} is not in the schema; kept" for column in extra]
+    pauses = gaps(table["t"])
+    if spec.continuous and len(pauses):
+        first = float(table["t"][pauses[0]])
+        notes.append(f"{name}: {len(pauses)} gap(s) over 0.1 s, the first after t = {first:.3f} s; segments(trial) splits there")
+    return notes
+
+
+def check_columns(name: str, spec: TableSpec, columns: list[str], place: Place) -> list[str]:
+    """Raise for a missing column; return the columns that the schema does not name."""
+    missing = [column for column in spec.fixed if column not in columns]
+    counts = {template: _count(template, columns) for template in spec.numbered}
+    n = max([1, *counts.values()])
+    missing += [t.replace("#", str(i)) for t in spec.numbered for i in range(1, n + 1) if t.replace("#", str(i)) not in columns]
+    if missing:
+        raise LogError(
+            f"{place(-1, columns[-1] if columns else '')}: table {name!r} lacks column {', '.join(map(repr, missing))}; "
+            f"it has {', '.join(columns) or 'none'}; expected {spec.describe()}. Add the column or rename the one that means it"
+        )
+    known = {*spec.fixed, *spec.numbered, *spec.optional}
+    return [column for column in columns if re.sub(r"\d+", "#", column) not in known and column not in known]
+
+
+def check_meta(meta: dict, where: str) -> list[str]:
+    """Raise `LogError` for an impossible value; return a note that lists the missing keys."""
+    schema = meta.get("schema", SCHEMA)
+    if schema != SCHEMA:
+        raise LogError(f"{where}: schema = {schema!r}; expected {SCHEMA!r}. Convert the trial or use the fishmj that wrote it")
+    origin = meta.get("origin")
+    if origin is not None and origin not in ORIGINS:
+        raise LogError(f"{where}: origin = {origin!r}; expected one of {', '.join(map(repr, ORIGINS))}")
+    speed, direction = (_number(meta, key, where) for key in ("flow.speed", "flow.direction"))
+    if speed < 0:
+        raise LogError(f"{where}: flow.speed = {speed} m/s is negative; turn flow.direction by pi instead")
+    if abs(direction) > 2 * math.pi:
+        raise LogError(f"{where}: flow.direction = {direction} looks like degrees; the schema says rad. Multiply it by pi/180")
+    missing = [key for key in META if look_up(meta, key) is None]
+    return [f"{where}: missing {', '.join(missing)}"] if missing else []
+
+
+def check_counts(tables: dict[str, Table]) -> list[str]:
+    """Notes about tables that disagree on the number of joints."""
+    templates = {"cmd": "c#", "joint": "j#", "truth": "j#"}
+    counts = {name: _count(template, list(tables[name])) for name, template in templates.items() if name in tables}
+    counts |= {name: _count(t, list(tables[name])) - 1 for name, t in (("flow", "u#x"), ("wrench", "m#")) if name in tables}
+    if len(set(counts.values())) < 2:
+        return []
+    return ["number of joints differs: " + ", ".join(f"{name} {count}" for name, count in counts.items())]
+
+
+def _number(meta: dict, key: str, where: str) -> float:
+    """The finite number behind `key`, 0 when the key is absent."""
+    value = look_up(meta, key, 0.0)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
+        raise LogError(f"{where}: {key} = {value!r}; expected a finite number, or leave the key out when it is unknown")
+    return float(value)
+
+
+def _count(template: str, columns: list[str]) -> int:
+    """The highest number N of a template's columns."""
+    pattern = re.compile(re.escape(template).replace(r"\#", r"([1-9]\d{0,2})") + r"\Z")
+    return max([int(m.group(1)) for m in map(pattern.match, columns) if m], default=0)
+
+
+def _check_shapes(name: str, table: Table, place: Place) -> None:
+    lengths = {}
+    for column, values in table.items():
+        if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype.kind not in "fiub":
+            got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+            raise LogError(f"{place(-1, column)}: column {column!r} of {name!r} must be a 1-d array of numbers, got {got}")
+        lengths[column] = len(values)
+    if len(set(lengths.values())) > 1:
+        shapes = ", ".join(f"{c} {n}" for c, n in lengths.items())
+        raise LogError(f"{place(-1, 't')}: columns of {name!r} differ in length: {shapes}. Give every column one value a row")
+    if not lengths or not next(iter(lengths.values())):
+        raise LogError(f"{place(-1, 't')}: table {name!r} has no rows; leave an empty table out of the trial")
+
+
+def _check_finite(column: str, values: np.ndarray, place: Place) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        rows = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
+        raise LogError(
+            f"{place(int(bad[0]), column)}: column {column!r} is {float(values[bad[0]])}{rows}; values must be finite numbers. "
+            "Leave the row out (a gap over 0.1 s splits the trial) or leave the column out"
+        )
+
+
+def _check_time(t: np.ndarray, place: Place) -> None:
+    step = np.diff(np.asarray(t, float))
+    back = np.flatnonzero(step <= 0)
+    if len(back):
+        i = int(back[0])
+        verb = "goes back" if step[i] < 0 else "stands still"
+        raise LogError(
+            f"{place(i + 1, 't')}: time {verb}: {float(t[i + 1]):.6f} s after {float(t[i]):.6f} s; stamps must rise. "
+            "Sort the rows by t, remove repeated ones, or split the trial where the clock was set"
+        )
+    if len(step) and float(np.median(step)) > PERIOD:
+        raise LogError(
+            f"{place(1, 't')}: the median step is {float(np.median(step)):g} s, which looks like milliseconds; "
+            "the schema says s. Divide the column by 1000"
+        )
+
+
+def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, place: Place) -> None:
+    if kind == "heading":
+        _check_heading(column, np.asarray(values, float), np.asarray(t, float), place)
+    elif kind:
+        limit, fix = _LIMITS[kind]
+        bad = np.flatnonzero(np.abs(values) > limit)
+        if len(bad):
+            value = float(values[bad[0]])
+            raise LogError(f"{place(int(bad[0]), column)}: column {column!r}: {value:g} looks like {fix}")
+
+
+def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place) -> None:
+    """Unwrapped headings may pile up turns, so size alone proves nothing: look at the start and at the turning rate."""
+    bad = -1
+    if abs(yaw[0]) > 2 * math.pi:
+        bad = 0
+    elif len(yaw) > 2:
+        turn = np.abs((np.diff(yaw) + math.pi) % (2 * math.pi) - math.pi)
+        rate = turn / np.diff(t)
+        if np.quantile(rate, 0.9) > SPIN and np.max(np.abs(yaw)) > 2 * math.pi:
+            bad = int(np.argmax(np.abs(yaw)))
+    if bad >= 0:
+        raise LogError(
+            f"{place(bad, column)}: column {column!r}: {yaw[bad]:g} looks like degrees; "
+            "the schema says rad. Multiply the column by pi/180"
+        )

@@ -1,0 +1,163 @@
+"""Trials on disk: a folder with `meta.toml` and one file a table, or one flat `samples.csv` on a common clock.
+
+Reading never edits the source. Writing builds the whole folder beside its place and renames it there in one step.
+"""
+
+import os
+import re
+import shutil
+import tomllib
+from contextlib import suppress
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+
+from fishmj.errors import LogError, StoreError
+from fishmj.log import check, toml
+from fishmj.log.archive import read_archive, row_place, write_archive
+from fishmj.log.schema import SCHEMA, TABLES
+from fishmj.log.text import read_csv, read_text, write_csv
+from fishmj.log.trial import Table, Trial
+from fishmj.store import sync_folder, write_text
+
+META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
+_FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
+_FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd"}
+
+
+def read_trial(path: str | Path) -> Trial:
+    """Read and check a trial folder, or a flat `samples.csv` (with `meta.toml` beside it, if there is one).
+
+    Columns come back as float64, meta as nested dictionaries. What is missing or unusual is in `trial.notes`.
+
+    Raises:
+        LogError: the data break the schema; file:line:column and the fix.
+        StoreError: a binary table is damaged or holds pickled objects.
+    """
+    path = Path(path)
+    if path.is_file() and path.suffix == ".csv":
+        return _read_flat(path)
+    if not path.is_dir():
+        raise LogError(f"{path}: no such trial; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
+    if (path / FLAT_FILE).is_file():
+        return _read_flat(path / FLAT_FILE)
+    meta, notes = _read_meta(path / META_FILE, required=True)
+    tables: dict[str, Table] = {}
+    for file in sorted(path.iterdir()):
+        if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
+            continue
+        if file.stem not in TABLES:
+            notes.append(f"{file.name}: no table of the schema; ignored. Known: {', '.join(TABLES)}")
+            continue
+        if file.stem in tables:
+            raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
+        table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
+        notes += check.check_table(file.stem, table, place)
+        tables[file.stem] = table
+    if not tables:
+        raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
+    notes += check.check_counts(tables)
+    return Trial(meta, tables, name=path.name, notes=tuple(notes))
+
+
+def write_trial(
+    folder: str | Path, trial: Trial, *, overwrite: bool = False, form: str = "auto", precision: str = "auto"
+) -> Path:
+    """Check a trial and write it as a folder, in one step: all of it or nothing.
+
+    Args:
+        overwrite: replace an existing trial folder (never a folder that is no trial).
+        form: "csv", "npz", or "auto" (npz for synthetic trials, csv for measured ones).
+        precision: of npz columns: "auto" (see `archive.narrow`), "float32" or "float64".
+
+    Raises:
+        LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.
+    """
+    folder = Path(folder)
+    meta_text = _checked_meta(folder, trial.meta)
+    tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
+    for name, table in tables.items():
+        check.check_table(name, table, row_place(folder / name))
+    if not tables:
+        raise LogError(f"{folder}: a trial needs at least one table of {', '.join(TABLES)}")
+    if form not in ("auto", "csv", "npz"):
+        raise LogError(f"form = {form!r}; expected auto, csv or npz")
+    binary = form == "npz" or form == "auto" and trial.meta.get("origin") == "synthetic"
+    if folder.exists() and not overwrite:
+        raise StoreError(f"{folder}: exists; choose another name or pass overwrite=True")
+    if folder.exists() and not (folder / META_FILE).is_file():
+        raise StoreError(f"{folder}: exists and is no trial (no {META_FILE}); not overwritten. Choose another name")
+    temporary = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.tmp")
+    try:
+        for name, table in tables.items():
+            if binary:
+                write_archive(temporary / f"{name}.npz", table, precision)
+            else:
+                write_csv(temporary / f"{name}.csv", table)
+        write_text(temporary / META_FILE, meta_text)
+        _swap(temporary, folder)
+    except OSError as error:
+        raise error if isinstance(error, StoreError) else StoreError(f"{folder}: could not be written: {error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return folder
+
+
+def _swap(temporary: Path, folder: Path) -> None:
+    """Rename `temporary` to `folder`; an old folder is moved aside first and put back when that fails."""
+    old = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.old.tmp")
+    if folder.exists():
+        os.rename(folder, old)
+    try:
+        os.rename(temporary, folder)
+    except OSError:
+        with suppress(OSError):
+            os.rename(old, folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    sync_folder(folder.parent)
+
+
+def _checked_meta(folder: Path, meta: dict) -> str:
+    meta = toml.nested({"schema": SCHEMA, **meta})
+    if "origin" not in meta:
+        raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')
+    text = toml.dumps(meta)
+    check.check_meta(tomllib.loads(text), str(folder / META_FILE))
+    return text
+
+
+def _read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
+    if not path.is_file():
+        if required:
+            raise LogError(f'{path}: missing; write at least schema = "{SCHEMA}" and origin = "measured" (or "synthetic")')
+        return {}, [f"{path.name}: missing; origin, robot and flow are unknown"]
+    text = read_text(path)
+    try:
+        meta = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        at = f":{found[1]}:{found[2]}" if found else ":1:1"
+        raise LogError(f"{path}{at}: not valid TOML: {error}; text needs quotes, numbers a decimal point") from error
+    return meta, check.check_meta(meta, str(path))
+
+
+def _read_flat(path: Path) -> Trial:
+    """Split the columns of a flat file over the tables; every table gets the common `t`."""
+    samples, place = read_csv(path)
+    if "t" not in samples:
+        raise LogError(f"{place(-1, '')}: column 't' is missing; it has {', '.join(samples)}. Add time stamps in s")
+    meta, notes = _read_meta(path.with_name(META_FILE), required=False)
+    tables: dict[str, Table] = {}
+    for column, values in samples.items():
+        name = _FLAT.get(column) or _FLAT.get(re.sub(r"\d+\Z", "#", column))
+        if name:
+            tables.setdefault(name, {"t": samples["t"]})[column] = values
+        elif column != "t":
+            notes.append(f"{path.name}: column {column!r} belongs to no table; left out. Known: {', '.join(_FLAT)}")
+    if not tables:
+        raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(_FLAT)}, # = 1, 2, ..")
+    for name, table in tables.items():
+        notes += check.check_table(name, table, place)
+    return Trial(meta, tables, name=path.parent.name, notes=(*notes, *check.check_counts(tables)))

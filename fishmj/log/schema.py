@@ -1,0 +1,111 @@
+"""The log schema `fishmj.log/1`: which tables a trial may hold, their columns, units and meta keys.
+
+A template such as `j#` stands for `j1, j2, .. jN`; all templates of one table share N. Angles are radians, times seconds
+on the clock that `clock.<table>` names, positions metres in the tank frame.
+"""
+
+import re
+from dataclasses import dataclass
+
+from fishmj.errors import UnknownName
+
+SCHEMA = "fishmj.log/1"
+ORIGINS = ("measured", "synthetic")
+GAP = 0.1  # s; a longer pause in a measured table splits the trial
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableSpec:
+    """Columns of one table. `kinds` maps a template to the check its values get."""
+
+    about: str
+    fixed: tuple[str, ...]
+    numbered: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    kinds: dict[str, str]
+    continuous: bool = False  # sampled without pauses: a gap splits the trial
+
+    def describe(self) -> str:
+        """The required columns in words, for messages."""
+        return ", ".join([*self.fixed, *(f"{t.replace('#', '1')}..{t.replace('#', 'N')}" for t in self.numbered)])
+
+    def kind(self, column: str) -> str:
+        """The check of one column: angle, heading, rate, position, speed or "" for none."""
+        return self.kinds.get(re.sub(r"\d+", "#", column), "")
+
+
+_POSE = {"x": "position", "y": "position", "yaw": "heading"}
+TABLES = {
+    "cmd": TableSpec(
+        about="commanded joint angles at the time of sending, rad",
+        fixed=("t",),
+        numbered=("c#",),
+        optional=("seq", "t_rx"),
+        kinds={"c#": "angle"},
+        continuous=True,
+    ),
+    "joint": TableSpec(
+        about="measured joint angles, rad; w rad/s; load as the servo reports it",
+        fixed=("t",),
+        numbered=("j#",),
+        optional=("w#", "load#"),
+        kinds={"j#": "angle", "w#": "rate"},
+        continuous=True,
+    ),
+    "pose": TableSpec(
+        about="measured pose of the reference point, tank frame, m and rad",
+        fixed=("t", "x", "y", "yaw"),
+        optional=("quality",),
+        kinds=_POSE,
+        continuous=True,
+    ),
+    "power": TableSpec(about="electrical supply, V and A", fixed=("t", "V", "I"), kinds={}),
+    "truth": TableSpec(
+        about="simulator's exact state: pose, its rates in the tank frame, joint angles j and rates k",
+        fixed=("t", "x", "y", "yaw", "vx", "vy", "wz"),
+        numbered=("j#", "k#"),
+        kinds={**_POSE, "vx": "speed", "vy": "speed", "wz": "rate", "j#": "angle", "k#": "rate"},
+        continuous=True,
+    ),
+    "obs": TableSpec(about="what the policy saw", fixed=("t",), numbered=("o#",), kinds={}),
+    "action": TableSpec(about="what the policy answered, in [-1, 1]", fixed=("t",), numbered=("a#",), kinds={}),
+    "target": TableSpec(
+        about="where the fish should be, tank frame, m; holds until the next row",
+        fixed=("t", "x", "y"),
+        kinds={"x": "position", "y": "position"},
+    ),
+    "flow": TableSpec(
+        about="water velocity at each link's centre without the fish, tank frame, m/s",
+        fixed=("t",),
+        numbered=("u#x", "u#y"),
+        kinds={"u#x": "speed", "u#y": "speed"},
+    ),
+    "wrench": TableSpec(
+        about="water force on each link in the tank frame, N, and moment about its front joint (head: reference point), N m",
+        fixed=("t",),
+        numbered=("f#x", "f#y", "m#"),
+        kinds={},
+    ),
+}
+
+META = (  # dotted keys that a complete meta.toml has; sigma and clock are tables with one entry a channel or table
+    *("schema", "origin", "robot", "medium", "flow.speed", "flow.direction", "flow.known", "excitation", "replicate_of"),
+    *("sigma", "clock", "target", "controller", "policy_sha256", "water", "seed", "versions", "commit", "notes", "licence"),
+    "source",
+)
+
+
+def table_spec(name: str) -> TableSpec:
+    """The specification of table `name`, or an error that lists the known ones."""
+    if name not in TABLES:
+        raise UnknownName("table", name, TABLES)
+    return TABLES[name]
+
+
+def look_up(meta: dict, key: str, default=None):
+    """The value behind a dotted key such as `flow.speed`."""
+    for part in key.split("."):
+        if not isinstance(meta, dict) or part not in meta:
+            return default
+        meta = meta[part]
+    return meta

@@ -1,0 +1,112 @@
+"""CSV tables: UTF-8, comma between columns, point in numbers, one header row. Every error names line and column."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.log.trial import Table
+from fishmj.store import write_text
+
+_MARKS = {b"\xef\xbb\xbf": "UTF-8", b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+
+
+def read_text(path: Path) -> str:
+    """The file as text, or a `LogError` for a byte order mark, another encoding, or an empty file."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not raw.strip():
+        raise LogError(f"{path}:1:1: the file is empty; record it again or remove it (any table may be missing)")
+    for mark, encoding in _MARKS.items():
+        if raw.startswith(mark):
+            raise LogError(f"{path}:1:1: starts with a byte order mark ({encoding}); save it as plain UTF-8 without BOM")
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        column = error.start - raw.rfind(b"\n", 0, error.start)
+        raise LogError(
+            f"{path}:{line}:{column}: byte 0x{raw[error.start]:02x} is not UTF-8; save the file as plain UTF-8"
+        ) from error
+
+
+def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
+    """Columns as float64 arrays, and the function that turns (row, column) into file:line:column for later checks.
+
+    Raises:
+        LogError: at file:line:column, with the fix.
+    """
+    lines = read_text(path).split("\n")
+    header_line = next(i for i, line in enumerate(lines) if line.strip())
+    _check_separator(path, header_line, lines[header_line])
+    names = [name.strip().strip('"') for name in lines[header_line].split(",")]
+    for k, name in enumerate(names):
+        where = f"{path}:{header_line + 1}:{_character(lines[header_line], k)}"
+        if not name:
+            raise LogError(f"{where}: column {k + 1} has no name; the first row must name every column")
+        if name in names[:k]:
+            raise LogError(f"{where}: column {name!r} appears twice; remove one of them")
+    if all(_NUMBER.fullmatch(name) for name in names):
+        raise LogError(
+            f"{path}:{header_line + 1}:1: the first row holds numbers; write the column names there, such as t,j1,j2,j3"
+        )
+    numbers, rows = [i for i in range(header_line + 1, len(lines)) if lines[i].strip()], []
+    for i in numbers:
+        rows.append(_row(path, i, lines[i], names))
+
+    def place(row: int, column: str) -> str:
+        line = numbers[row] if 0 <= row < len(numbers) else header_line
+        field = names.index(column) if column in names else 0
+        return f"{path}:{line + 1}:{_character(lines[line], field)}"
+
+    values = np.array(rows, dtype=float).reshape(len(rows), len(names))
+    return {name: values[:, k].copy() for k, name in enumerate(names)}, place
+
+
+def write_csv(path: Path, table: Table) -> None:
+    """One header row, shortest decimals that read back to the same float64."""
+    columns = [[_decimal(v) for v in np.asarray(values).tolist()] for values in table.values()]
+    lines = [",".join(table), *(",".join(row) for row in zip(*columns, strict=True))]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _decimal(value) -> str:
+    return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
+
+
+def _character(line: str, field: int) -> int:
+    """1-based character column where comma-separated field number `field` starts."""
+    return sum(len(part) + 1 for part in line.split(",")[:field]) + 1
+
+
+def _check_separator(path: Path, line: int, header: str) -> None:
+    for mark, word in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header:
+            raise LogError(
+                f"{path}:{line + 1}:{header.index(mark) + 1}: columns are separated by {word} (as spreadsheets with "
+                "decimal commas do); save with commas between columns and points in numbers"
+            )
+
+
+def _row(path: Path, i: int, line: str, names: list[str]) -> list[float]:
+    fields = line.split(",")
+    if len(fields) != len(names):
+        hint = "decimal commas? Write 0.02, not 0,02" if len(fields) > len(names) else "is the row cut off? Remove or complete it"
+        at = _character(line, min(len(fields), len(names)))
+        raise LogError(f"{path}:{i + 1}:{min(at, len(line) + 1)}: {len(fields)} values in a row of {len(names)} columns; {hint}")
+    out = []
+    for k, text in enumerate(fields):
+        text = text.strip().strip('"')
+        if not _NUMBER.fullmatch(text):
+            what = "is blank" if not text else f"{text[:30]!r} is not a number"
+            raise LogError(
+                f"{path}:{i + 1}:{_character(line, k)}: column {names[k]!r} {what}; write a plain decimal number, "
+                "or leave the row or the column out"
+            )
+        out.append(float(text))
+    return out
