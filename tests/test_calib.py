@@ -25,6 +25,7 @@ UNITS = {
     "h",
     "1/s",
     "deg",
+    "rad",
     "rad/s",
     "m/s",
     "1/m",

@@ -40,18 +40,19 @@ def _school(robot, fish: int):
     spread = lambda size, key: 1 + constant("randomisation", key) * rng.uniform(-1, 1, size)  # noqa: E731
     nominal = engines.nominal_params(robot, fish)
     zero = np.radians(constant("randomisation", "zero_deg"))
-    late = np.array(constant("randomisation", "command_latency")) / robot.timing.physics_dt
+    soon, late = (t / robot.timing.physics_dt for t in constant("randomisation", "command_latency"))
     params = nominal._replace(
         mass=nominal.mass * spread(nominal.mass.shape, "mass"),
         kp=nominal.kp * spread(nominal.kp.shape, "kp"),
         kv=nominal.kv * spread(nominal.kv.shape, "kd"),
         zero=rng.uniform(-zero, zero, nominal.zero.shape),
-        delay=rng.uniform(*late, fish).round().astype(np.int32),
+        delay=rng.uniform(soon, late, fish).round().astype(np.int32),
     )
     arena = constant("task", "arena")
     pose = rng.uniform(-1, 1, (fish, 3)) * [arena, arena, np.pi]
     table, cell = flow.table_of("default")
-    speed, toward = rng.uniform(*constant("task", "flow_speed"), fish), rng.uniform(-np.pi, np.pi, fish)
+    slow, fast = constant("task", "flow_speed")
+    speed, toward = rng.uniform(slow, fast, fish), rng.uniform(-np.pi, np.pi, fish)
     current = flow.draw(np, "default", table, cell, speed, toward, np.full(fish, TI), rng.random((fish, 4)))
     _, ticks = engines.ticks_per(robot)
     clock = np.arange(ticks) * robot.timing.bus_dt

@@ -1,10 +1,7 @@
 """The doctor: findings about machine, packages, devices and traps, and what follows from them."""
 
-from fishmj.doctor.devices import accelerators
+from fishmj.doctor import devices, machine, packages, traps
 from fishmj.doctor.finding import Finding
-from fishmj.doctor.machine import machine, surroundings
-from fishmj.doctor.packages import packages
-from fishmj.doctor.traps import traps
 
 
 def verdicts(findings: list[Finding]) -> list[Finding]:
@@ -33,5 +30,5 @@ def verdicts(findings: list[Finding]) -> list[Finding]:
 
 def examine() -> list[Finding]:
     """All findings, in the order of the report."""
-    findings = [*machine(), *packages(), *accelerators(), *surroundings(), *traps()]
+    findings = [*machine.findings(), *packages.findings(), *devices.findings(), *machine.surroundings(), *traps.findings()]
     return [*findings, *verdicts(findings)]

@@ -29,7 +29,10 @@ def probe(code: str, needs: str) -> dict | str:
     if done.returncode != 0:
         lines = done.stderr.strip().splitlines()
         return f"failed with exit {done.returncode}: {lines[-1] if lines else 'no message'}"
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    try:
+        return json.loads(done.stdout.strip().splitlines()[-1])
+    except (ValueError, IndexError):
+        return "gave no answer that can be read"
 
 
 JAX_PROBE = """
@@ -48,32 +51,32 @@ print(json.dumps({"build": torch.version.cuda, "usable": torch.cuda.is_available
 """
 
 
-def accelerators() -> list[Finding]:
+def findings() -> list[Finding]:
     """GPUs as the driver, jax, warp and torch see them."""
-    findings = [_nvidia()]
-    card = findings[0].state == "ok"
+    out = [_nvidia()]
+    card = out[0].state == "ok"
     found = probe(JAX_PROBE, "jax")
     if isinstance(found, str):
-        findings.append(Finding("devices", "jax", "bad", found))
+        out.append(Finding("devices", "jax", "bad", found))
     else:
         lost = card and found["backend"] == "cpu"
         hint = '; the GPU is not used: pip install "fishmj[cuda]"' if lost else ""
-        findings.append(Finding("devices", "jax", "note" if lost else "ok", ", ".join(found["devices"]) + hint))
+        out.append(Finding("devices", "jax", "note" if lost else "ok", ", ".join(found["devices"]) + hint))
     found = probe(WARP_PROBE, "warp")
-    findings.append(
+    out.append(
         Finding("devices", "warp", "bad", found)
         if isinstance(found, str)
         else Finding("devices", "warp", "ok", ", ".join(found["devices"]))
     )
     found = probe(TORCH_PROBE, "torch")
     if isinstance(found, str):
-        findings.append(Finding("devices", "torch", "no", found))
+        out.append(Finding("devices", "torch", "no", found))
     elif card and not found["usable"]:
         text = f"built for CUDA {found['build']}, cannot use this GPU: the sb3 algorithms will run on the CPU"
-        findings.append(Finding("devices", "torch", "note", text))
+        out.append(Finding("devices", "torch", "note", text))
     else:
-        findings.append(Finding("devices", "torch", "ok", f"built for {found['build'] or 'CPU'}"))
-    return findings
+        out.append(Finding("devices", "torch", "ok", f"built for {found['build'] or 'CPU'}"))
+    return out
 
 
 def _nvidia() -> Finding:

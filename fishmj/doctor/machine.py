@@ -14,7 +14,7 @@ from fishmj.errors import FishmjError
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
-def machine() -> list[Finding]:
+def findings() -> list[Finding]:
     """Python, system, cores."""
     fits = (3, 11) <= sys.version_info[:2] < (3, 13)
     python = f"{platform.python_version()} at {sys.executable}"
@@ -54,14 +54,14 @@ def surroundings() -> list[Finding]:
     """Browser, writable folders, shipped files."""
     found = browser()
     missing = "none of " + ", ".join(BROWSERS) + ": replays are written and open in any browser, their test is skipped"
-    findings = [Finding("files", "browser", "ok" if found else "no", found or missing)]
+    out = [Finding("files", "browser", "ok" if found else "no", found or missing)]
     for name, folder in (("here", Path.cwd()), ("temporary", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free / 2**30
         writable = os.access(folder, os.W_OK)
         text = f"{folder}, {free:.1f} GiB free" if writable else f"{folder} cannot be written: run from another folder"
-        findings.append(Finding("files", name, "note" if not writable or free < 1 else "ok", text))
-    findings.append(_calibration())
-    return findings
+        out.append(Finding("files", name, "note" if not writable or free < 1 else "ok", text))
+    out.append(_calibration())
+    return out
 
 
 def _calibration() -> Finding:

@@ -18,26 +18,26 @@ def requirements() -> list[str]:
     return metadata.requires("fishmj") or []
 
 
-def packages(lines: list[str] | None = None) -> list[Finding]:
+def findings(lines: list[str] | None = None) -> list[Finding]:
     """Core packages and extras against what is installed."""
     if importlib.util.find_spec("packaging") is None:
         return [Finding("core", "packaging", "bad", "missing, so no version can be compared: pip install packaging")]
     from packaging.requirements import Requirement
 
-    findings = []
+    out = []
     extras: dict[str, list[str]] = {}
     for line in requirements() if lines is None else lines:
         wanted = Requirement(line)
         extra = _extra(line)
         if extra is None:
             found = version(wanted.name)
-            findings.append(_core(wanted.name, str(wanted.specifier), found, found is not None and found in wanted.specifier))
+            out.append(_core(wanted.name, str(wanted.specifier), found, found is not None and found in wanted.specifier))
         elif extra != "all":
             extras.setdefault(extra, []).extend(_lacking(wanted))
     for extra, missing in extras.items():
         text = f'{", ".join(missing)}: pip install "fishmj[{extra}]"' if missing else "installed"
-        findings.append(Finding("extras", extra, "no" if missing else "ok", text))
-    return findings
+        out.append(Finding("extras", extra, "no" if missing else "ok", text))
+    return out
 
 
 def _lacking(wanted) -> list[str]:

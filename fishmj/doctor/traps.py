@@ -10,7 +10,7 @@ from fishmj.doctor.packages import version
 BACKENDS = ("egl", "glfw", "osmesa", "wgl", "cgl", "enable", "enabled", "on", "disable", "disabled", "off")  # MUJOCO_GL
 
 
-def traps() -> list[Finding]:
+def findings() -> list[Finding]:
     """Every trap that this machine can fall into."""
     return [Finding("traps", *found) for trap in (_mujoco, _graphics, _torch, _precision, _callback) for found in trap()]
 

@@ -1,0 +1,70 @@
+"""The benchmark harness: interleaved rounds, medians, ratios, honest skips; and each engine's benchmark runs."""
+
+import json
+
+import pytest
+
+from fishmj import bench, console
+from fishmj.bench import Benchmark, NotHere, Work, measure
+from fishmj.bench import __main__ as command
+
+
+class Clock:
+    """Time that moves only when work is done."""
+
+    def __init__(self):
+        self.now, self.order = 0.0, []
+
+    def __call__(self) -> float:
+        return self.now
+
+    def work(self, name: str, seconds: list[float]) -> Work:
+        left = iter(seconds)
+
+        def run():
+            self.order.append(name)
+            self.now += next(left)
+
+        return Work(run, 10.0)
+
+
+def test_a_figure_is_the_median_beside_its_baseline():
+    clock = Clock()
+    a, b = clock.work("a", [1, 5, 2]), clock.work("b", [10, 10, 40])
+    found = measure(Benchmark("x", "things/s", lambda quick: a, lambda quick: b), rounds=3, clock=clock)
+    assert clock.order == ["a", "b"] * 3
+    assert (found["value"], found["baseline"], found["ratio"]) == (5.0, 1.0, 5.0)
+    assert set(found) == {"name", "value", "unit", "baseline", "ratio", "machine"} and "cores" in found["machine"]
+
+
+def test_a_figure_without_a_baseline_has_no_ratio():
+    clock = Clock()
+    work = clock.work("a", [2, 2])
+    found = measure(Benchmark("x", "things/s", lambda quick: work, None), rounds=2, clock=clock)
+    assert (found["value"], found["baseline"], found["ratio"]) == (5.0, None, None)
+
+
+def test_what_cannot_run_is_skipped_with_the_reason():
+    def absent(quick):
+        raise NotHere("needs a tank")
+
+    assert measure(Benchmark("x", "things/s", absent, None)) == {"name": "x", "skipped": "needs a tank"}
+
+
+def test_a_fault_inside_a_benchmark_is_not_a_skip():
+    with pytest.raises(ZeroDivisionError):
+        measure(Benchmark("x", "things/s", lambda quick: 1 / 0, None))
+
+
+def test_an_unknown_benchmark_is_bad_input(capsys):
+    assert console.run(command.main, ["engine_plana"]) == 2
+    assert "Did you mean 'engine_planar'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(bench.known()))
+def test_every_benchmark_runs_quickly_or_says_why_not(name, capsys):
+    assert console.run(command.main, [name, "--quick", "--json"]) == 0
+    line, last = map(json.loads, capsys.readouterr().out.strip().splitlines())
+    assert last == {"benchmarks": [line]} and line["name"] == name
+    assert line.get("skipped") or line["value"] > 0 and line["ratio"] > 0

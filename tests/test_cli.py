@@ -1,0 +1,179 @@
+"""The command line: exit codes, one JSON object last, progress, tables."""
+
+import io
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from fishmj import cli, console
+from fishmj.errors import ConfigError
+
+
+def json_last(text: str):
+    return json.loads(text.strip().splitlines()[-1])
+
+
+def test_usage_lists_the_verbs_of_this_build_and_no_other(capsys):
+    assert cli.main(["--help"]) == 0
+    listed = capsys.readouterr().out
+    for verb in cli.VERBS:
+        assert (f"  {verb} " in listed) == (cli.source(verb) is not None), verb
+
+
+def test_every_listed_verb_has_a_summary_and_a_main():
+    for verb, summary in cli.present().items():
+        assert 10 < len(summary) < 140, verb
+        assert callable(cli.load(verb))
+
+
+@pytest.mark.parametrize("verb", sorted(cli.present()))
+def test_every_verb_helps(verb, capsys):
+    assert cli.main([verb, "--help"]) == 0
+    assert f"fishmj {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", sorted(cli.present()))
+def test_every_verb_refuses_an_unknown_option(verb, capsys):
+    assert cli.main([verb, "--no-such-option"]) == 2
+    assert "--no-such-option" in capsys.readouterr().err
+
+
+def test_no_verb_is_bad_input(capsys):
+    assert cli.main([]) == 2
+    assert "usage" in capsys.readouterr().out
+
+
+def test_an_unknown_verb_is_one_line_with_the_closest_name(capsys):
+    assert cli.main(["docter", "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert err.count("\n") == 1 and "Did you mean 'doctor'" in err
+    assert json_last(out) == {"error": err.removeprefix("fishmj: ").strip(), "kind": "UnknownName", "exit": 2}
+
+
+def test_the_console_script_and_the_module_are_the_same_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "fishmj", "bench", "--list", "--json"], capture_output=True, text=True, check=True
+    )
+    same = subprocess.run([sys.executable, "-m", "fishmj.bench", "--list", "--json"], capture_output=True, text=True, check=True)
+    assert done.stdout == same.stdout and json_last(done.stdout)["benchmarks"]
+
+
+def stops_with(error):
+    def main(argv):
+        raise error
+
+    return main
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(ConfigError("speed = -1\nexpected at least 0"), 2), (KeyboardInterrupt(), 130), (SystemExit(3), 3), (SystemExit(None), 0)],
+)
+def test_errors_become_exit_codes(error, code, capsys):
+    assert console.run(stops_with(error), []) == code
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_fishmj_error_is_one_line(capsys):
+    console.run(stops_with(ConfigError("speed = -1\nexpected at least 0")), [])
+    assert capsys.readouterr().err == "fishmj: speed = -1 expected at least 0\n"
+
+
+def test_a_fault_of_ours_shows_its_traceback_and_is_no_failed_check(capsys):
+    assert console.run(stops_with(ZeroDivisionError("x")), ["--json"]) == 70
+    out, err = capsys.readouterr()
+    assert "Traceback" in err and json_last(out)["kind"] == "ZeroDivisionError"
+
+
+@pytest.mark.parametrize(("answer", "code"), [(None, 0), (0, 0), (1, 1), (3, 3)])
+def test_what_main_returns_is_the_exit_code(answer, code):
+    assert console.run(lambda argv: answer, []) == code
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    code = "from fishmj.console import run, say\nraise SystemExit(run(lambda a: [say('x' * 99) for _ in range(20000)] and 0, []))"
+    done = subprocess.run(
+        ["bash", "-c", '"$0" -c "$1" | head -1; exit ${PIPESTATUS[0]}', sys.executable, code],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 141 and done.stderr == ""
+
+
+def test_json_is_strict_whatever_is_in_it(capsys):
+    value = {"a": np.float32(1.5), "b": np.array([1.0, np.nan, np.inf]), 3: (np.int64(2), True, None), "p": cli._HERE}
+    console.emit_json(value)
+    assert json_last(capsys.readouterr().out) == {"a": 1.5, "b": [1.0, None, None], "3": [2, True, None], "p": str(cli._HERE)}
+
+
+def test_a_table_is_markdown_with_numbers_to_the_right():
+    text = console.table([{"name": "pd", "rmse": 0.123456, "n": 72}, {"name": "pn", "rmse": math.nan, "n": 7}])
+    assert text.splitlines() == [
+        "| name |   rmse |   n |",
+        "|------|-------:|----:|",
+        "| pd   | 0.1235 |  72 |",
+        "| pn   |      - |   7 |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(7.24, "7.2 s"), (59.94, "59.9 s"), (185, "3 min 05 s"), (7800, "2 h 10 min"), (math.inf, "?")]
+)
+def test_durations_read_well(seconds, text):
+    assert console.duration(seconds) == text
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Screen(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_time_left_forgets_a_slow_start():
+    clock = Clock()
+    bar = console.Progress(1000, "train", "steps", stream=Screen(), clock=clock)
+    clock.now += 60  # compilation
+    bar.update(0)
+    for done in range(10, 510, 10):
+        clock.now += 1
+        bar.update(done)
+    assert bar.rate == pytest.approx(10)
+    assert bar.left == pytest.approx(50)
+
+
+def test_the_time_left_is_unknown_before_anything_is_done():
+    bar = console.Progress(10, "train", clock=Clock(), stream=Screen())
+    assert bar.left == math.inf and "? left" in bar.line()
+
+
+def test_a_screen_gets_one_line_that_is_rewritten():
+    clock, screen = Clock(), Screen()
+    with console.Progress(4, "train", "steps", stream=screen, clock=clock) as bar:
+        for done in (1, 2, 3, 4):
+            clock.now += 1
+            bar.update(done, reward=0.5)
+    text = screen.getvalue()
+    assert text.count("\n") == 1 and text.count("\r") == 4
+    assert "100 %" in text and "reward 0.5" in text and "took 4.0 s" in text
+
+
+def test_a_file_gets_few_lines_without_carriage_returns():
+    clock, file = Clock(), io.StringIO()
+    with console.Progress(1000, "train", "steps", stream=file, clock=clock) as bar:
+        for done in range(1, 1001):
+            clock.now += 0.1
+            bar.update(done)
+    lines = file.getvalue().splitlines()
+    assert "\r" not in file.getvalue() and 5 <= len(lines) <= 9 and "100 %" in lines[-1]

@@ -1,0 +1,140 @@
+"""The doctor names what is wrong and the line that mends it, and survives whatever is missing."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fishmj import console
+from fishmj.doctor import Finding, devices, packages, traps, verdicts
+from fishmj.doctor import __main__ as doctor
+from fishmj.doctor.machine import browser
+from fishmj.doctor.packages import requirements, version
+
+DECIDED = """
+    mujoco mujoco-mjx dm-control jax numpy scipy warp-lang gymnasium optax safetensors meshcat opencv-python-headless matplotlib
+"""
+
+
+def one(findings: list[Finding], name: str) -> Finding:
+    return next(f for f in findings if f.name == name)
+
+
+def test_a_missing_core_package_is_bad_with_the_line_that_mends_it():
+    found = one(packages.findings(["numpy>=2.4", "no-such-package==1.2.3"]), "no-such-package")
+    assert found.state == "bad" and "missing" in found.text and 'pip install "no-such-package==1.2.3"' in found.text
+
+
+def test_a_wrong_version_of_a_core_package_is_bad_and_says_which():
+    found = one(packages.findings(["numpy>=99"]), "numpy")
+    assert found.state == "bad" and version("numpy") in found.text and ">=99" in found.text
+
+
+def test_the_packages_that_run_this_test_are_right():
+    assert [f for f in packages.findings() if f.section == "core" and f.state != "ok"] == []
+    assert {f.name for f in packages.findings() if f.section == "extras"} == {
+        "cuda",
+        "fast",
+        "sb3",
+        "ray",
+        "robot",
+        "sysid",
+        "bench",
+        "dev",
+    }
+
+
+def test_a_missing_extra_is_no_fault_and_has_its_install_line():
+    found = one(packages.findings(['no-such-package>=1; extra == "thing"', 'numpy; extra == "thing"']), "thing")
+    assert found.state == "no" and "no-such-package" in found.text and 'pip install "fishmj[thing]"' in found.text
+
+
+def test_an_extra_of_a_package_counts_as_missing_when_only_the_package_is_there():
+    found = one(packages.findings(['pytest[dev]; extra == "thing"']), "thing")
+    assert found.state == ("no" if version("argcomplete") is None else "ok")
+
+
+def test_the_core_is_what_the_house_decided():
+    names = {line.partition(";")[0].split("=")[0].split(">")[0].strip() for line in requirements() if "extra" not in line}
+    assert names == {*DECIDED.split(), "packaging"}
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("raise SystemExit(7)", "exit 7"),
+        ("import os; os.kill(os.getpid(), 11)", "exit -11"),
+        ("raise RuntimeError('driver lost')", "driver lost"),
+        ("print('no json')", "no answer that can be read"),
+    ],
+)
+def test_a_probe_that_dies_is_a_line_not_a_crash(code, says):
+    assert says in devices.probe(code, "json")
+
+
+def test_a_probe_that_hangs_is_given_up(monkeypatch):
+    monkeypatch.setattr(devices, "PROBE_TIME", 0.5)
+    assert "no answer within 0.5 s" in devices.probe("import time; time.sleep(30)", "json")
+
+
+def test_a_probe_of_a_package_that_is_absent_says_so():
+    assert devices.probe("print(1)", "no_such_module") == "no_such_module is not installed"
+
+
+def test_a_broken_nvidia_smi_is_a_note(tmp_path, monkeypatch):
+    tool = tmp_path / "nvidia-smi"
+    tool.write_text("#!/bin/sh\necho 'Failed to talk to the driver'; exit 9\n")
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    found = devices._nvidia()
+    assert found.state == "note" and "Failed to talk to the driver" in found.text
+
+
+def test_no_nvidia_smi_means_the_cpu(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert devices._nvidia().state == "no"
+
+
+def test_a_browser_can_be_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("FISHMJ_BROWSER", raising=False)
+    assert browser() is None
+    mine = tmp_path / "mine"
+    mine.write_text("#!/bin/sh\n")
+    mine.chmod(0o755)
+    monkeypatch.setenv("FISHMJ_BROWSER", str(mine))
+    assert browser() == str(mine)
+
+
+def test_a_misspelt_renderer_is_found(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "elg")
+    assert one(traps.findings(), "MUJOCO_GL").state == "bad"
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    assert "MUJOCO_GL" not in {f.name for f in traps.findings()}
+
+
+def test_a_later_mujoco_is_named_as_a_trap(monkeypatch):
+    monkeypatch.setattr(traps, "version", lambda name: "4.0.1" if name == "mujoco" else None)
+    assert one(traps.findings(), "mujoco 4").state == "bad"
+
+
+def test_a_broken_core_means_that_nothing_works():
+    findings = [Finding("core", "jax", "bad", "missing")]
+    assert {f.state for f in verdicts(findings)} == {"no"}
+
+
+@pytest.mark.parametrize(("state", "code"), [("ok", 0), ("no", 0), ("note", 0), ("bad", 1)])
+def test_only_what_must_be_mended_fails_the_check(state, code, monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "examine", lambda: [Finding("core", "thing", state, "text")])
+    assert console.run(doctor.main, ["--json"]) == code
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert answer == {"healthy": code == 0, "findings": [{"section": "core", "name": "thing", "state": state, "text": "text"}]}
+
+
+def test_the_whole_report_runs():
+    done = subprocess.run([sys.executable, "-m", "fishmj.doctor", "--json"], capture_output=True, text=True, check=False)
+    answer = json.loads(done.stdout.splitlines()[-1])
+    assert done.returncode == (0 if answer["healthy"] else 1) and done.stderr == ""
+    assert {f["section"] for f in answer["findings"]} == {"machine", "core", "extras", "devices", "files", "traps", "works"}
