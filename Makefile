@@ -45,7 +45,7 @@ test: lint
 	@$(MAKE) --no-print-directory wheel
 
 wheel: $(INSTALLED)
-	@$(STEP) "wheel" $(PY) .ci/wheel
+	@$(STEP) "wheel" $(PY) .ci/wheel.py
 
 test-extras: $(SB3)
 	@$(STEP) "sb3" $(PY) -m pytest -q -m sb3 --durations 5
