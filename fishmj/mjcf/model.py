@@ -16,7 +16,7 @@ import numpy as np
 from fishmj.errors import ConfigError, InjectionError, UnknownName
 from fishmj.mjcf import outline
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.mjcf.geometry import geometry_of
 from fishmj.units import G
 
 ROOTS = ("planar", "free")
@@ -79,6 +79,7 @@ def build_spec(
             _add_servo(spec, body, robot, f"j{i}")
         if ellipsoid:
             outline.add_ellipsoid(body, geometry, i)
+            body.gravcomp = 1.0  # buoyancy, which MuJoCo's fluid leaves out; no righting moment
         if not bare:
             outline.add_link(spec, body, robot, geometry, i)
         parent = body
@@ -113,6 +114,22 @@ def _add_servo(spec, body, robot: Robot, name: str) -> None:
     actuator.ctrlrange = [-s.range, s.range]
 
 
+def personalise(model: mujoco.MjModel, *, mass, kp, kv, kb, zero) -> None:
+    """Write one fish's own constants into its model.
+
+    Args:
+        mass: factor on mass and inertia of every link (N,).
+        kp, kv, kb: servo gains (J,), N m/rad and N m s/rad.
+        zero: hinge angle at which each encoder reads zero (J,), rad.
+    """
+    model.body_mass[1:] *= mass
+    model.body_inertia[1:] *= np.asarray(mass, float)[:, None]
+    model.actuator_gainprm[:, 0] = kp
+    model.actuator_biasprm[:, :3] = np.stack([np.multiply(kp, zero), np.negative(kp), np.negative(kv)], -1)
+    model.dof_damping[-model.nu :] = kb
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
 def reference_qpos(model: mujoco.MjModel, x: float, y: float, yaw: float, joints) -> np.ndarray:
     """qpos (nq,) of a level fish at (x, y) [m] heading yaw [rad] with the given joint angles, for either root."""
     if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
@@ -120,4 +137,14 @@ def reference_qpos(model: mujoco.MjModel, x: float, y: float, yaw: float, joints
     return np.array([x, y, yaw, *joints], float)
 
 
-__all__ = ["ROOTS", "Geometry", "build", "build_spec", "mjcf_xml", "reference_qpos"]
+def reference_pose(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """(x, y, yaw, x', y', yaw') of the reference point in the tank frame [m, rad, m/s, rad/s], for either root."""
+    if model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+        return np.concatenate([data.qpos[:3], data.qvel[:3]])
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, data.qpos[3:7])
+    yaw = np.arctan2(turn[3], turn[0])
+    return np.array([data.qpos[0], data.qpos[1], yaw, data.qvel[0], data.qvel[1], turn[6:] @ data.qvel[3:6]])
+
+
+__all__ = ["ROOTS", "build", "build_spec", "mjcf_xml", "personalise", "reference_pose", "reference_qpos"]

@@ -1,0 +1,95 @@
+"""What `Sim` writes down: one row a bus tick in the log's schema, and the last states of a run that diverged."""
+
+import tempfile
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+
+from fishmj import __version__
+from fishmj.errors import LogError, SimDiverged
+from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.mjcf.model import reference_pose
+
+SANE_SPEED, SANE_SPIN = 20.0, 30.0  # m/s and rad/s: beyond them a log is refused, so rescued rows stop there
+
+
+class Recorder:
+    """Collects rows of one `Sim`."""
+
+    def __init__(self, sim):
+        self.sim = sim
+        self.rows: list[tuple] = []
+
+    def add(self, command, flow, power: float) -> None:
+        """After a tick: command (J,) sent at its start, flow (N, 2) met at its start, mean servo power over it [W]."""
+        sim = self.sim
+        joints = sim.data.qpos[-sim.model.nu :] - sim.swimmer.zero
+        start = (sim.tick - 1) * sim.robot.timing.bus_dt
+        row = (start, sim.data.time, command, sim.pose, joints, sim.data.qvel[-sim.model.nu :].copy(), flow, power)
+        self.rows.append(row)
+
+    def trial(self) -> Trial:
+        """The rows as tables: cmd and flow at the start of each tick, the others at its end."""
+        if not self.rows:
+            raise LogError("Sim.trial: nothing recorded yet; call Sim.step or Sim.run first")
+        start, t, cmd, pose, joint, rate, flow, power = (np.array(column) for column in zip(*self.rows, strict=True))
+        servo = self.sim.robot.servo
+        tables = {
+            "cmd": {"t": start, **numbered("c#", cmd)},
+            "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
+            "pose": {"t": t, "x": pose[:, 0], "y": pose[:, 1], "yaw": pose[:, 2]},
+            "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": (power + servo.idle_power) / servo.voltage},
+            "truth": truth(t, pose, joint, rate),
+            "flow": {"t": start, **numbered("u#x", flow[:, :, 0]), **numbered("u#y", flow[:, :, 1])},
+        }
+        return Trial(meta_of(self.sim), tables)
+
+
+def truth(t, pose, joint, rate) -> dict:
+    """The exact state as a table: pose (T, 6), joint and rate (T, J)."""
+    names = ("x", "y", "yaw", "vx", "vy", "wz")
+    return {"t": t, **dict(zip(names, pose.T, strict=True)), **numbered("j#", joint), **numbered("k#", rate)}
+
+
+def meta_of(sim) -> dict:
+    """Meta data of a simulated trial."""
+    flow = sim.flow
+    return {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": sim.robot.name,
+        "medium": "air" if sim.water_name == "none" else "water",
+        "flow": {**asdict(flow), "known": True},
+        "water": sim.water_name,
+        "root": sim.root,
+        "seed": flow.seed,
+        "clock": {name: "simulation" for name in ("cmd", "joint", "pose", "power", "truth", "flow")},
+        "versions": {"fishmj": __version__, "mujoco": version("mujoco"), "numpy": version("numpy")},
+        "source": "fishmj.sim",
+        "licence": "Apache-2.0",
+        "notes": "simulated; joint and pose are exact, without sensor noise",
+    }
+
+
+def rescue(sim, error: SimDiverged) -> SimDiverged:
+    """The same error, now with the last states and the folder that holds them as a trial."""
+    states = [(t, q, v, c) for t, q, v, c in sim.recent if np.isfinite(q).all() and np.isfinite(v).all()]
+    sane = [s for s in states if np.abs(s[2][:2]).max() < SANE_SPEED and np.abs(s[2][2:]).max() < SANE_SPIN]
+    where = ""
+    if sane:
+        folder = sim.rescue_folder or Path(tempfile.gettempdir()) / "fishmj-diverged" / f"{sim.robot.name}-{uuid4().hex[:8]}"
+        t, q, v, ctrl = (np.array(column) for column in zip(*sane, strict=True))
+        n = sim.model.nu
+        pose = np.array([_pose_at(sim, *row) for row in zip(q, v, strict=True)])
+        meta = {**meta_of(sim), "notes": f"the last {len(t)} physics steps before: {error}", "diverged": {"term": error.term, "link": error.link}}
+        tables = {"truth": truth(t, pose, q[:, -n:] - sim.swimmer.zero, v[:, -n:]), "cmd": {"t": t, **numbered("c#", ctrl)}}
+        where = f"; the last {len(t)} states are in {write_trial(folder, Trial(meta, tables), overwrite=True)}"
+    return SimDiverged(f"{error}{where}", time=error.time, term=error.term, link=error.link, states=states)
+
+
+def _pose_at(sim, qpos, qvel):
+    sim.data.qpos[:], sim.data.qvel[:] = qpos, qvel
+    return reference_pose(sim.model, sim.data)

@@ -1,0 +1,176 @@
+"""One fish in MuJoCo, in any water: `Sim.step` is the main loop.
+
+    command -> clamp, quantise -> bus (latency) -> [ inject water -> mj_step -> check -> advance water ] x 5 -> record
+
+    sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
+    trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
+
+Batches of fish are the business of `fishmj.engines`; a test holds both equal.
+"""
+
+from collections import deque
+from contextlib import nullcontext
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from fishmj import mjcf
+from fishmj.errors import ConfigError, SimDiverged, UnknownName
+from fishmj.flow import Flow, sample
+from fishmj.hydro_fit import chain
+from fishmj.hydro_fit.inject import checked_step, inject
+from fishmj.hydro_fit.passive import PlanarWater
+from fishmj.hydro_fit.wrench import FreeWater
+from fishmj.log import Trial
+from fishmj.mjcf.description import Servo, check_timing
+from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
+from fishmj.engines.record import Recorder, rescue
+
+WATERS = ("structured", "ellipsoid", "none")
+ENGINES = ("mujoco",)
+KEPT = 100  # physics steps remembered for a diverged run
+
+
+class Sim:
+    """One fish, one flow, one water.
+
+    Args:
+        robot: description, TOML path or shipped name.
+        water: "structured" (strip model with added mass), "ellipsoid" (MuJoCo's own fluid) or "none".
+        flow: background flow; still water by default.
+        root: "planar" or "free".
+        pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
+        swimmer: this fish's own constants; the nominal ones by default.
+        latency: of commands, s; the robot's nominal one by default.
+        rescue_folder: where the last states of a diverged run go; default, a folder in the temporary directory.
+
+    Raises:
+        UnknownName, ConfigError: a name or a time step that cannot be.
+    """
+
+    def __init__(
+        self,
+        robot="fish",
+        *,
+        water: str = "structured",
+        flow: Flow | None = None,
+        engine: str = "mujoco",
+        root: str = "planar",
+        pose=(0.0, 0.0, 0.0),
+        swimmer: chain.Swimmer | None = None,
+        latency: float | None = None,
+        rescue_folder: Path | None = None,
+    ):
+        for kind, name, known in (("water", water, WATERS), ("engine", engine, ENGINES)):
+            if name not in known:
+                raise UnknownName(kind, name, known)
+        self.robot, self.water_name, self.root = mjcf.load_robot(robot), water, root
+        self.flow, self.rescue_folder = flow or Flow(), rescue_folder
+        timing = self.robot.timing
+        check_timing(timing, f"{self.robot.name} [timing]")
+        self.ticks_a_second = round(1 / timing.bus_dt)
+        self.steps = round(timing.bus_dt / timing.physics_dt)
+        self.delay = round((timing.command_latency if latency is None else latency) / timing.physics_dt)
+        self.swimmer = swimmer or chain.nominal(self.robot)
+        self.model = mjcf.build(self.robot, root, ellipsoid=water == "ellipsoid")
+        s = self.swimmer
+        personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = reference_qpos(self.model, *pose, np.zeros(self.robot.n_joints))
+        kind = {"planar": PlanarWater, "free": FreeWater}[root]
+        self.water = kind(self.robot, self.swimmer) if water == "structured" else None
+        self.tick = 0
+        self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
+        self.recent: deque = deque(maxlen=KEPT)
+        self.recorder = Recorder(self)
+        self._current = self.flow.current()
+
+    def step(self, command) -> None:
+        """Advance one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.
+
+        Raises:
+            SimDiverged: the fish left the finite numbers; the last 100 states are saved and named in the message.
+        """
+        sent = bus_command(self.robot.servo, command)
+        self.commands.append(sent)
+        flow, power = self._meet_flow(), 0.0
+        try:
+            with inject(self.model, self.water) if self.water else nullcontext() as fish:
+                for i in range(self.steps):
+                    self.data.ctrl[:] = self.arrived(self.tick * self.steps + i)
+                    rates = self.data.qvel.copy()
+                    self.recent.append((self.data.time, self.data.qpos.copy(), rates, self.data.ctrl.copy()))
+                    fish.step(self.data) if fish else checked_step(self.model, self.data)
+                    power += self._electrical(rates) / self.steps
+        except SimDiverged as error:
+            raise rescue(self, error) from error
+        self.tick += 1
+        self.recorder.add(sent, flow, power)
+
+    def run(self, commands, seconds: float) -> Trial:
+        """Swim for `seconds` and return everything recorded so far.
+
+        Args:
+            commands: a function of time [s] -> (J,) rad, called every bus tick, or an array (T, J) of bus commands.
+        """
+        ticks = round(seconds * self.ticks_a_second)
+        if not callable(commands):
+            given = np.asarray(commands, float)
+            if len(given) < ticks:
+                raise ConfigError(f"Sim.run: {len(given)} bus commands last {len(given) / self.ticks_a_second} s, asked for {seconds} s")
+        for i in range(ticks):
+            self.step(commands(self.data.time) if callable(commands) else given[i])
+        return self.trial()
+
+    def trial(self) -> Trial:
+        """What was recorded so far, in the log's schema; origin "synthetic"."""
+        return self.recorder.trial()
+
+    def arrived(self, step: int) -> np.ndarray:
+        """What the servo aims at in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
+
+        With the path "move_time" the servo moves linearly from one command to the next in one tick.
+        """
+        whole, part = divmod(step - self.delay, self.steps)
+        newest = self.commands[max(whole + 1, 0)]
+        if self.robot.timing.command_path != "move_time":
+            return newest
+        before = self.commands[max(whole, 0)]
+        return before + (part + 1) / self.steps * (newest - before)
+
+    def links(self) -> np.ndarray:
+        """World positions of the link centres, (N, 3) m."""
+        mujoco.mj_kinematics(self.model, self.data)
+        return np.array([self.data.site(f"{link.name}_centre").xpos for link in self.robot.links])
+
+    def _meet_flow(self) -> np.ndarray:
+        """Look the flow up at every link, (N, 2) m/s, and tell the water; constant over the tick."""
+        flow, ambient = sample(np, self._current, self.links()[None, :, :2], np.array([self.tick]))
+        if self.water:
+            self.water.set_flow(flow[0], ambient[0])
+        elif self.water_name == "ellipsoid":
+            self.model.opt.wind[:2] = flow[0, 0]
+        return flow[0]
+
+    def _electrical(self, qvel) -> float:
+        """Servo power of the step just taken, W, from the drive torque that MuJoCo applied."""
+        v = [0.0, 0.0, 0.0, *qvel[-self.model.nu :]]
+        return float(chain.electrical_power(np, self.swimmer, v, self.data.actuator_force))
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(x, y, yaw, x', y', yaw') of the reference point, tank frame."""
+        return reference_pose(self.model, self.data)
+
+
+def bus_command(servo: Servo, command) -> np.ndarray:
+    """What the servos make of a command (J,) rad: clamped to the range, rounded to the resolution.
+
+    Raises:
+        ConfigError: not finite.
+    """
+    command = np.asarray(command, float)
+    if not np.isfinite(command).all():
+        raise ConfigError(f"Sim.step: command {command.tolist()} is not finite; expected joint angles in rad")
+    return np.round(np.clip(command, -servo.range, servo.range) / servo.resolution) * servo.resolution
