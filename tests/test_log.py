@@ -1,7 +1,5 @@
 """Claims about trial folders: what is written comes back, what is wrong is named with file, line, column and fix."""
 
-import math
-import shutil
 import tomllib
 
 import numpy as np
@@ -10,48 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fishmj import log
-from fishmj.errors import FishmjError, LogError, StoreError, UnknownName
+from fishmj.errors import LogError, StoreError, UnknownName
 from fishmj.log import check, toml
 from fishmj.log.archive import HALF_ERROR, narrow
-
-
-def synthetic(seconds=4.0, joints=3, **meta):
-    """A smooth made-up trial with every table of the schema."""
-    t = np.arange(0, seconds, 0.02)
-    slow = t[::10]
-    angles = 0.5 * np.sin(2 * math.pi * t[:, None] - np.arange(joints))
-    rates = 0.5 * 2 * math.pi * np.cos(2 * math.pi * t[:, None] - np.arange(joints))
-    pose = {"x": 0.1 * t - 0.7, "y": 0.02 * np.sin(t), "yaw": 0.2 * np.sin(2 * math.pi * t)}
-    tables = {
-        "cmd": {"t": t, **log.numbered("c#", angles)},
-        "joint": {"t": t + 0.004, **log.numbered("j#", angles), **log.numbered("w#", rates)},
-        "pose": {"t": t + 0.03, **pose},
-        "power": {"t": t, "V": np.full_like(t, 7.4), "I": 0.4 + 0.1 * np.sin(t)},
-        "truth": {
-            "t": t,
-            **pose,
-            "vx": np.full_like(t, 0.1),
-            "vy": 0.02 * np.cos(t),
-            "wz": 0.4 * np.cos(t),
-            **log.numbered("j#", angles),
-            **log.numbered("k#", rates),
-        },
-        "obs": {"t": slow, **log.numbered("o#", np.ones((len(slow), 11)) * slow[:, None])},
-        "action": {"t": slow, **log.numbered("a#", np.zeros((len(slow), 3)))},
-        "target": {"t": np.array([0.0]), "x": np.array([0.7]), "y": np.array([0.0])},
-        "flow": {
-            "t": t,
-            **log.numbered("u#x", np.full((len(t), joints + 1), -0.2)),
-            **log.numbered("u#y", np.zeros((len(t), joints + 1))),
-        },
-        "wrench": {"t": t, **{name: 0.1 * t for i in range(1, joints + 2) for name in (f"f{i}x", f"f{i}y", f"m{i}")}},
-    }
-    return log.Trial({"origin": "synthetic", "robot": "swift", "flow": {"speed": 0.2, "direction": math.pi}, **meta}, tables)
+from synthetic import whole_trial
 
 
 @pytest.fixture
 def trial():
-    return synthetic()
+    return whole_trial()
 
 
 def edit(folder, name, old, new, count=1):
@@ -59,12 +24,6 @@ def edit(folder, name, old, new, count=1):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, count))
-
-
-def csv_trial(tmp_path, text, name="joint.csv", meta='schema = "fishmj.log/1"\norigin = "measured"\n'):
-    (tmp_path / "meta.toml").write_text(meta)
-    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
-    return tmp_path
 
 
 # ---------------------------------------------------------------------------------------------------------- round trips
@@ -193,77 +152,6 @@ def test_unknown_table_names_the_closest(tmp_path, trial):
         log.Trial({}, {"target": trial.tables["target"]}).table("wrench")
 
 
-# -------------------------------------------------------------------------------------------------- fault 20, one by one
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("t,j1,j3\n0,1,1\n", r"joint.csv:1:6: table 'joint' lacks column 'j2'; it has t, j1, j3; expected t, j1..jN"),
-        ("j1,j2\n1,1\n", r"joint.csv:1:4: table 'joint' lacks column 't'"),
-        ("t,j1,j2\n0,0.1,0.1\n0.02,0.1,57.3\n", r"joint.csv:3:10: column 'j2': 57.3 looks like degrees; the schema says rad"),
-        ("t,j1\n0,0\n0.02,0\n0.01,0\n", r"joint.csv:4:1: time goes back: 0.010000 s after 0.020000 s"),
-        ("t,j1\n0,0\n0,0\n", r"joint.csv:3:1: time stands still"),
-        ("t,j1\n0,0\n20,0\n40,0\n", r"joint.csv:3:1: the median step is 20 s, which looks like milliseconds"),
-        ("t,j1\n0,0\n0.02,nan\n", r"joint.csv:3:6: column 'j1' is nan; values must be finite"),
-        ("t,j1\n0,0\n0.02,-inf\n", r"joint.csv:3:6: column 'j1' is -inf"),
-        ("t,j1\n0,0\n0.02,\n", r"joint.csv:3:6: column 'j1' is blank"),
-        ("t,j1\n0,0\n0.02,zero\n", r"joint.csv:3:6: column 'j1' 'zero' is not a number"),
-        ("t,j1\n0,0\n0.02,1_0\n", r"joint.csv:3:6: column 'j1' '1_0' is not a number"),
-        (b"\xef\xbb\xbft,j1\n0,0\n", r"joint.csv:1:1: starts with a byte order mark \(UTF-8\); save it as plain UTF-8"),
-        ("t,j1\n0,0\n".encode("utf-16"), r"joint.csv:1:1: starts with a byte order mark \(UTF-16\)"),
-        (b"t,j1\n0,\xb0\n", r"joint.csv:2:3: byte 0xb0 is not UTF-8"),
-        ("t;j1\n0,02;0,1\n", r"joint.csv:1:2: columns are separated by semicolons .*decimal commas"),
-        ("t,j1\n0,02,0,1\n", r"joint.csv:2:6: 4 values in a row of 2 columns; decimal commas\? Write 0.02, not 0,02"),
-        ("t,j1,j2\n0,0\n", r"joint.csv:2:4: 2 values in a row of 3 columns; is the row cut off"),
-        ("", r"joint.csv:1:1: the file is empty"),
-        ("t,j1\n", r"joint.csv:1:1: table 'joint' has no rows"),
-        ("t,j1,j1\n0,0,0\n", r"joint.csv:1:6: column 'j1' appears twice"),
-        ("t,,j1\n0,0,0\n", r"joint.csv:1:3: column 2 has no name"),
-        ("0,0.1\n0.02,0.1\n", r"joint.csv:1:1: the first row holds numbers"),
-    ],
-)
-def test_a_faulty_csv_is_refused_at_file_line_column_with_the_fix(tmp_path, text, message):
-    with pytest.raises(LogError, match=message):
-        log.read_trial(csv_trial(tmp_path, text))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("t,x,y,yaw\n0,0,0,-120\n", r"pose.csv:2:7: column 'yaw': -120 looks like degrees"),
-        ("t,x,y,yaw\n" + "".join(f"{i / 50},0,0,{5 * i % 17}\n" for i in range(50)), "looks like degrees"),
-        ("t,x,y,yaw\n0,1500,0,0\n", r"pose.csv:2:3: column 'x': 1500 looks like millimetres"),
-    ],
-)
-def test_wrong_units_of_a_pose_are_noticed(tmp_path, text, message):
-    with pytest.raises(LogError, match=message):
-        log.read_trial(csv_trial(tmp_path, text, "pose.csv"))
-
-
-def test_an_unwrapped_heading_of_many_turns_is_fine(tmp_path):
-    rows = "".join(f"{i / 50},0,0,{0.02 * i}\n" for i in range(3000))  # 1 rad/s for a minute
-    assert log.read_trial(csv_trial(tmp_path, "t,x,y,yaw\n" + rows, "pose.csv")).tables["pose"]["yaw"][-1] == 0.02 * 2999
-
-
-def test_windows_line_ends_quotes_and_spaces_are_fine(tmp_path):
-    back = log.read_trial(csv_trial(tmp_path, '"t", j1\r\n0 , 0.5\r\n0.02,"0.6"\r\n\r\n'))
-    assert np.array_equal(back.tables["joint"]["j1"], [0.5, 0.6])
-
-
-def test_broken_meta_is_refused_at_its_line(tmp_path):
-    with pytest.raises(LogError, match=r"meta.toml:2:10: not valid TOML"):
-        log.read_trial(csv_trial(tmp_path, "t,j1\n0,0\n", meta='schema = "fishmj.log/1"\norigin = measured\n'))
-
-
-def test_a_folder_without_meta_or_tables_says_what_to_write(tmp_path):
-    with pytest.raises(LogError, match=r'meta.toml: missing; write at least schema = "fishmj.log/1"'):
-        log.read_trial(tmp_path)
-    (tmp_path / "meta.toml").write_text('origin = "measured"\n')
-    with pytest.raises(LogError, match="no table found; expected at least one of cmd, joint"):
-        log.read_trial(tmp_path)
-    with pytest.raises(LogError, match="no such trial"):
-        log.read_trial(tmp_path / "nowhere")
-
-
 def test_two_files_for_one_table_are_refused(tmp_path, trial):
     folder = log.write_trial(tmp_path / "a", trial)
     (folder / "pose.csv").write_text("t,x,y,yaw\n0,0,0,0\n")
@@ -345,41 +233,3 @@ _TREES = st.recursive(_LEAVES, lambda kids: st.lists(kids, max_size=3) | st.dict
 @given(st.dictionaries(_KEYS, _TREES, max_size=5))
 def test_written_toml_reads_back_as_it_was(table):
     assert tomllib.loads(toml.dumps(table)) == table
-
-
-_JUNK = [b",", b"\n", b"-", b"e9", b"nan", b"[", b'"', b"=", b"\x00", b"1e999", b"[[a]]\n", "é;".encode()]
-
-
-@pytest.fixture(scope="module")
-def valid(tmp_path_factory):
-    """One small trial in both forms, to be damaged."""
-    root = tmp_path_factory.mktemp("valid")
-    return {form: log.write_trial(root / form, synthetic(0.2), form=form) for form in ("csv", "npz")}
-
-
-@settings(max_examples=200, deadline=None)
-@given(data=st.data())
-def test_mutated_trials_raise_only_our_errors(tmp_path_factory, valid, data):
-    folder = tmp_path_factory.mktemp("fuzz") / "a"
-    shutil.copytree(valid[data.draw(st.sampled_from(["csv", "npz"]))], folder)
-    path = data.draw(st.sampled_from(sorted(folder.iterdir())))
-    raw = bytearray(path.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, max(len(raw) - 1, 0)))
-        how = data.draw(st.sampled_from(["flip", "cut", "insert", "repeat"]))
-        if how == "flip" and raw:
-            raw[at] ^= 1 << data.draw(st.integers(0, 7))
-        elif how == "cut":
-            del raw[at : at + data.draw(st.integers(1, 40))]
-        elif how == "insert":
-            raw[at:at] = data.draw(st.sampled_from(_JUNK))
-        else:
-            raw[at:at] = raw[at : at + 30]
-    path.write_bytes(bytes(raw))
-    try:
-        back = log.read_trial(folder)
-    except FishmjError as error:
-        assert str(error) and len(str(error)) < 2000
-        return
-    for table in back.tables.values():  # what is accepted is sound
-        assert all(np.isfinite(v).all() for v in table.values()) and (np.diff(table["t"]) > 0).all()

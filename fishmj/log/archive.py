@@ -43,7 +43,8 @@ def narrow(values: np.ndarray) -> np.ndarray:
     The deviation and not the value is the yardstick: an offset (a fish 50 m down the tank) must not hide the signal.
     """
     values = np.asarray(values, dtype=float)
-    spread = float(np.std(values))
+    with np.errstate(over="ignore"):
+        spread = float(np.std(values))
     for kind, allowed in ((np.float16, HALF_ERROR * spread), (np.float32, max(SINGLE_ERROR, HALF_ERROR * spread))):
         if np.max(np.abs(values)) > np.finfo(kind).max:
             continue
