@@ -1,0 +1,183 @@
+"""Station holding for thousands of fish at once: a functional environment in JAX over any jit-able engine.
+
+    state = env.reset(key, n);  state = env.step(state, action)
+
+`step` restarts finished episodes by itself; `state.final_obs` is the observation before that restart, for bootstrapping.
+The flow is hidden: it is in `state.privileged` (for a critic that trains in simulation only), never in `state.obs`.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fishmj import engines, flow
+from fishmj.calib import constant
+from fishmj.engines import FishParams, FishState
+from fishmj.flow import Current
+from fishmj.mjcf.description import Robot
+from fishmj.tasks import station_hold as task
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What a training run may change about the task."""
+
+    turbulence: str = "default"
+    intensity: tuple[float, float] = (0.0, 0.10)  # TI, drawn uniformly for each episode
+    randomisation: float = 1.0
+    noise: float = 1.0
+    memory: int = 1  # observations (with the actions between them) that the policy sees
+    box: str = "train"
+    hide: tuple[str, ...] = ()  # observation groups set to zero (ablations)
+
+
+class EnvState(NamedTuple):
+    """Everything about B running episodes."""
+
+    fish: FishState
+    params: FishParams
+    current: Current
+    target: Any  # (B, 2)
+    history: Any  # (B, H, 3) poses at bus ticks
+    camera: Any  # (B,) int
+    command: Any  # (B, J) last bus command, rad
+    tick: Any  # (B,) int
+    count: Any  # (B,) int, control steps in this episode
+    key: Any
+    obs: Any  # (B, memory x n_obs + (memory - 1) x J)
+    final_obs: Any
+    privileged: Any  # (B, n_obs + 2 + 3)
+    final_privileged: Any
+    reward: Any  # (B,)
+    terminated: Any  # (B,) bool, left the domain
+    truncated: Any  # (B,) bool, time is up
+    distance: Any  # (B,) m, at the end of the step
+    diverged: Any  # (B,) bool, episode dropped because of a non-finite state
+
+
+class StationHold:
+    """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan."""
+
+    def __init__(self, robot: Robot, engine="planar", options: Options = Options(), **reward):  # noqa: B008  (frozen)
+        self.robot = robot
+        self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
+        self.options, self.weights = options, reward
+        self.n_obs, self.n_act = 5 + 2 * robot.n_joints, robot.n_joints
+        table, self.cell = flow.table_of(options.turbulence, flow.BOXES[options.box])
+        self.table = jnp.asarray(table)
+        self.length = task.history_length(robot)
+        self.limit = constant("task", "episode_steps")
+        groups = np.repeat(task.OBSERVATIONS, [1, 1, 1, 1, 1, robot.n_joints, robot.n_joints])
+        self.mask = jnp.asarray([not any(str(g).startswith(h) for h in options.hide) for g in groups], jnp.float32)
+
+    @property
+    def n_input(self) -> int:
+        """Width of the policy's input."""
+        m = self.options.memory
+        return m * self.n_obs + (m - 1) * self.n_act
+
+    @property
+    def n_privileged(self) -> int:
+        """Width of what a privileged critic sees besides the policy's input."""
+        return self.n_obs + 5
+
+    @partial(jax.jit, static_argnums=(0, 2, 3))
+    def reset(self, key, n: int, stagger: bool = False) -> EnvState:
+        """n fresh episodes; with `stagger` their clocks start anywhere in the episode, so that they do not end together."""
+        key, k_start, k_clock = jax.random.split(key, 3)
+        state = self._fresh(k_start, n)
+        if stagger:
+            state = state._replace(count=jax.random.randint(k_clock, (n,), 0, self.limit))
+        return state._replace(key=key)
+
+    @partial(jax.jit, static_argnums=0)
+    def step(self, state: EnvState, action) -> EnvState:
+        """One control step of 0.2 s with action (B, J) in [-1, 1]."""
+        n = action.shape[0]
+        key, k_noise, k_fresh = jax.random.split(state.key, 3)
+        action = jnp.where(jnp.isfinite(action), action, 0.0)
+        commands = task.chunk(jnp, self.robot, state.command, action)
+        fish, trace = self.engine.advance(state.fish, commands, state.params, state.current, state.tick)
+        bad = ~(jnp.all(jnp.isfinite(fish.q), -1) & jnp.all(jnp.isfinite(fish.v), -1))
+        history = jnp.concatenate([state.history, trace.pose], 1)[:, -self.length :]
+        history = jnp.where(bad[:, None, None], 0.0, history)
+        distance = jnp.linalg.norm(trace.pose[:, -1, :2] - state.target, axis=-1)
+        gain = task.reward(jnp, distance, trace.rate, **self.weights)
+        terminated = task.outside(jnp, trace.pose[:, -1]) & ~bad
+        truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
+        moved = state._replace(
+            fish=fish, history=history, command=commands[:, -1], tick=state.tick + commands.shape[1], count=state.count + 1, key=key
+        )
+        sight = self._look(moved, trace.joint[:, -1], trace.rate[:, -1], k_noise)
+        obs = self._remember(state.obs, action, sight)
+        fresh = self._fresh(k_fresh, n)
+        moved = moved._replace(
+            obs=obs, privileged=self._privileged(moved, sight), reward=gain, terminated=terminated, truncated=truncated,
+            distance=distance, diverged=bad,
+        )  # fmt: skip
+        done = terminated | truncated | bad
+        keep = ("current", "key", "reward", "terminated", "truncated", "distance", "diverged", "final_obs", "final_privileged")
+        pick = lambda new, old: jnp.where(done.reshape((n,) + (1,) * (old.ndim - 1)), new, old)  # noqa: E731
+        mixed = {f: jax.tree.map(pick, getattr(fresh, f), getattr(moved, f)) for f in EnvState._fields if f not in keep}
+        current = Current(*(pick(a, b) for a, b in zip(fresh.current[:5], moved.current[:5], strict=True)), *moved.current[5:])
+        finite = lambda a: jnp.where(bad[:, None], 0.0, a)  # noqa: E731
+        return moved._replace(
+            **mixed, current=current, final_obs=finite(obs), final_privileged=finite(moved.privileged),
+            reward=jnp.where(bad, 0.0, gain), distance=jnp.where(bad, 0.0, distance),
+        )  # fmt: skip
+
+    def _fresh(self, key, n: int) -> EnvState:
+        """n new episodes at rest over ground."""
+        keys = jax.random.split(key, 4)
+        start = task.draw_start(jnp, jax.random.uniform(keys[0], (n, task.N_START)))
+        u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
+        low, high = self.options.intensity
+        current = flow.draw(
+            jnp, self.options.turbulence, self.table, jnp.float32(self.cell), start.speed, start.direction, low + (high - low) * u[:, 4], u
+        )
+        draws = jax.random.uniform(keys[2], (n, task.n_fish(self.robot)))
+        params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation)
+        params = jax.tree.map(lambda a: a if a.dtype == jnp.int32 else a.astype(jnp.float32), params)
+        zero, joints = jnp.zeros((n,)), jnp.zeros((n, self.n_act))
+        q = jnp.concatenate([start.pose, params.zero], -1)
+        fish = FishState(q, jnp.zeros_like(q), zero + 0.5, jnp.zeros((n, engines.BUFFER, self.n_act)))
+        history = jnp.repeat(start.pose[:, None], self.length, 1)
+        no = jnp.zeros((n,), bool)
+        blank = jnp.zeros((n, self.n_input))
+        state = EnvState(
+            fish=fish, params=params, current=current, target=start.target, history=history, camera=camera, command=joints,
+            tick=jnp.zeros((n,), jnp.int32), count=jnp.zeros((n,), jnp.int32), key=key, obs=blank, final_obs=blank,
+            privileged=None, final_privileged=None, reward=zero, terminated=no, truncated=no,
+            distance=jnp.linalg.norm(start.pose[:, :2] - start.target, axis=-1), diverged=no,
+        )  # fmt: skip
+        sight = self._look(state, joints, joints, keys[3])
+        seen = self._privileged(state, sight)
+        return state._replace(obs=self._remember(None, None, sight), privileged=seen, final_privileged=seen)
+
+    def _look(self, state: EnvState, joint, rate, key):
+        noise = self.options.noise * jax.random.normal(key, (state.target.shape[0], self.n_obs))
+        return self.mask * task.observe(jnp, self.robot, state.history, state.camera, joint, rate, state.target, noise)
+
+    def _remember(self, obs, action, sight):
+        """Policy input: the newest observation first, then (action, observation) pairs back in time."""
+        if self.options.memory == 1:
+            return sight
+        if obs is None:
+            rest = jnp.concatenate([jnp.zeros_like(sight[:, : self.n_act]), sight], -1)
+            return jnp.concatenate([sight] + [rest] * (self.options.memory - 1), -1)
+        return jnp.concatenate([sight, action, obs], -1)[:, : self.n_input]
+
+    def _privileged(self, state: EnvState, sight):
+        """Noise-free target and flow in the true body frame, true velocity and the time left: for critics only."""
+        q, v = state.fish.q, state.fish.v
+        c, s = jnp.cos(q[:, 2]), jnp.sin(q[:, 2])
+        body = lambda x, y: jnp.stack([c * x + s * y, c * y - s * x], -1)  # noqa: E731
+        goal = body(*(state.target - q[:, :2]).T)
+        here = jnp.concatenate([goal, body(v[:, 0], v[:, 1]), v[:, 2:3], q[:, 3:], v[:, 3:]], -1)
+        left = (self.limit - state.count)[:, None] / self.limit
+        stream = body(state.current.mean[:, 0], state.current.mean[:, 1])
+        return jnp.nan_to_num(jnp.concatenate([here, stream, left, goal], -1))

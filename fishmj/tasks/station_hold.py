@@ -1,0 +1,155 @@
+"""Station holding: swim to a target and keep it in a current that the fish cannot sense. Paper, RL-based Training.
+
+    s = [q, v, w, J, K]                 11 numbers in the body frame: target, velocity over ground, yaw rate, joints, rates
+    a in [-1, 1]^3 -> +-60 deg          desired joint angles every 0.2 s, no central pattern generator
+    r = wG / (1 + wD d) - wS |K|^2      d distance to the target; |K|^2 averaged over the step's bus ticks, so that a gait
+                                        cannot hide between the samples
+Nothing here draws random numbers: draws come in as arrays, so NumPy, JAX and every engine share one definition.
+"""
+
+from math import ceil, pi, radians
+from typing import Any, NamedTuple
+
+from fishmj.calib import constant
+from fishmj.engines import FishParams, nominal_params, ticks_per
+from fishmj.flow import TICK
+from fishmj.mjcf.description import Robot
+from fishmj.tracker import delayed, estimate
+
+JOINTS = 3
+OBSERVATIONS = ("target_x", "target_y", "velocity_x", "velocity_y", "yaw_rate", "joint", "joint_rate")
+MAX_CAMERA_TICKS = 5  # 100 ms
+N_START, N_FLOW = 7, 4
+
+
+class Start(NamedTuple):
+    """Initial state and flow of B episodes."""
+
+    pose: Any  # (B, 3) m, rad
+    target: Any  # (B, 2) m
+    speed: Any  # (B,) m/s
+    direction: Any  # (B,) rad, where the water moves to
+
+
+def draw_start(xp, uniforms) -> Start:
+    """The paper's initial distribution from uniforms (B, 7): fish and target in the arena, heading and flow direction free."""
+    arena, (slow, fast) = constant("task", "arena"), constant("task", "flow_speed")
+    u = uniforms
+    return Start(
+        pose=xp.stack([arena * (2 * u[:, 0] - 1), arena * (2 * u[:, 1] - 1), pi * (2 * u[:, 2] - 1)], -1),
+        target=arena * (2 * u[:, 3:5] - 1),
+        speed=slow + (fast - slow) * u[:, 5],
+        direction=pi * (2 * u[:, 6] - 1),
+    )
+
+
+def n_fish(robot: Robot) -> int:
+    """How many uniforms `draw_fish` needs."""
+    return len(robot.links) + 3 * robot.n_joints + 2
+
+
+def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0) -> tuple[FishParams, Any]:
+    """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies.
+
+    strength 0 gives the nominal fish with nominal latencies, 1 the paper's ranges.
+
+    Returns:
+        (FishParams, camera delay in bus ticks (B,) int).
+    """
+    n, j = len(robot.links), robot.n_joints
+    p = nominal_params(robot, 1)
+    span = lambda a, b: 2 * uniforms[:, a:b] - 1  # noqa: E731
+    get = lambda key: constant("randomisation", key)  # noqa: E731
+    kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
+    delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, -2], strength)
+    camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, -1], strength)
+    like = xp.zeros_like(uniforms[:, :1])
+    fish = FishParams(
+        mass=1 + strength * get("mass") * span(0, n),
+        kp=p.kp * (1 + strength * get("kp") * span(n, n + j)),
+        kv=p.kv * kd,
+        kb=p.kb * kd,
+        zero=strength * radians(get("zero_deg")) * span(n + 2 * j, n + 3 * j),
+        water=like + p.water,
+        delay=xp.floor(delay / robot.timing.physics_dt + 0.5).astype("int32"),
+    )
+    return fish, xp.minimum(xp.ceil(camera / TICK - 1e-6), MAX_CAMERA_TICKS).astype("int32")
+
+
+def _latency(nominal, bounds, uniform, strength):
+    """Nominal at strength 0, uniform between the bounds at strength 1, s."""
+    low, high = (nominal + strength * (b - nominal) for b in bounds)
+    return low + (high - low) * uniform
+
+
+def noise_scale(robot: Robot):
+    """Standard deviation of each of the 5 + 2 J observations."""
+    import numpy as np
+
+    get, j = (lambda key: constant("noise", key)), robot.n_joints
+    return np.array(
+        [get("position")] * 2 + [get("velocity")] * 2 + [get("yaw_rate")] + [radians(get("joint_deg"))] * j + [get("joint_rate")] * j
+    )
+
+
+def history_length(robot: Robot) -> int:
+    """How many past poses the camera and its filter need, bus ticks."""
+    return robot.timing.velocity_window + MAX_CAMERA_TICKS
+
+
+def observe(xp, robot: Robot, history, camera, joint, rate, target, noise):
+    """The egocentric observation.
+
+    Args:
+        history: (B, H, 3) poses at bus ticks, newest last.
+        camera: (B,) int, camera latency in ticks.
+        joint, rate: (B, J) encoder angles and rates, rad, rad/s.
+        target: (B, 2) m, world.
+        noise: (B, 5 + 2 J) standard normal times the wanted strength.
+
+    Returns:
+        (B, 5 + 2 J): target in the body frame (2), velocity over ground in the body frame (2), yaw rate, J, K.
+    """
+    frames = delayed(xp, history, camera, robot.timing.velocity_window)
+    pose, velocity = estimate(xp, frames, robot.timing.bus_dt)
+    c, s = xp.cos(pose[:, 2]), xp.sin(pose[:, 2])
+    dx, dy = target[:, 0] - pose[:, 0], target[:, 1] - pose[:, 1]
+    body = xp.stack(
+        [c * dx + s * dy, c * dy - s * dx, c * velocity[:, 0] + s * velocity[:, 1], c * velocity[:, 1] - s * velocity[:, 0]], -1
+    )
+    clean = xp.concatenate([body, velocity[:, 2:], joint, rate], -1)
+    return clean + noise * xp.asarray(noise_scale(robot), dtype=clean.dtype)
+
+
+def reward(xp, distance, rates, wG=None, wD=None, wS=None):  # noqa: N803  (the paper's symbols)
+    """Reward of one control step: distance (B,) at its end [m], joint rates (B, T, J) over its ticks [rad/s]."""
+    wG, wD, wS = (constant("reward", k) if w is None else w for k, w in (("wG", wG), ("wD", wD), ("wS", wS)))
+    return wG / (1 + wD * distance) - wS * xp.mean(xp.sum(rates * rates, -1), -1)
+
+
+def outside(xp, pose):
+    """True where the reference point has left |x|, |y| <= bound."""
+    bound = constant("task", "bound")
+    return (xp.abs(pose[..., 0]) > bound) | (xp.abs(pose[..., 1]) > bound)
+
+
+def chunk(xp, robot: Robot, previous, action):
+    """Bus commands of one control step: previous (B, J) last command [rad], action (B, J) in [-1, 1].
+
+    `linear` interpolates over the step, `hold` sends the new angles at once, `move_time` also interpolates on the bus (the
+    servo itself then moves evenly between bus commands).
+
+    Returns:
+        (B, T, J) rad.
+    """
+    _, ticks = ticks_per(robot)
+    goal = robot.servo.range * xp.clip(action, -1, 1)
+    if robot.timing.command_path == "hold":
+        return xp.repeat(goal[:, None], ticks, 1)
+    share = (xp.arange(ticks) + 1)[None, :, None] / ticks
+    return previous[:, None] + share * (goal - previous)[:, None]
+
+
+def control_steps(seconds: float, robot: Robot) -> int:
+    """Control steps that cover `seconds`."""
+    return ceil(seconds / robot.timing.control_dt - 1e-9)
