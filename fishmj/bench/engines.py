@@ -10,7 +10,6 @@ from fishmj.bench import NotHere, Work, benchmark
 from fishmj.calib import constant
 
 SEED = 5
-TI = constant("turbulence", "intensity")
 
 
 def bare_mujoco(quick: bool) -> Work:
@@ -35,31 +34,21 @@ def bare_mujoco(quick: bool) -> Work:
 def _school(robot, fish: int):
     """(state, commands, params, current, tick) of `fish` randomised fish beating their tails in turbulent flow, NumPy."""
     from fishmj import engines, flow
+    from fishmj.tasks import station_hold as task
 
     rng = np.random.default_rng(SEED)
-    spread = lambda size, key: 1 + constant("randomisation", key) * rng.uniform(-1, 1, size)  # noqa: E731
-    nominal = engines.nominal_params(robot, fish)
-    zero = np.radians(constant("randomisation", "zero_deg"))
-    soon, late = (t / robot.timing.physics_dt for t in constant("randomisation", "command_latency"))
-    params = nominal._replace(
-        mass=nominal.mass * spread(nominal.mass.shape, "mass"),
-        kp=nominal.kp * spread(nominal.kp.shape, "kp"),
-        kv=nominal.kv * spread(nominal.kv.shape, "kd"),
-        zero=rng.uniform(-zero, zero, nominal.zero.shape),
-        delay=rng.uniform(soon, late, fish).round().astype(np.int32),
-    )
-    arena = constant("task", "arena")
-    pose = rng.uniform(-1, 1, (fish, 3)) * [arena, arena, np.pi]
+    params, _ = task.draw_fish(np, robot, rng.random((fish, task.n_fish(robot))))
+    start = task.draw_start(np, rng.random((fish, task.N_START)))
     table, cell = flow.table_of("default")
-    slow, fast = constant("task", "flow_speed")
-    speed, toward = rng.uniform(slow, fast, fish), rng.uniform(-np.pi, np.pi, fish)
-    current = flow.draw(np, "default", table, cell, speed, toward, np.full(fish, TI), rng.random((fish, 4)))
+    intensity = np.full(fish, constant("turbulence", "intensity"))
+    current = flow.draw(np, "default", table, cell, start.speed, start.direction, intensity, rng.random((fish, task.N_FLOW)))
     _, ticks = engines.ticks_per(robot)
     clock = np.arange(ticks) * robot.timing.bus_dt
     lag = np.arange(robot.n_joints) * np.radians(constant("calibration", "phase_lag_second_deg")[0])
-    beat = np.radians(constant("calibration", "amplitude_deg")) * np.sin(2 * np.pi * clock[:, None] - lag)
+    swing = np.radians(constant("calibration", "amplitude_deg"))
+    beat = swing * np.sin(2 * np.pi * constant("calibration", "frequency") * clock[:, None] - lag)
     commands = np.broadcast_to(beat, (fish, *beat.shape)).copy()
-    return engines.at_rest(robot, pose), commands, params, current, np.zeros(fish, np.int32)
+    return engines.at_rest(robot, start.pose), commands, params, current, np.zeros(fish, np.int32)
 
 
 def _engine(name: str, fish: int, chunks: int) -> Work:
@@ -143,3 +132,23 @@ def engine_batch(quick: bool) -> Work:
 def engine_mjx(quick: bool) -> Work:
     """MuJoCo in JAX with the water."""
     return _engine("mjx", 16 if quick else 16384 if _on_gpu() else 128, 1 if quick else 2)
+
+
+@benchmark("environment", "control steps/s", baseline=bare_mujoco)
+def environment(quick: bool) -> Work:
+    """Station holding in JAX: closed form plus observation, camera, noise, reward, new episodes."""
+    import jax
+    from jax import lax
+
+    from fishmj.mjcf import load_robot
+    from fishmj.tasks.env import StationHold
+
+    fish, chunks = 256 if quick else 65536 if _on_gpu() else 1024, 2 if quick else 5
+    env = StationHold(load_robot("fish"))
+    start = env.reset(jax.random.key(SEED), fish, True)
+    action = jax.random.uniform(jax.random.key(SEED + 1), (chunks, fish, env.n_act), minval=-0.5, maxval=0.5)
+    swim = jax.jit(lambda state, actions: lax.scan(lambda s, a: (env.step(s, a), s.reward), state, actions)[1])
+    run = lambda: np.asarray(swim(start, action))  # noqa: E731
+    if not np.all(np.isfinite(run())):
+        raise NotHere("the environment left the finite numbers: its rate would mean nothing")
+    return Work(run, fish * chunks, jax.devices()[0].device_kind)
