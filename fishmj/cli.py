@@ -7,10 +7,10 @@ read without importing it. A verb that this build does not have is not listed.
 import ast
 import sys
 from collections.abc import Sequence
-from importlib import import_module, metadata
+from importlib import import_module
 from pathlib import Path
 
-from fishmj import console
+from fishmj import __version__, console
 from fishmj.errors import UnknownName
 
 # in the order of a day's work
@@ -71,20 +71,12 @@ def usage() -> str:
     )
 
 
-def version() -> str:
-    """The installed version, or the one of the checkout that runs."""
-    try:
-        return metadata.version("fishmj")
-    except metadata.PackageNotFoundError:
-        return f"checkout at {_HERE.parent}"
-
-
 def dispatch(argv: list[str]) -> int | None:
     if not argv or argv[0] in ("-h", "--help", "help"):
         console.say(usage())
         return console.OK if argv else console.BAD_INPUT
     if argv[0] in ("-V", "--version"):
-        console.say(f"fishmj {version()}")
+        console.say(f"fishmj {__version__}")
         return console.OK
     return load(argv[0])(argv[1:])
 

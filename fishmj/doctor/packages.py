@@ -1,6 +1,7 @@
 """Core packages and extras, as required and as installed."""
 
 import importlib.util
+import re
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -20,13 +21,14 @@ def requirements() -> list[str]:
 
 def findings(lines: list[str] | None = None) -> list[Finding]:
     """Core packages and extras against what is installed."""
+    lines = requirements() if lines is None else lines
     if importlib.util.find_spec("packaging") is None:
-        return [Finding("core", "packaging", "bad", "missing, so no version can be compared: pip install packaging")]
+        return _presence(lines)
     from packaging.requirements import Requirement
 
     out = []
     extras: dict[str, list[str]] = {}
-    for line in requirements() if lines is None else lines:
+    for line in lines:
         wanted = Requirement(line)
         extra = _extra(line)
         if extra is None:
@@ -37,6 +39,18 @@ def findings(lines: list[str] | None = None) -> list[Finding]:
     for extra, missing in extras.items():
         text = f'{", ".join(missing)}: pip install "fishmj[{extra}]"' if missing else "installed"
         out.append(Finding("extras", extra, "no" if missing else "ok", text))
+    return out
+
+
+def _presence(lines: list[str]) -> list[Finding]:
+    """Which core packages are there at all: without `packaging` no version can be compared."""
+    out = []
+    for line in lines:
+        if _extra(line) is None:
+            name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
+            found = version(name)
+            text = f"{found}, not compared" if found else f'missing: pip install "{line}"'
+            out.append(Finding("core", name, "note" if found else "bad", text))
     return out
 
 
