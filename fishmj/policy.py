@@ -1,0 +1,117 @@
+"""A trained policy as plain NumPy: what the robot's host runs. No JAX, no MuJoCo.
+
+    h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
+
+A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot, which observations, scale, activation, memory,
+command path, how it was trained. With memory m > 1 the input is the newest observation followed by m - 1 pairs (action,
+observation) back in time; the policy keeps that window itself.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.store import read_tensors, write_tensors
+
+SCHEMA = "fishmj.policy/1"
+FOLDER = Path(__file__).resolve().parent / "policies"
+_ACTIVATIONS = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
+
+
+def shipped() -> list[str]:
+    """Names of the policies that come with fishmj."""
+    return sorted(p.stem for p in FOLDER.glob("*.safetensors"))
+
+
+@dataclass
+class Policy:
+    """weights: list of (W (out, in), b (out,)); meta: the file's header."""
+
+    weights: list[tuple[np.ndarray, np.ndarray]]
+    meta: dict
+    _window: np.ndarray | None = field(default=None, repr=False)
+
+    @classmethod
+    def load(cls, source: "str | Path") -> "Policy":
+        """Read a policy by shipped name or path.
+
+        Raises:
+            UnknownName: no such file or name. StoreError: damaged file. ConfigError: not a policy, or shapes that do not fit.
+        """
+        path = Path(source)
+        if not path.is_file():
+            path = FOLDER / f"{source}.safetensors"
+        if not path.is_file():
+            raise UnknownName("policy", str(source), shipped())
+        arrays, meta = read_tensors(path)
+        if meta.get("schema") != SCHEMA:
+            raise ConfigError(f"{path}: schema {meta.get('schema')!r}, expected {SCHEMA!r}: this is not a policy file")
+        layers = len([k for k in arrays if k.startswith("w")])
+        policy = cls([(arrays[f"w{i}"], arrays[f"b{i}"]) for i in range(layers)], meta)
+        policy.check(str(path))
+        return policy
+
+    def save(self, path: "str | Path") -> Path:
+        """Write the policy; atomic, checksummed."""
+        self.check(str(path))
+        arrays = {}
+        for i, (w, b) in enumerate(self.weights):
+            arrays[f"w{i}"], arrays[f"b{i}"] = np.asarray(w, np.float32), np.asarray(b, np.float32)
+        return write_tensors(path, arrays, {**self.meta, "schema": SCHEMA})
+
+    def check(self, where: str) -> None:
+        """Shapes, scale and activation fit together; otherwise one ConfigError."""
+        if self.meta.get("activation") not in _ACTIVATIONS:
+            raise ConfigError(f"{where}: activation {self.meta.get('activation')!r}; known: {', '.join(_ACTIVATIONS)}")
+        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
+        for i, (w, b) in enumerate(self.weights):
+            if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],):
+                raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}, expected {width} inputs")
+            width = w.shape[0]
+        if not all(np.isfinite(w).all() and np.isfinite(b).all() for w, b in self.weights):
+            raise ConfigError(f"{where}: weights are not finite")
+
+    @property
+    def n_obs(self) -> int:
+        return len(self.meta["scale"])
+
+    @property
+    def n_act(self) -> int:
+        return self.weights[-1][1].shape[0]
+
+    @property
+    def memory(self) -> int:
+        return int(self.meta.get("memory", 1))
+
+    def reset(self, n: int = 1) -> None:
+        """Forget the past of n fish."""
+        self._window = None
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Actions (B, J) in [-1, 1] for observations (B, n_obs)."""
+        obs = np.atleast_2d(np.asarray(obs, np.float32))
+        if obs.shape[1] != self.n_obs:
+            raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
+        sight = obs / np.asarray(self.meta["scale"], np.float32)
+        x = self._remember(sight)
+        f = _ACTIVATIONS[self.meta["activation"]]
+        for w, b in self.weights[:-1]:
+            x = f(x @ w.T + b)
+        w, b = self.weights[-1]
+        action = np.tanh(x @ w.T + b)
+        if self.memory > 1:
+            self._window = np.concatenate([action, x_in], 1) if (x_in := self._input) is not None else None
+        return action
+
+    def _remember(self, sight):
+        self._input = None
+        if self.memory == 1:
+            return sight
+        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
+        if self._window is None or len(self._window) != len(sight):
+            pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
+            self._window = np.concatenate([pair] * (self.memory - 1), 1)
+        self._input = np.concatenate([sight, self._window], 1)[:, :width]
+        return self._input

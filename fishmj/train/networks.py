@@ -1,0 +1,39 @@
+"""Multilayer perceptrons as lists of (weights, bias), and the fixed scales that bring observations to order one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+# target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
+SCALE = {"target": 1.0, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
+
+
+def scale(joints: int) -> np.ndarray:
+    """(5 + 2 J,) divisors of one observation."""
+    s = SCALE
+    return np.array([s["target"]] * 2 + [s["velocity"]] * 2 + [s["yaw_rate"]] + [s["joint"]] * joints + [s["joint_rate"]] * joints)
+
+
+def input_scale(joints: int, memory: int) -> np.ndarray:
+    """Divisors of the whole policy input: observation, then (action, observation) pairs."""
+    one = scale(joints)
+    return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
+
+
+def mlp(key, sizes, last: float = 0.01):
+    """Orthogonal weights with gain sqrt(2), the last layer with gain `last`; biases zero."""
+    layers = []
+    for i, (a, b) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        gain = last if i == len(sizes) - 2 else np.sqrt(2)
+        w = jax.nn.initializers.orthogonal(gain)(jax.random.fold_in(key, i), (a, b), jnp.float32)
+        layers.append((w, jnp.zeros(b)))
+    return layers
+
+
+def forward(layers, x, activation: str = "relu"):
+    """Apply the layers; no activation after the last."""
+    f = {"relu": jax.nn.relu, "tanh": jnp.tanh}[activation]
+    for w, b in layers[:-1]:
+        x = f(x @ w + b)
+    w, b = layers[-1]
+    return x @ w + b
