@@ -56,6 +56,17 @@ def test_a_fault_inside_a_benchmark_is_not_a_skip():
         measure(Benchmark("x", "things/s", lambda quick: 1 / 0, None))
 
 
+def test_a_fault_in_one_benchmark_fails_the_command_and_spares_the_others(monkeypatch, capsys):
+    clock = Clock()
+    good = Benchmark("good", "things/s", lambda quick: clock.work("a", [1.0] * 9), None)
+    monkeypatch.setattr(command, "pick", lambda names: [Benchmark("broken", "things/s", lambda quick: 1 / 0, None), good])
+    assert console.run(command.main, ["--json"]) == 1
+    out, err = capsys.readouterr()
+    broken, fine = json.loads(out.splitlines()[-1])["benchmarks"]
+    assert broken == {"name": "broken", "failed": "ZeroDivisionError: division by zero"} and "Traceback" in err
+    assert fine["value"] > 0
+
+
 def test_an_unknown_benchmark_is_bad_input(capsys):
     assert console.run(command.main, ["engine_plana"]) == 2
     assert "Did you mean 'engine_planar'" in capsys.readouterr().err

@@ -1,14 +1,24 @@
 """Throughput of this machine, one JSON line a benchmark, each beside its baseline."""
 
 import json
+import traceback
 
 from fishmj import console
-from fishmj.bench import known, measure, pick
+from fishmj.bench import Benchmark, known, measure, pick
 
 
 def _figure(value):
     """Four digits are more than a shared machine repeats."""
     return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def _measured(bench: Benchmark, quick: bool) -> dict:
+    """One result; a fault in one benchmark is reported and does not take the others with it."""
+    try:
+        return measure(bench, rounds=3 if quick else 7, quick=quick)
+    except Exception as error:  # noqa: BLE001
+        traceback.print_exc()
+        return {"name": bench.name, "failed": f"{type(error).__name__}: {error}"}
 
 
 def main(argv: list[str]) -> int:
@@ -25,12 +35,12 @@ def main(argv: list[str]) -> int:
         return console.OK
     results = []
     for bench in pick(args.names):
-        found = measure(bench, rounds=3 if args.quick else 7, quick=args.quick)
+        found = _measured(bench, args.quick)
         results.append({key: _figure(value) for key, value in found.items()})
         console.say(json.dumps(results[-1]))
     if args.json:
         console.emit_json({"benchmarks": results})
-    return console.OK
+    return console.FAILED_CHECK if any("failed" in found for found in results) else console.OK
 
 
 if __name__ == "__main__":

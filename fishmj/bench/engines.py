@@ -113,7 +113,7 @@ def _on_gpu() -> bool:
 @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
 def engine_planar(quick: bool) -> Work:
     """Closed-form planar fish in JAX."""
-    return _engine("planar", 256 if quick else 65536 if _on_gpu() else 1024, 2 if quick else 5)
+    return _engine("planar", 65536 if _on_gpu() else 256, 2 if quick else 10)
 
 
 @benchmark("engine_compiled", "control steps/s", baseline=bare_mujoco)
@@ -131,7 +131,7 @@ def engine_batch(quick: bool) -> Work:
 @benchmark("engine_mjx", "control steps/s", baseline=bare_mujoco)
 def engine_mjx(quick: bool) -> Work:
     """MuJoCo in JAX with the water."""
-    return _engine("mjx", 16 if quick else 16384 if _on_gpu() else 128, 1 if quick else 2)
+    return _engine("mjx", 16384 if _on_gpu() else 16 if quick else 128, 1 if quick else 2)
 
 
 @benchmark("environment", "control steps/s", baseline=bare_mujoco)
@@ -143,7 +143,7 @@ def environment(quick: bool) -> Work:
     from fishmj.mjcf import load_robot
     from fishmj.tasks.env import StationHold
 
-    fish, chunks = 256 if quick else 65536 if _on_gpu() else 1024, 2 if quick else 5
+    fish, chunks = 65536 if _on_gpu() else 256, 2 if quick else 10
     env = StationHold(load_robot("fish"))
     start = env.reset(jax.random.key(SEED), fish, True)
     action = jax.random.uniform(jax.random.key(SEED + 1), (chunks, fish, env.n_act), minval=-0.5, maxval=0.5)
