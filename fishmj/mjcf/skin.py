@@ -161,7 +161,7 @@ def _fin(robot: Robot, g: Geometry, fin: Fin, side: float):
     quads = np.concatenate([np.stack([a, a + 7, a + 1], 1), np.stack([a + 1, a + 7, a + 8], 1)])
     down, up = (quads, quads[:, ::-1]) if side > 0 else (quads[:, ::-1], quads)
     normals = np.repeat([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], len(top), axis=0)
-    colour = np.tile(0.72 * np.array(link.colour), (len(vertices), 1))
+    colour = np.tile(0.62 * np.array(link.colour), (len(vertices), 1))
     return vertices, normals, np.concatenate([up, down + len(top)]), colour, np.full(len(vertices), front_x - middle)
 
 

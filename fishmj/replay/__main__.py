@@ -1,0 +1,64 @@
+"""`python -m fishmj.replay LOG [LOG2]`: a self-contained MeshCat page of one or more logs, or a top-view film."""
+
+import argparse
+import webbrowser
+from pathlib import Path
+
+from fishmj import console
+from fishmj.log import Trial, read_trial
+from fishmj.replay.film import write_mp4, write_png
+from fishmj.replay.html import write_html
+
+EXAMPLES = """examples:
+  python -m fishmj.replay runs/trial_07                       replay.html beside you
+  python -m fishmj.replay runs/sim runs/robot --open          two logs overlaid, in the browser
+  python -m fishmj.replay runs/trial_07 --mp4 swim.mp4        a top-view film too (no screen needed)
+  python -m fishmj.replay runs/trial_07 --out a.html --speed 0.25
+
+A LOG is a trial folder (meta.toml and tables) or a flat samples.csv; see docs/logs.md. Add #t=3.5&play=0&view=top to the
+address of a page to start it at 3.5 s, paused, seen from above. Keys in the page: space plays and pauses, the arrows step,
+f follows the fish."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """The verb `replay`. Returns the exit code."""
+    parser = console.parser("replay", "Write a replay of logs: one HTML file that needs no network.")
+    parser.epilog, parser.formatter_class = EXAMPLES, argparse.RawDescriptionHelpFormatter
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="trial folder or samples.csv; more than one are overlaid")
+    parser.add_argument("--out", default="replay.html", help="the page to write (default: %(default)s)")
+    parser.add_argument("--mp4", metavar="FILE", help="write a top-view film as well")
+    parser.add_argument("--png", metavar="FILE", help="write a top-view picture as well, at --at seconds")
+    parser.add_argument("--at", type=float, default=0.0, metavar="S", help="time of the picture, s (default: %(default)s)")
+    parser.add_argument("--speed", type=float, default=1.0, help="playing speed, 1 = real time (default: %(default)s)")
+    parser.add_argument("--robot", help="description (name or TOML) of the fish, when the log's own is not the right one")
+    parser.add_argument("--title", help="heading of the page")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
+    args = parser.parse_args(argv)
+    trials = [read_trial(path) for path in args.logs]
+    title = args.title or " and ".join(trial.name or Path(path).stem for trial, path in zip(trials, args.logs, strict=True))
+    written = [write_html(trials, args.out, args.robot, title, speed=args.speed)]
+    if args.mp4:
+        written.append(write_mp4(trials, args.mp4, args.robot, speed=args.speed, title=title))
+    if args.png:
+        written.append(write_png(trials, args.png, args.at, args.robot, title=title))
+    report(trials, written, as_json=args.json)
+    if args.open:
+        webbrowser.open(written[0].resolve().as_uri())
+    return 0
+
+
+def report(trials: list[Trial], written: list[Path], *, as_json: bool) -> None:
+    """Say what was read and written."""
+    for trial in trials:
+        for note in trial.notes:
+            console.warn(f"{trial.name}: {note}")
+    sizes = [(str(path), path.stat().st_size) for path in written]
+    if as_json:
+        files = [{"path": path, "bytes": size} for path, size in sizes]
+        console.emit_json({"files": files, "trials": [{"name": t.name, "span": t.span, "notes": t.notes} for t in trials]})
+    else:
+        console.say(*(f"wrote {path} ({size / 1e6:.2f} MB)" for path, size in sizes))
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

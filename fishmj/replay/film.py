@@ -1,0 +1,221 @@
+"""A top-view film or still of the same scene as the page, drawn on the CPU: works without a screen or a browser."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError
+from fishmj.log import Trial
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.skin import posed, skin
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, track
+
+WATER, LINE, METRE, INK = (150, 112, 36), (176, 140, 66), (206, 180, 122), (250, 244, 236)  # BGR
+CHART = 120  # px, height of the distance strip
+FINE = 3  # fish are drawn this many times larger, then averaged down
+SUN = np.array([-0.35, 0.3, 0.89])
+
+
+def write_mp4(
+    trials: list[Trial],
+    out: str | Path,
+    robot: "Robot | str | None" = None,
+    *,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    size: tuple[int, int] = (960, 720),
+    title: str = "",
+) -> Path:
+    """Write a film of one trial, or of several overlaid; `speed` times real time. The codec is mp4v.
+
+    Raises:
+        LogError: no trial, or one without a pose. StoreError: OpenCV could not write the file.
+    """
+    cv2 = _cv2()
+    out = Path(out)
+    if not 0 < speed <= 100 or fps <= 0:
+        raise ConfigError(f"speed = {speed}, fps = {fps}; expected a speed in (0, 100] and a positive frame rate")
+    view = TopView(trials, robot, size=size, title=title)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    temporary = out.with_name(f".{out.stem}.tmp.mp4")
+    film = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
+    if not film.isOpened():
+        raise StoreError(f"{out}: OpenCV cannot write mp4 here; check the folder, or install opencv-python-headless again")
+    try:
+        for time in np.arange(0, view.duration + 0.5 / fps, speed / fps):
+            film.write(view.frame(time))
+        film.release()
+        if not temporary.is_file() or not temporary.stat().st_size:
+            raise StoreError(f"{out}: OpenCV wrote no film; is the disk full?")
+        temporary.replace(out)
+    finally:
+        film.release()
+        temporary.unlink(missing_ok=True)
+    return out
+
+
+def write_png(trials: list[Trial], out: str | Path, time: float, robot: "Robot | str | None" = None, **options) -> Path:
+    """Write one picture at `time` [s] from the start; options as of `TopView`."""
+    from fishmj.store import write_bytes
+
+    done, data = _cv2().imencode(".png", TopView(trials, robot, **options).frame(time))
+    if not done:
+        raise StoreError(f"{out}: OpenCV could not encode a PNG")
+    return write_bytes(out, data.tobytes())
+
+
+class TopView:
+    """Draws frames (H, W, 3) uint8 BGR of overlaid trials, seen from above with north (+y) up."""
+
+    def __init__(self, trials, robot=None, *, size: tuple[int, int] = (960, 720), title: str = ""):
+        if not trials:
+            raise LogError("nothing to replay: give at least one trial")
+        self.cv2, self.size, self.title = _cv2(), size, title
+        robots = [robot_of(trial, robot) for trial in trials]
+        self.tracks = [track(trial, one) for trial, one in zip(trials, robots, strict=True)]
+        self.skins = [skin(one, spacing=0.012, around=12, smooth=True) for one in robots]
+        self.colours = [tuple(int(TRACKS[i % len(TRACKS)][k : k + 2], 16) for k in (5, 3, 1)) for i in range(len(trials))]
+        self.duration = max(float(t.t[-1]) for t in self.tracks)
+        points = np.concatenate([a for t in self.tracks for a in (t.q[:, :2], t.target[np.isfinite(t.target).all(1)])])
+        low, high = points.min(0) - 0.45, points.max(0) + 0.45
+        width, height = size[0], size[1] - CHART
+        self.scale = float(min(width / max(high[0] - low[0], 1.6), height / max(high[1] - low[1], 1.6)))  # px/m
+        self.centre = (low + high) / 2
+        self.middle = np.array([width / 2, height / 2])
+        self.still = self._background()
+
+    def pixel(self, xy) -> np.ndarray:
+        """World (.., 2) m -> image (.., 2) px."""
+        return self.middle + (np.asarray(xy, float) - self.centre) * [self.scale, -self.scale]
+
+    def frame(self, time: float) -> np.ndarray:
+        """The picture at `time`, s from the start."""
+        image = self.still.copy()
+        for t, skin_, colour in reversed(list(zip(self.tracks, self.skins, self.colours, strict=True))):
+            i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
+            self._trail(image, t, i, colour)
+            self._target(image, t, i)
+            self._fish(image, t.q[i], skin_, None if colour == self.colours[0] else colour)
+            self._wind(image, t, i)
+        self._chart(image, time)
+        self._words(image, time)
+        return image
+
+    def _background(self) -> np.ndarray:
+        image = np.full((self.size[1], self.size[0], 3), WATER, np.uint8)
+        reach = max(self.size) / self.scale
+        for k in range(int(-4 * reach), int(4 * reach) + 1):
+            for axis in (0, 1):
+                at = np.round(self.centre[axis] * 4) / 4 + 0.25 * k
+                ends = np.tile(self.centre, (2, 1)) + [[-reach, -reach], [reach, reach]]
+                ends[:, axis] = at
+                whole = abs(at - round(at)) < 1e-9
+                self._line(image, ends, METRE if whole else LINE, 2 if whole else 1)
+        flow = self.tracks[0].mean_flow
+        if np.isfinite(flow).all() and np.hypot(*flow) > 1e-3:
+            self._arrows(image, flow)
+        return image
+
+    def _arrows(self, image, flow) -> None:
+        layer = image.copy()
+        unit, pitch = flow / np.hypot(*flow), 130
+        for px in range(pitch // 2, self.size[0], pitch):
+            for py in range(pitch // 2, self.size[1] - CHART, pitch):
+                tip = np.array([px, py]) + unit * [1, -1] * (12 + 90 * np.hypot(*flow))
+                self.cv2.arrowedLine(layer, (px, py), tuple(int(v) for v in tip), INK, 2, self.cv2.LINE_AA, tipLength=0.3)
+        self.cv2.addWeighted(layer, 0.35, image, 0.65, 0, dst=image)
+
+    def _line(self, image, points, colour, thickness) -> None:
+        whole = np.round(self.pixel(points) * 16).astype(np.int32).reshape(-1, 1, 2)
+        self.cv2.polylines(image, [whole], False, colour, thickness, self.cv2.LINE_AA, 4)
+
+    def _trail(self, image, t: Track, i: int, colour) -> None:
+        if i > 1:
+            layer = image.copy()
+            self._line(layer, t.q[: i + 1 : 2, :2], colour, 2)
+            self.cv2.addWeighted(layer, 0.6, image, 0.4, 0, dst=image)
+
+    def _target(self, image, t: Track, i: int) -> None:
+        if not np.isfinite(t.target[i]).all():
+            return
+        at = tuple(int(v) for v in np.round(self.pixel(t.target[i]) * 16))
+        colour = (106, 212, 63) if t.distance[i] <= ARRIVAL else (29, 138, 240)
+        self.cv2.circle(image, at, int(ARRIVAL * self.scale * 16), colour, 3, self.cv2.LINE_AA, 4)
+        self.cv2.circle(image, at, 4 * 16, colour, -1, self.cv2.LINE_AA, 4)
+
+    def _wind(self, image, t: Track, i: int) -> None:
+        speed = np.hypot(*t.flow[i])
+        if not speed > 1e-3:
+            return
+        start = self.pixel(t.q[i, :2]) - [0, 0.16 * self.scale]
+        end = start + t.flow[i] * [1, -1] * (0.6 * self.scale)
+        a, b = (tuple(int(v) for v in p) for p in (start, end))
+        self.cv2.arrowedLine(image, a, b, (255, 240, 126), 3, self.cv2.LINE_AA, tipLength=0.35)
+
+    def _fish(self, image, q, s, tint) -> None:
+        """Painter's algorithm over the upper triangles, on an enlarged patch of the picture."""
+        p = posed(s, q)
+        xy = self.pixel(p[:, :2])
+        low = np.floor(xy.min(0) - 3).astype(int).clip(0, [self.size[0] - 1, self.size[1] - 1])
+        high = np.ceil(xy.max(0) + 3).astype(int).clip(low + 1, [self.size[0], self.size[1]])
+        patch = image[low[1] : high[1], low[0] : high[0]]
+        large = self.cv2.resize(patch, None, fx=FINE, fy=FINE, interpolation=self.cv2.INTER_NEAREST)
+        corners = p[s.faces]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.linalg.norm(normal, axis=1)
+        up = np.flatnonzero(normal[:, 2] > 1e-3 * area)
+        up = up[np.argsort(corners[up, :, 2].max(1), kind="stable")]
+        light = 0.45 + 0.6 * np.clip(normal[up] @ SUN / area[up], 0, 1)
+        colour = np.clip(255 * s.colour[s.faces[up]].mean(1) * light[:, None], 0, 255)[:, ::-1]
+        if tint is not None:
+            colour = 0.35 * colour + 0.65 * light[:, None] * tint
+        polygons = np.round((xy[s.faces[up]] - low) * FINE * 16).astype(np.int32)
+        for polygon, shade in zip(polygons, colour, strict=True):
+            self.cv2.fillConvexPoly(large, polygon, tuple(float(c) for c in shade), self.cv2.LINE_8, 4)
+        small = self.cv2.resize(large, (patch.shape[1], patch.shape[0]), interpolation=self.cv2.INTER_AREA)
+        patch[:] = small if tint is None else self.cv2.addWeighted(small, 0.7, patch, 0.3, 0)
+
+    def _chart(self, image, time: float) -> None:
+        """Distance over time in the strip below."""
+        w, top, h = self.size[0], self.size[1] - CHART, CHART
+        image[top:] = (image[top:] * 0.1 + np.array([38, 26, 8])).astype(np.uint8)
+        finite = [t.distance[np.isfinite(t.distance)] for t in self.tracks]
+        high = 1.08 * max([0.2, *(float(d.max()) for d in finite if len(d))])
+        x = lambda s: 56 + (w - 72) * np.asarray(s) / self.duration  # noqa: E731
+        y = lambda d: top + h - 22 - (h - 34) * np.asarray(d) / high  # noqa: E731
+        for d in np.linspace(0, high / 1.08, 3):
+            self.cv2.line(image, (56, int(y(d))), (w - 16, int(y(d))), (88, 76, 58), 1)
+            self._text(image, f"{d:.1f} m", (8, int(y(d)) + 4), 0.4)
+        self.cv2.line(image, (56, int(y(ARRIVAL))), (w - 16, int(y(ARRIVAL))), (106, 212, 63), 1)
+        for t, colour in zip(self.tracks, self.colours, strict=True):
+            keep = np.isfinite(t.distance)
+            line = np.stack([x(t.t[keep]), y(t.distance[keep])], -1)
+            self.cv2.polylines(image, [np.round(line * 16).astype(np.int32)], False, colour, 2, self.cv2.LINE_AA, 4)
+        at = int(x(min(time, self.duration)))
+        self.cv2.line(image, (at, top + 6), (at, top + h - 20), INK, 1)
+        self._text(image, "distance to the target", (60, top + 14), 0.42)
+        self._text(image, f"{time:.1f} / {self.duration:.1f} s", (w - 130, top + h - 6), 0.45)
+
+    def _words(self, image, time: float) -> None:
+        lines = [self.title] if self.title else []
+        for t in self.tracks:
+            i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
+            figures = [(t.distance[i], "m off", 2), (t.speed[i], "m/s", 2), (t.power[i], "W", 1)]
+            figures = [f"{value:.{digits}f} {unit}" for value, unit, digits in figures if np.isfinite(value)]
+            lines.append(f"{t.label} ({t.origin})  " + ", ".join(figures))
+        box = image[6 : 16 + 22 * len(lines), 6 : 16 + max(9 * len(line) for line in lines)]
+        box[:] = (box * 0.3 + np.array([24, 16, 5])).astype(np.uint8)
+        for k, line in enumerate(lines):
+            self._text(image, line, (14, 26 + 22 * k), 0.55, self.colours[k - len(lines)] if k >= bool(self.title) else INK)
+
+    def _text(self, image, text: str, at, height: float, colour=INK) -> None:
+        plain = text.encode("ascii", "replace").decode()  # OpenCV's built-in font has ASCII only
+        self.cv2.putText(image, plain, at, self.cv2.FONT_HERSHEY_SIMPLEX, height, colour, 1, self.cv2.LINE_AA)
+
+
+def _cv2():
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtra("opencv-python-headless", "all", "a film or picture of a replay") from error
+    return cv2

@@ -1,0 +1,119 @@
+"""One self-contained HTML file: MeshCat's own viewer, a small player, and the trials as compact binary data.
+
+The page needs no network and no server. MeshCat's scene tree holds the objects (`/fish/..`, `/target/..`, `/water/..`), so its
+controls still switch them; the player moves the skin, as `fishmj.mjcf.skin.posed` does, and draws the distance chart.
+"""
+
+import base64
+import json
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import ConfigError, LogError, MissingExtra
+from fishmj.log import Trial
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.skin import Skin, skin
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, track
+from fishmj.store import plain, write_text
+
+_PAGE = Path(__file__).parent / "page"
+SCRIPTS = ("scene.js", "fish.js", "chart.js", "player.js")
+TANK = 4.0  # m, side of the tank that is drawn
+
+
+def write_html(
+    trials: list[Trial],
+    out: str | Path,
+    robot: "Robot | str | None" = None,
+    title: str = "fishmj replay",
+    *,
+    speed: float = 1.0,
+    robots: "list[Robot | str | None] | None" = None,
+) -> Path:
+    """Write a replay of one trial, or of several overlaid (the first solid, the others translucent).
+
+    Args:
+        robot: description for all trials; default, the one that each trial names. `robots` sets it one by one.
+        speed: playing speed at the start, 1 = real time.
+
+    Raises:
+        LogError: no trial, or one without a pose. ConfigError: joints do not match. StoreError: the file cannot be written.
+    """
+    if not trials:
+        raise LogError("nothing to replay: give at least one trial")
+    if not 0 < speed <= 100:
+        raise ConfigError(f"speed = {speed}; expected a factor in (0, 100], 1 = real time")
+    chosen = [robot_of(trial, one) for trial, one in zip(trials, robots or [robot] * len(trials), strict=True)]
+    tracks = [track(trial, one) for trial, one in zip(trials, chosen, strict=True)]
+    data = {
+        "title": title,
+        "speed": speed,
+        "arrival": ARRIVAL,
+        "tank": TANK,
+        "tracks": [_track_data(t, TRACKS[i % len(TRACKS)]) for i, t in enumerate(tracks)],
+        "skins": [_skin_data(skin(one, smooth=True)) for one in chosen],
+    }
+    return write_text(out, page(title, data))
+
+
+def page(title: str, data: dict) -> str:
+    """The whole document as text."""
+    text = (_PAGE / "page.html").read_text(encoding="utf-8")
+    scripts = "\n".join((_PAGE / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    parts = {
+        "@TITLE@": title.replace("&", "&amp;").replace("<", "&lt;"),
+        "@STYLE@": (_PAGE / "style.css").read_text(encoding="utf-8"),
+        "@VIEWER@": viewer_bundle(),
+        "@DATA@": json.dumps(plain(data)).replace("</", "<\\/"),
+        "@PLAYER@": scripts,
+    }
+    return "".join(parts.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", text))
+
+
+def viewer_bundle() -> str:
+    """MeshCat's viewer (three.js included) as it lies in the installed package."""
+    found = find_spec("meshcat")
+    if found is None or not found.origin:
+        raise MissingExtra("meshcat", "all", "replay")
+    bundle = Path(found.origin).parent / "viewer" / "dist" / "main.min.js"
+    if not bundle.is_file():
+        raise ConfigError(f"{bundle}: MeshCat's viewer is missing; reinstall it: pip install --force-reinstall meshcat")
+    return bundle.read_text(encoding="utf-8").replace("</script", "<\\/script")
+
+
+def _pack(array, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode("ascii")
+
+
+def _track_data(t: Track, colour: str) -> dict:
+    return {
+        "label": t.label,
+        "origin": t.origin,
+        "colour": colour,
+        "frames": len(t.t),
+        "duration": float(t.t[-1]),
+        "links": t.q.shape[1] - 2,
+        "meanFlow": t.mean_flow,
+        "source": t.pose_from if t.pose_from == t.joints_from else f"{t.pose_from} and {t.joints_from}",
+        "q": _pack(t.q, "<f4"),
+        "target": _pack(t.target, "<f4"),
+        "flow": _pack(t.flow, "<f4"),
+        "power": _pack(t.power, "<f4"),
+        "speed": _pack(t.speed, "<f4"),
+        "distance": _pack(t.distance, "<f4"),
+    }
+
+
+def _skin_data(s: Skin) -> dict:
+    return {
+        "vertices": _pack(s.vertices, "<f4"),
+        "normals": _pack(s.normals, "<f4"),
+        "faces": _pack(s.faces, "<u4"),
+        "hinge": _pack(s.hinge, "<u4"),
+        "share": _pack(s.share, "<f4"),
+        "colour": _pack(s.colour, "<f4"),
+        "hingeX": s.hinge_x,
+    }

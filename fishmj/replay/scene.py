@@ -1,0 +1,147 @@
+"""What a replay shows of a trial: the fish, its target, the flow and the power on one uniform clock.
+
+The pose comes from `truth`, else from `pose`; joints from `truth`, else `joint`, else `cmd`. Everything is brought to
+frames of equal length for drawing only; no log is ever written back.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.calib import shipped
+from fishmj.errors import ConfigError, FishmjError, LogError
+from fishmj.log import Trial, stacked
+from fishmj.mjcf.description import Robot, load_robot
+
+FPS = 50.0
+ARRIVAL = 0.1  # m, the ring around the target
+TRACKS = ("#ff5a4d", "#b57bff", "#ffd24a", "#7be08a", "#c792ff")  # one colour a log, as CSS
+
+
+@dataclass(frozen=True)
+class Track:
+    """One trial on a uniform clock: F frames, N links. NaN where the log says nothing."""
+
+    label: str
+    origin: str  # measured, synthetic or unknown
+    t: np.ndarray  # (F,) s, from the trial's own start
+    q: np.ndarray  # (F, 2 + N) m, rad; yaw unwrapped
+    target: np.ndarray  # (F, 2) m
+    flow: np.ndarray  # (F, 2) m/s, at the fish, mean over its links
+    mean_flow: np.ndarray  # (2,) m/s, of the tank
+    power: np.ndarray  # (F,) W
+    speed: np.ndarray  # (F,) m/s over ground, over one beat
+    pose_from: str
+    joints_from: str
+
+    @property
+    def distance(self) -> np.ndarray:
+        """Distance to the target, (F,) m."""
+        return np.hypot(*(self.target - self.q[:, :2]).T)
+
+
+def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
+    """`robot` if given, else the shipped description that the trial's meta names, else the default fish."""
+    if robot is not None:
+        return load_robot(robot)
+    wanted = trial.value("robot")
+    for name in shipped():
+        if name == "paper":
+            continue
+        try:
+            candidate = load_robot(name)
+        except FishmjError:  # a calibration file of another kind
+            continue
+        if wanted in (name, candidate.name):
+            return candidate
+    return load_robot("fish")
+
+
+def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
+    """Resample a trial for drawing.
+
+    Raises:
+        LogError: no pose. ConfigError: the log has another number of joints than `robot`.
+    """
+    name = trial.name or "trial"
+    pose_from = next((n for n in ("truth", "pose") if n in trial.tables), None)
+    if pose_from is None:
+        raise LogError(f"{name}: nothing to replay: no table truth or pose; it has {', '.join(trial.tables) or 'none'}")
+    pose = trial.tables[pose_from]
+    joints_from, joints, stamps = _joints(trial, robot)
+    start, end = float(pose["t"][0]), float(pose["t"][-1])
+    t = start + np.arange(max(2, int(round((end - start) * fps)) + 1)) / fps
+    still = np.zeros((len(t), robot.n_joints))
+    bend = np.stack([np.interp(t, stamps, column) for column in joints.T], 1) if joints_from else still
+    place = [np.interp(t, pose["t"], pose[c]) for c in ("x", "y")] + [np.interp(t, pose["t"], np.unwrap(pose["yaw"]))]
+    q = np.column_stack([*place, bend])
+    return Track(
+        label=str(trial.value("controller") or name),
+        origin=str(trial.value("origin") or "unknown"),
+        t=t - start,
+        q=q,
+        target=_target(trial, t),
+        flow=_flow(trial, t),
+        mean_flow=_mean_flow(trial),
+        power=_power(trial, t),
+        speed=_speed(t, q, fps),
+        pose_from=pose_from,
+        joints_from=joints_from or "none",
+    )
+
+
+def _joints(trial: Trial, robot: Robot):
+    for name, template in (("truth", "j#"), ("joint", "j#"), ("cmd", "c#")):
+        if name not in trial.tables:
+            continue
+        values = stacked(trial.tables[name], template)
+        if values.shape[1] != robot.n_joints:
+            raise ConfigError(
+                f"{trial.name or 'trial'}: table {name!r} has {values.shape[1]} joints, robot {robot.name!r} has "
+                f"{robot.n_joints}; name the right description with --robot"
+            )
+        return name, values, trial.tables[name]["t"]
+    return "", np.zeros((1, robot.n_joints)), np.zeros(1)
+
+
+def _target(trial: Trial, t: np.ndarray) -> np.ndarray:
+    """The last target set at or before each frame; before the first row, the first."""
+    if "target" in trial.tables:
+        table = trial.tables["target"]
+        row = np.clip(np.searchsorted(table["t"], t, side="right") - 1, 0, None)
+        return np.column_stack([table["x"][row], table["y"][row]])
+    fixed = np.asarray(trial.value("target", ()), dtype=object).ravel()
+    if len(fixed) >= 2 and all(isinstance(v, (int, float)) for v in fixed[:2]):
+        return np.tile(np.array(fixed[:2], float), (len(t), 1))
+    return np.full((len(t), 2), np.nan)
+
+
+def _flow(trial: Trial, t: np.ndarray) -> np.ndarray:
+    if "flow" in trial.tables:
+        table = trial.tables["flow"]
+        return np.column_stack([np.interp(t, table["t"], stacked(table, f"u#{c}").mean(1)) for c in "xy"])
+    return np.tile(_mean_flow(trial), (len(t), 1))
+
+
+def _mean_flow(trial: Trial) -> np.ndarray:
+    """From the meta data, else the mean of the flow table, else NaN."""
+    speed, direction = trial.value("flow.speed"), trial.value("flow.direction")
+    if speed is not None and (direction is not None or not speed):
+        return float(speed) * np.array([np.cos(direction or 0.0), np.sin(direction or 0.0)])
+    if "flow" in trial.tables:
+        return np.array([stacked(trial.tables["flow"], f"u#{c}").mean() for c in "xy"])
+    return np.full(2, np.nan)
+
+
+def _power(trial: Trial, t: np.ndarray) -> np.ndarray:
+    if "power" not in trial.tables:
+        return np.full(len(t), np.nan)
+    table = trial.tables["power"]
+    return np.interp(t, table["t"], table["V"] * table["I"])
+
+
+def _speed(t: np.ndarray, q: np.ndarray, fps: float) -> np.ndarray:
+    """Displacement over a centred second (one beat) divided by its length: the beat itself does not show."""
+    reach = max(1, min(int(fps / 2), (len(t) - 1) // 2))
+    back, ahead = np.clip(np.arange(len(t)) - reach, 0, None), np.clip(np.arange(len(t)) + reach, None, len(t) - 1)
+    return np.hypot(*(q[ahead, :2] - q[back, :2]).T) / (t[ahead] - t[back])
