@@ -8,7 +8,7 @@ from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import posed, skin
-from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, track
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 
 WATER, LINE, METRE, INK = (150, 112, 36), (176, 140, 66), (206, 180, 122), (250, 244, 236)  # BGR
 CHART = 120  # px, height of the distance strip
@@ -36,7 +36,10 @@ def write_mp4(
     if not 0 < speed <= 100 or fps <= 0:
         raise ConfigError(f"speed = {speed}, fps = {fps}; expected a speed in (0, 100] and a positive frame rate")
     view = TopView(trials, robot, size=size, title=title)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{out}: its folder cannot be made ({error.strerror or error}); choose another place") from error
     temporary = out.with_name(f".{out.stem}.tmp.mp4")
     film = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
     if not film.isOpened():
@@ -72,7 +75,7 @@ class TopView:
             raise LogError("nothing to replay: give at least one trial")
         self.cv2, self.size, self.title = _cv2(), size, title
         robots = [robot_of(trial, robot) for trial in trials]
-        self.tracks = [track(trial, one) for trial, one in zip(trials, robots, strict=True)]
+        self.tracks = tracks_of(trials, robots)
         self.skins = [skin(one, spacing=0.012, around=12, smooth=True) for one in robots]
         self.colours = [tuple(int(TRACKS[i % len(TRACKS)][k : k + 2], 16) for k in (5, 3, 1)) for i in range(len(trials))]
         self.duration = max(float(t.t[-1]) for t in self.tracks)

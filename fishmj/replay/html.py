@@ -16,7 +16,7 @@ from fishmj.errors import ConfigError, LogError, MissingExtra
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, skin
-from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, track
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 from fishmj.store import plain, write_text
 
 _PAGE = Path(__file__).parent / "page"
@@ -47,7 +47,7 @@ def write_html(
     if not 0 < speed <= 100:
         raise ConfigError(f"speed = {speed}; expected a factor in (0, 100], 1 = real time")
     chosen = [robot_of(trial, one) for trial, one in zip(trials, robots or [robot] * len(trials), strict=True)]
-    tracks = [track(trial, one) for trial, one in zip(trials, chosen, strict=True)]
+    tracks = tracks_of(trials, chosen)
     data = {
         "title": title,
         "speed": speed,
@@ -67,7 +67,7 @@ def page(title: str, data: dict) -> str:
         "@TITLE@": title.replace("&", "&amp;").replace("<", "&lt;"),
         "@STYLE@": (_PAGE / "style.css").read_text(encoding="utf-8"),
         "@VIEWER@": viewer_bundle(),
-        "@DATA@": json.dumps(plain(data)).replace("</", "<\\/"),
+        "@DATA@": json.dumps(plain(data)).replace("<", "\\u003c"),
         "@PLAYER@": scripts,
     }
     return "".join(parts.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", text))

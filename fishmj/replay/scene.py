@@ -4,7 +4,8 @@ The pose comes from `truth`, else from `pose`; joints from `truth`, else `joint`
 frames of equal length for drawing only; no log is ever written back.
 """
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,6 +89,17 @@ def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
         pose_from=pose_from,
         joints_from=joints_from or "none",
     )
+
+
+def tracks_of(trials: list[Trial], robots: list[Robot]) -> list[Track]:
+    """All trials resampled; equal labels get number and name of the trial behind them."""
+    tracks = [track(trial, robot) for trial, robot in zip(trials, robots, strict=True)]
+    often = Counter(t.label for t in tracks)
+    named = zip(tracks, trials, range(1, len(trials) + 1), strict=True)
+    return [
+        replace(t, label=f"{t.label} ({i}{': ' + trial.name if trial.name else ''})") if often[t.label] > 1 else t
+        for t, trial, i in named
+    ]
 
 
 def _joints(trial: Trial, robot: Robot):
