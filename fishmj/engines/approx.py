@@ -30,10 +30,10 @@ class Precision(NamedTuple):
 
 
 SINGLE = Precision("float32", "int32", 23, 127, 87.0, 12, (5, 6, 6, 8))
-DOUBLE = Precision("float64", "int64", 52, 1023, 708.0, 24, (9, 10, 12, 22))
+DOUBLE = Precision("float64", "int64", 52, 1023, 708.0, 24, (9, 10, 12, 18))
 PRECISIONS = {p.name: p for p in (SINGLE, DOUBLE)}
 
-TEMPLATE = '''
+TEMPLATE = """
 @njit(**MATH)
 def turns(x):
     n = floor(x * real({inverse_pi!r}) + real(0.5))
@@ -88,7 +88,7 @@ def minimum(a, b):
 @njit(**MATH)
 def where(condition, a, b):
     return a if condition else b
-'''
+"""
 
 
 def source(precision: Precision) -> str:

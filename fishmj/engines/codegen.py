@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from fishmj.errors import ConfigError
 
 BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}"}
-CALLS = {"sqrt": "sqrt", "sin": "sin", "cos": "cos", "exp": "exp", "atan2": "atan2", "abs": "absolute", "max": "maximum", "min": "minimum"}
+CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {name: name for name in ("sqrt", "sin", "cos", "exp", "atan2")}
 COMPARE = {"gt": ">", "lt": "<", "ge": ">=", "le": "<="}
 FOLD = {
     "add": lambda a, b: a + b,
@@ -130,8 +130,8 @@ class Graph:
             elif op in BINARY or op in CALLS or op in COMPARE or op == "neg":
                 results = [self.apply(op, *inputs)]
             else:
-                known = sorted({*BINARY, *CALLS, *COMPARE, "neg", "select_n", "integer_pow", "square"})
-                raise ConfigError(f"compiled engine: the physics uses {op!r}, which the generator cannot write; it knows {', '.join(known)}")
+                known = ", ".join(sorted({*BINARY, *CALLS, *COMPARE, "neg", "select_n", "integer_pow", "square"}))
+                raise ConfigError(f"compiled engine: the physics uses {op!r}, which the generator cannot write; it knows {known}")
             env.update(zip(eqn.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 

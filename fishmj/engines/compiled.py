@@ -1,12 +1,14 @@
 """The closed-form fish as machine code: the fastest engine on a CPU (extra `fast`).
 
-The physics is `hydro_fit.chain.step`, translated and compiled (native.py), 16 fish to a vector loop, float32. Blocks of fish
-are shared between threads that hold no lock. `advance` does what `planar.Engine.advance` does, to round-off.
+The physics is `hydro_fit.chain.step`, translated and compiled (native.py), 16 fish to a vector loop. Blocks of fish are
+shared between threads that hold no lock. `advance` does what `planar.Engine.advance` does, to round-off; a fish moves the
+same, to the bit, in any batch and with any number of threads.
 
     from NumPy          state, trace = engine.advance(state, commands, params, current, tick)
-    inside jax.jit      the same call on the CPU; it becomes one `jax.pure_callback`, which runs no JAX code
+    inside jax.jit      the same call, on the CPU: one `jax.pure_callback`, in which no JAX code runs (a callback that
+                        waits for JAX can wait for ever). `vmap` runs it once for every entry of the mapped axis.
 
-Use it in `jit` and `scan` on the CPU; `vmap` runs it once for every entry of the mapped axis. Not differentiable.
+Not differentiable: use `planar` for gradients.
 """
 
 import os
@@ -17,16 +19,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.engines import BUFFER, FishParams, FishState, Trace, approx, check_commands, native
+from fishmj.engines import BUFFER, FishParams, FishState, Trace, approx, check_commands, native, ticks_per
 from fishmj.errors import ConfigError
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
 
-CHUNK = 8  # blocks of native.LANES fish below which a second thread does not pay
+CHUNK = 8  # blocks of native.LANES fish that a thread must have for it to pay
 
 
 class Applied(NamedTuple):
-    """What the water and servos do in one physics step (`hydro_fit.chain.Step.applied`)."""
+    """What the water and the servos do in one physics step."""
 
     force: np.ndarray  # (B, nv) generalised force that makes MuJoCo take the same step, N and N m
     attached: np.ndarray  # (B,) attachment after the step
@@ -34,12 +36,12 @@ class Applied(NamedTuple):
 
 
 class Engine:
-    """Compiled closed-form engine.
+    """Compiled closed-form engine; compiles at the first `advance` or `forces` (seconds, cached on disk).
 
     Args:
         robot: description or name.
         threads: at most so many; default, the CPUs this process may use.
-        dtype: "float32", or "float64" for comparisons (half as fast).
+        dtype: of `advance`: "float32", or "float64" for comparisons (about half as fast).
     Raises:
         MissingExtra: numba is not installed.
     """
@@ -51,10 +53,19 @@ class Engine:
             raise ConfigError(f"compiled engine: dtype = {dtype!r}; choose one of {', '.join(approx.PRECISIONS)}")
         if threads is not None and threads < 1:
             raise ConfigError(f"compiled engine: threads = {threads}; needs at least 1")
+        native.require_numba()
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
-        self.threads = threads or len(os.sched_getaffinity(0))
-        self.kernel = native.load(self.robot, "advance", approx.PRECISIONS[dtype]).advance
+        self.steps, self.ticks = ticks_per(self.robot)
+        self.threads = threads or usable_cpus()
         self._pool, self._owner = None, 0
+
+    @cached_property
+    def _advance(self):
+        return native.load(self.robot, "advance", approx.PRECISIONS[self.dtype.name]).advance
+
+    @cached_property
+    def _evaluate(self):
+        return native.load(self.robot, "evaluate", approx.DOUBLE).evaluate
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
         """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
@@ -62,70 +73,51 @@ class Engine:
         Returns:
             (FishState, Trace with T ticks), new arrays of the engine's dtype.
         Raises:
-            ConfigError: an array has the wrong shape, or a flow row lies outside the table.
+            ConfigError: an array has the wrong shape, a latency is negative, or a flow row lies outside the table.
         """
         check_commands(commands, self.robot.n_joints)
+        self._advance  # noqa: B018  compiled here, never inside a callback
         given = (state, commands, params, current, tick)
-        if "jax" in sys.modules and _is_traced(given):
-            return self._advance_traced(given)
-        return self._advance_numpy(*given)
+        return self._advance_traced(*given) if _is_traced(given) else self._advance_numpy(*given)
 
     def _advance_numpy(self, state, commands, params, current, tick):
         batch, ticks, joints = commands.shape
-        n, nv, real = joints + 1, joints + 3, self.dtype
-        read = lambda name, value, *shape: _array(name, value, (batch, *shape), real)  # noqa: E731
-        fresh = lambda name, value, *shape: np.array(read(name, value, *shape), order="C")  # noqa: E731
-        q, v = fresh("state.q", state.q, nv), fresh("state.v", state.v, nv)
-        attached = fresh("state.attached", state.attached).reshape(batch, 1)
-        buffer = fresh("state.buffer", state.buffer, BUFFER, joints)
-        shapes = (("mass", n), ("kp", joints), ("kv", joints), ("kb", joints), ("zero", joints), ("water", 2 * n + 9))
-        swimmer = tuple(read(f"params.{name}", getattr(params, name), size) for name, size in shapes)
-        delay = _array("params.delay", params.delay, (batch,), np.dtype(np.int64)).reshape(batch, 1)
-        table = np.asarray(current.table, real)
+        real, read = self.dtype, _reader(batch, self.dtype)
+        fresh = lambda *args: np.array(read(*args))  # noqa: E731  the loop writes into its state
+        q, v = fresh("state.q", state.q, joints + 3), fresh("state.v", state.v, joints + 3)
+        attached, buffer = fresh("state.attached", state.attached), fresh("state.buffer", state.buffer, BUFFER, joints)
+        delay = _reader(batch, np.dtype(np.int64))("params.delay", params.delay)
+        if batch and delay.min() < 0:
+            raise ConfigError(f"compiled engine, params.delay: got {delay.min()} physics steps, expected 0 or more")
+        table = np.ascontiguousarray(current.table, real)
         water = (
             read("current.mean", current.mean, 2),
-            read("current.rms", current.rms).reshape(batch, 1),
-            self._rows(current, batch, table),
+            _column(read("current.rms", current.rms)),
+            _column(_rows(read("current.row", current.row), table.shape)),
             read("current.offset", current.offset, 2),
             read("current.turn", current.turn, 2),
         )
-        clock = read("tick", tick).reshape(batch, 1)
         trace = tuple(np.empty((batch, ticks, size), real) for size in (3, joints, joints, 3, 1))
-        flat, cells, cell = table.reshape(-1), table.shape[1], real.type(current.cell)
-        tail = ((q, v, attached), buffer, read("commands", commands, ticks, joints), swimmer, delay, water, clock)
-        self._share(batch, self.kernel, (*tail, flat, cells, cell, table.ndim == 3, trace))
-        return FishState(q, v, attached[:, 0], buffer), Trace(*trace[:4], trace[4][..., 0])
-
-    def _rows(self, current, batch: int, table) -> np.ndarray:
-        """Slices of the flow table as floats (B, 1), checked: the compiled loop reads memory unguarded."""
-        if table.ndim not in (3, 4) or table.shape[-1] != 2 or (table.ndim == 4 and table.shape[1] != table.shape[2]):
-            raise ConfigError(f"current.table: got shape {table.shape}, expected (S, n, n, 2) for turbulence or (S, T, 2) for gusts")
-        row = _array("current.row", current.row, (batch,), self.dtype).reshape(batch, 1)
-        if batch and not (row.min() >= 0 and row.max() < len(table)):
-            raise ConfigError(f"current.row: got {row.min():g} to {row.max():g}, expected 0 to {len(table) - 1}, the slices of the table")
-        return row
+        bodies = ((q, v, _column(attached)), buffer, read("commands", commands, ticks, joints), _swimmer(read, params, joints))
+        flow = (table.reshape(-1), table.shape[1], real.type(current.cell), table.ndim == 3)
+        self._share(batch, self._advance, (*bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace))
+        return FishState(q, v, attached, buffer), Trace(*trace[:4], trace[4][..., 0])
 
     def forces(self, q, v, attached, params: FishParams, target, flow, ambient) -> Applied:
-        """`Step.applied` of one physics step over a batch, float64.
+        """`Step.applied`, attachment and power of one physics step over a batch, NumPy, float64.
 
         Args:
-            q, v: (B, nv). attached: (B,). target: (B, J) encoder angles after the servo's delay, rad.
+            q, v: (B, nv). attached: (B,). target: (B, J) encoder angles that the servos follow now, rad.
             flow: (B, N, 2) water velocity at the links, m/s. ambient: (B, 2) DU/Dt, m/s2. World frame.
         """
         batch, joints = len(q), self.robot.n_joints
-        n, nv, real = joints + 1, joints + 3, np.dtype(np.float64)
-        read = lambda name, value, *shape: _array(name, value, (batch, *shape), real)  # noqa: E731
-        shapes = (("mass", n), ("kp", joints), ("kv", joints), ("kb", joints), ("zero", joints), ("water", 2 * n + 9))
-        swimmer = tuple(read(f"params.{name}", getattr(params, name), size) for name, size in shapes)
-        state = (read("q", q, nv), read("v", v, nv), read("attached", attached).reshape(batch, 1))
-        water = (read("target", target, joints), read("flow", flow, n, 2).reshape(batch, 2 * n), read("ambient", ambient, 2))
-        out = tuple(np.empty((batch, size)) for size in (nv, 1, 1))
-        self._share(batch, self._evaluate, (state, swimmer, *water, out))
+        read = _reader(batch, np.dtype(np.float64))
+        state = (read("q", q, joints + 3), read("v", v, joints + 3), _column(read("attached", attached)))
+        around = read("flow", flow, joints + 1, 2).reshape(batch, 2 * joints + 2)
+        given = (state, _swimmer(read, params, joints), read("target", target, joints), around, read("ambient", ambient, 2))
+        out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1))
+        self._share(batch, self._evaluate, (*given, out))
         return Applied(out[0], out[1][:, 0], out[2][:, 0])
-
-    @cached_property
-    def _evaluate(self):
-        return native.load(self.robot, "evaluate", approx.DOUBLE).evaluate
 
     def _share(self, batch: int, kernel, arguments: tuple) -> None:
         """Run `kernel(first, stop, *arguments)` over all fish, whole blocks to each thread."""
@@ -143,26 +135,81 @@ class Engine:
             self._pool, self._owner = ThreadPoolExecutor(max(1, self.threads - 1), "fishmj"), os.getpid()
         return self._pool
 
-    def _advance_traced(self, given):
+    def _advance_traced(self, state, commands, params, current, tick):
+        """One host callback with one array each way and the flow table: every further array would cost some 20 us."""
         import jax
+        import jax.numpy as jnp
 
-        state, commands, _, _, _ = given
         (batch, ticks, joints), real = commands.shape, self.dtype
-        shape = lambda *sizes: jax.ShapeDtypeStruct((batch, *sizes), real)  # noqa: E731
-        after = FishState(shape(joints + 3), shape(joints + 3), shape(), shape(BUFFER, joints))
-        trace = Trace(shape(ticks, 3), shape(ticks, joints), shape(ticks, joints), shape(ticks, 3), shape(ticks))
-        return jax.pure_callback(self._advance_numpy, (after, trace), *given, vmap_method="sequential")
+        slim = current._replace(cell=jnp.broadcast_to(current.cell, (batch,)), table=None)
+        leaves, tree = jax.tree_util.tree_flatten((state, commands, params, slim, tick))
+        sizes = [leaf.shape[1:] for leaf in leaves]
+        nv = joints + 3
+        results = [(nv,), (nv,), (), (BUFFER, joints), (ticks, 3), (ticks, joints), (ticks, joints), (ticks, 3), (ticks,)]
+        width = sum(int(np.prod(size)) for size in results)
+
+        def host(packed, table):
+            state, commands, params, slim, tick = jax.tree_util.tree_unflatten(tree, _unpack(np.asarray(packed), sizes))
+            current = slim._replace(cell=slim.cell[0], table=np.asarray(table))
+            state, trace = self._advance_numpy(state, commands, params, current, tick)
+            return _pack(np, [*state, *trace], batch, real)
+
+        shape = jax.ShapeDtypeStruct((batch, width), real)
+        out = jax.pure_callback(host, shape, _pack(jnp, leaves, batch, real), current.table, vmap_method="sequential")
+        out = _unpack(out, results)
+        return FishState(*out[:4]), Trace(*out[4:])
 
 
-def _array(name: str, value, shape: tuple, dtype) -> np.ndarray:
-    """`value` as a contiguous array, or one clear error."""
-    array = np.ascontiguousarray(value, dtype)
-    if array.shape != shape:
-        raise ConfigError(f"compiled engine, {name}: got shape {array.shape}, expected {shape}")
-    return array
+def usable_cpus() -> int:
+    """CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _reader(batch: int, dtype: np.dtype):
+    """read(name, value, *sizes): `value` as a contiguous (batch, *sizes) array of dtype, or one clear error."""
+
+    def read(name: str, value, *sizes: int) -> np.ndarray:
+        array = np.asarray(value, dtype, order="C")
+        if array.shape != (batch, *sizes):
+            raise ConfigError(f"compiled engine, {name}: got shape {array.shape}, expected {(batch, *sizes)}")
+        return array
+
+    return read
+
+
+def _swimmer(read, params: FishParams, joints: int) -> tuple:
+    sizes = {"mass": joints + 1, "kp": joints, "kv": joints, "kb": joints, "zero": joints, "water": 2 * (joints + 1) + 9}
+    return tuple(read(f"params.{name}", getattr(params, name), size) for name, size in sizes.items())
+
+
+def _rows(row: np.ndarray, table: tuple) -> np.ndarray:
+    """Flow rows (B,), checked against the table's shape: the compiled loop reads memory unguarded."""
+    square = len(table) == 4 and table[1] == table[2]
+    if not (square or len(table) == 3) or table[-1] != 2 or 0 in table:
+        raise ConfigError(f"current.table: got shape {table}, expected (S, n, n, 2) for turbulence or (S, T, 2) for gusts")
+    if len(row) and not (row.min() >= 0 and row.max() < table[0]):
+        raise ConfigError(f"current.row: got {row.min():g} to {row.max():g}, expected slices 0 to {table[0] - 1} of the table")
+    return row
+
+
+def _column(array: np.ndarray) -> np.ndarray:
+    return array.reshape(-1, 1)
+
+
+def _pack(xp, arrays: list, batch: int, dtype):
+    """Arrays (B, ...) side by side as one (B, width)."""
+    return xp.concatenate([a.reshape(batch, -1).astype(dtype) for a in arrays], 1)
+
+
+def _unpack(packed, sizes: list) -> list:
+    """The inverse of `_pack`; sizes without the batch axis."""
+    edges = np.cumsum([0, *(int(np.prod(size)) for size in sizes)])
+    return [packed[:, a:b].reshape(len(packed), *size) for a, b, size in zip(edges[:-1], edges[1:], sizes, strict=True)]
 
 
 def _is_traced(tree: Any) -> bool:
+    if "jax" not in sys.modules:
+        return False
     import jax
 
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(tree))

@@ -26,12 +26,16 @@ def store(values, w, base, block):
             values[block + i, j] = w[(base + j) * LANES + i]
 
 
-def load_delay(w, delay, block):
-    """Command latency in whole bus ticks and the physics steps left over."""
+def load_delay(w, places, delay, block):
+    """Command latency: the physics steps beyond whole bus ticks, and where in the line of commands the newest three lie.
+
+    At tick k a lane sees line[places + k JOINTS LANES]: the command that arrives now, the one before, and one more.
+    """
     for i in range(LANES):
         steps = delay[min(block + i, delay.shape[0] - 1), 0]
-        w[WHOLE * LANES + i] = real(steps // STEPS)
         w[PART * LANES + i] = real(steps % STEPS)
+        for age in range(3):
+            places[age * LANES + i] = (1 + max(BUFFER - 1 - steps // STEPS - age, 0)) * JOINTS * LANES + i
 
 
 def load_commands(line, buffer, commands, block):
@@ -56,63 +60,69 @@ def store_commands(buffer, line, ticks, block):
                 buffer[block + i, k, j] = line[((ticks + k) * JOINTS + j) * LANES + i]
 
 
-def pick_commands(w, line, k):
-    """The command that arrives in tick k, the one before and the one before that, for each lane's latency."""
+def pick_commands(w, line, places, k):
+    """The three commands that matter in tick k, newest first, for each lane's latency."""
     for age in range(3):
         for j in range(JOINTS):
-            row = (RECENT + age * JOINTS + j) * LANES
             for i in range(LANES):
-                place = maximum(real(BUFFER - 1 - age) - w[WHOLE * LANES + i], real(0.0)) + real(k + 1)
-                w[row + i] = line[(np.uint32(place) * np.uint32(JOINTS) + np.uint32(j)) * np.uint32(LANES) + np.uint32(i)]
+                w[(RECENT + age * JOINTS + j) * LANES + i] = line[places[age * LANES + i] + (k * JOINTS + j) * LANES]
 
 
 def aim(w, step):
     """Servo targets at one physics step of a tick; with RAMP the servo moves from command to command in one tick."""
     for j in range(JOINTS):
-        newest, previous, before = (RECENT + j) * LANES, (RECENT + JOINTS + j) * LANES, (RECENT + 2 * JOINTS + j) * LANES
         for i in range(LANES):
+            newest, previous = w[(RECENT + j) * LANES + i], w[(RECENT + JOINTS + j) * LANES + i]
+            before = w[(RECENT + 2 * JOINTS + j) * LANES + i]
             late = real(step) - w[PART * LANES + i]
             fresh = late >= real(0.0)
-            target = w[newest + i] if fresh else w[previous + i]
+            target = where(fresh, newest, previous)
             if RAMP:
-                origin = w[previous + i] if fresh else w[before + i]
-                share = ((late if fresh else late + real(STEPS)) + real(1.0)) / real(STEPS)
+                origin = where(fresh, previous, before)
+                share = (where(fresh, late, late + real(STEPS)) + real(1.0)) / real(STEPS)
                 target = origin + share * (target - origin)
             w[(TARGET + j) * LANES + i] = target
 
 
-def wrapped(x, size):
-    """Whole number x modulo size, as an index; 0 for what is not a number."""
-    x = x - size * floor(x / size)
-    return np.uint32(x if real(0.0) <= x < size else real(0.0))
-
-
-def spatial_flow(w, table, cells, cell):
-    """Frozen turbulence at the link centres: bilinear in the periodic table (S, cells, cells, 2), flat."""
-    size, n = real(cells), np.uint32(cells)
+def grid(w, cells, cell):
+    """Cell (0..cells-1, 0 for what is not a number) and place within it of every link centre in the drifting table."""
+    size = real(cells)
     for link in range(LINKS):
         for i in range(LANES):
-            cos, sin, rms = w[TURN * LANES + i], w[(TURN + 1) * LANES + i], w[RMS * LANES + i]
-            mean_x, mean_y = w[MEAN * LANES + i], w[(MEAN + 1) * LANES + i]
+            cos, sin = w[TURN * LANES + i], w[(TURN + 1) * LANES + i]
             time = w[CLOCK * LANES + i] * TICK
-            x = w[(CENTRE + 2 * link) * LANES + i] - mean_x * time
-            y = w[(CENTRE + 2 * link + 1) * LANES + i] - mean_y * time
+            x = w[(CENTRE + 2 * link) * LANES + i] - w[MEAN * LANES + i] * time
+            y = w[(CENTRE + 2 * link + 1) * LANES + i] - w[(MEAN + 1) * LANES + i] * time
             gx = (cos * x + sin * y) / cell + w[OFFSET * LANES + i]
             gy = (cos * y - sin * x) / cell + w[(OFFSET + 1) * LANES + i]
             fx, fy = floor(gx), floor(gy)
-            ax, ay = gx - fx, gy - fy
-            ix, iy = wrapped(fx, size), wrapped(fy, size)
-            jx, jy = wrapped(fx + real(1.0), size), wrapped(fy + real(1.0), size)
-            rows = np.uint32(w[SLICE * LANES + i]) * n
-            a, b = ((rows + ix) * n + iy) * np.uint32(2), ((rows + ix) * n + jy) * np.uint32(2)
-            c, d = ((rows + jx) * n + iy) * np.uint32(2), ((rows + jx) * n + jy) * np.uint32(2)
-            one = np.uint32(1)
-            wa, wb = (real(1.0) - ax) * (real(1.0) - ay), (real(1.0) - ax) * ay
-            wc, wd = ax * (real(1.0) - ay), ax * ay
-            u = wa * table[a] + wb * table[b] + wc * table[c] + wd * table[d]
-            v = wa * table[a + one] + wb * table[b + one] + wc * table[c + one] + wd * table[d + one]
-            w[(FLOW + 2 * link) * LANES + i] = mean_x + rms * (cos * u - sin * v)
-            w[(FLOW + 2 * link + 1) * LANES + i] = mean_y + rms * (sin * u + cos * v)
+            ix, iy = fx - size * floor(fx / size), fy - size * floor(fy / size)
+            w[(PLACE + 4 * link) * LANES + i] = where(ix < size, maximum(ix, real(0.0)), real(0.0))
+            w[(PLACE + 4 * link + 1) * LANES + i] = where(iy < size, maximum(iy, real(0.0)), real(0.0))
+            w[(PLACE + 4 * link + 2) * LANES + i] = gx - fx
+            w[(PLACE + 4 * link + 3) * LANES + i] = gy - fy
+
+
+def spatial_flow(w, table, cells):
+    """Frozen turbulence at the link centres: bilinear in the periodic table (S, cells, cells, 2), flat."""
+    for link in range(LINKS):
+        flow, place = (FLOW + 2 * link) * LANES, (PLACE + 4 * link) * LANES
+        for i in range(LANES):
+            ix, iy, ax, ay = w[place + i], w[place + LANES + i], w[place + 2 * LANES + i], w[place + 3 * LANES + i]
+            ahead = 2 * cells * (1 if ix + real(1.0) < real(cells) else 1 - cells)
+            right = 2 * (1 if iy + real(1.0) < real(cells) else 1 - cells)
+            a = 2 * ((int(w[SLICE * LANES + i]) * cells + int(ix)) * cells + int(iy))
+            b, c, d = a + right, a + ahead, a + ahead + right
+            u, v = table[a] + ay * (table[b] - table[a]), table[a + 1] + ay * (table[b + 1] - table[a + 1])
+            w[flow + i] = u + ax * (table[c] + ay * (table[d] - table[c]) - u)
+            w[flow + LANES + i] = v + ax * (table[c + 1] + ay * (table[d + 1] - table[c + 1]) - v)
+    for link in range(LINKS):
+        flow = (FLOW + 2 * link) * LANES
+        for i in range(LANES):
+            u, v, rms = w[flow + i], w[flow + LANES + i], w[RMS * LANES + i]
+            cos, sin = w[TURN * LANES + i], w[(TURN + 1) * LANES + i]
+            w[flow + i] = w[MEAN * LANES + i] + rms * (cos * u - sin * v)
+            w[flow + LANES + i] = w[(MEAN + 1) * LANES + i] + rms * (sin * u + cos * v)
     for i in range(LANES):
         w[AMBIENT * LANES + i] = w[(AMBIENT + 1) * LANES + i] = real(0.0)
 
@@ -150,6 +160,7 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
     """Advance fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
     w, ticks = np.zeros(ROWS * LANES, real), commands.shape[1]
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
+    places = np.empty(3 * LANES, np.int64)
     q, v, attached = state
     mass, kp, kv, kb, zero, water = swimmer
     mean, rms, row, offset, turn = current
@@ -170,15 +181,16 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
         load(w, OFFSET, offset, block)
         load(w, TURN, turn, block)
         load(w, CLOCK, clock, block)
-        load_delay(w, delay, block)
+        load_delay(w, places, delay, block)
         load_commands(line, buffer, commands, block)
         for k in range(ticks):
-            pick_commands(w, line, k)
+            pick_commands(w, line, places, k)
             if gust:
                 gust_flow(w, table, cells)
             else:
                 centres(w)
-                spatial_flow(w, table, cells, cell)
+                grid(w, cells, cell)
+                spatial_flow(w, table, cells)
             for i in range(LANES):
                 w[CLOCK * LANES + i] += real(1.0)
                 w[POWER * LANES + i] = real(0.0)

@@ -1,0 +1,82 @@
+"""The code generator: its text is the physics, its elementary functions are accurate, its files are whole."""
+
+import threading
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
+
+from fishmj import engines  # noqa: E402
+from fishmj.engines import approx, codegen, native  # noqa: E402
+from fishmj.errors import ConfigError  # noqa: E402
+from fishmj.hydro_fit import chain  # noqa: E402
+from fishmj.mjcf.description import load_robot  # noqa: E402
+
+
+@pytest.mark.parametrize("name", ["fish", "tendon_fish"])
+def test_generated_text_is_chain_step_in_numpy(name):
+    robot = load_robot(name)
+    program, rows = native.generate(robot, "physics")
+    ch, sw = chain.chain_of(robot), chain.nominal(robot)
+    n, rng = ch.n, np.random.default_rng(3)
+    q, v, flow = rng.normal(size=(n + 2, 50)), rng.normal(size=(n + 2, 50)), rng.normal(size=(n, 2, 50))
+    target, ambient, attached = rng.normal(size=(n - 1, 50)), rng.normal(size=(2, 50)), rng.uniform(size=50)
+    expected = chain.step(np, ch, sw, list(q), list(v), attached, list(target), list(flow), ambient)
+    values = [*q, *v, attached, *target, *flow.reshape(2 * n, 50), *ambient]
+    values += [*sw.mass, *sw.kp, *sw.kv, *sw.kb, *sw.zero, *engines.flat_water(sw.water), 0.0]
+    scope = {key: getattr(np, key) for key in ("sqrt", "sin", "cos", "exp", "absolute", "maximum", "minimum", "where")}
+    scope |= {"atan2": np.arctan2, "real": np.float64}
+    order = [row for row in native.flat(list(native.names_of(n).values())) if row in program.inputs]
+    scope |= dict(zip(order, values, strict=True))
+    exec(program.numbers() + program.assignments(), scope)  # noqa: S102  the text under test
+    got = np.array([np.broadcast_to(scope[name], 50) for name in program.outputs])
+    np.testing.assert_allclose(got, np.array([*expected.q, *expected.v, expected.attached, expected.power]), rtol=0, atol=1e-10)
+    assert len(rows) == len(program.outputs) == 2 * n + 6
+
+
+def test_generator_drops_what_nobody_asks_for_and_what_is_zero():
+    program = codegen.trace(lambda a: [a[0] * 2 + 0.0 * a[1], (a[0] * 2) * (2 * a[0]) + 1.0 * a[1]], ["x", "y"])
+    assert program.lines == (("v0", "x * k0"), ("v1", "v0 * v0"), ("v2", "y + v1")) and program.constants == {"k0": 2.0}
+
+
+def test_generator_names_an_operation_that_it_cannot_write():
+    with pytest.raises(ConfigError, match="'tanh'.*it knows.*atan2"):
+        codegen.trace(lambda a: [jnp.tanh(a[0])], ["x"])
+
+
+@pytest.mark.parametrize("precision,bounds", [(approx.SINGLE, (2e-7, 4e-7, 4e-7)), (approx.DOUBLE, (4e-15, 4e-15, 4e-15))])
+def test_elementary_functions_are_accurate_to_their_precision(precision, bounds):
+    real = np.dtype(precision.name).type
+    scope = {"np": np, "njit": numba.njit, "MATH": {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}}
+    scope |= {"real": real, "whole": np.dtype(precision.integer).type, "floor": np.floor, "absolute": np.absolute}
+    exec(approx.source(precision), scope)  # noqa: S102  the text under test
+    rng = np.random.default_rng(5)
+    turns = np.concatenate([np.linspace(-10, 10, 2001), rng.uniform(-1e4, 1e4, 2000)]).astype(real)
+    powers = np.linspace(-80, 80, 4001).astype(real)
+    y, x = rng.normal(size=(2, 4001)).astype(real)
+    y[:3], x[:3] = 0, [1, -1, 0]
+    every = numba.njit(lambda f, a: np.array([f(b) for b in a]))
+    angles = numba.njit(lambda f, a, c: np.array([f(a[i], c[i]) for i in range(len(a))]))
+    wide = np.longdouble
+    for name in ("sin", "cos"):
+        assert np.abs(every(scope[name], turns) - getattr(np, name)(turns.astype(wide))).max() < bounds[0]
+    assert np.abs(every(scope["exp"], powers) / np.exp(powers.astype(wide)) - 1).max() < bounds[1]
+    assert np.abs(angles(scope["atan2"], y, x) - np.arctan2(y.astype(wide), x.astype(wide))).max() < bounds[2]
+
+
+def test_racing_writers_leave_a_whole_file(tmp_path):
+    text, path = "x = 1\n" * 20_000, tmp_path / "new" / "module.py"
+    seen = []
+
+    def write():
+        native.keep(path, text)
+        seen.append(path.read_text() == text)
+
+    racers = [threading.Thread(target=write) for _ in range(16)]
+    for racer in racers:
+        racer.start()
+    for racer in racers:
+        racer.join()
+    assert seen == [True] * 16 and [p.name for p in path.parent.iterdir()] == ["module.py"]
