@@ -1,0 +1,106 @@
+"""Controllers for station holding behind one interface: egocentric, all trials at once.
+
+    controller = make("dob", robot)             a name of NAMES, a shipped policy, or a policy file
+    controller.reset(n)
+    commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
+
+A controller sees the 11 observations only, noisy and late: no flow, no pose. What they know of the fish is
+data/calib/controllers.toml; how their gains were found is docs/controllers.md.
+
+    drift      joints at zero
+    pd         CPG + PD on the line of sight
+    pi         CPG + PI on the position vector
+    dob        CPG + flow observer: the bar
+    adrc-c1    proportional navigation + ADRC (also c2, c3)
+"""
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from fishmj.controllers.gains import gains_of
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf.description import Robot, load_robot
+
+NAMES = ("drift", "pd", "pi", "dob", "adrc-c1", "adrc-c2", "adrc-c3")
+POLICIES = Path(__file__).resolve().parent.parent / "policies"
+
+
+class Controller(Protocol):
+    """What `make` returns."""
+
+    name: str
+
+    def reset(self, n: int) -> None:
+        """Start n trials."""
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """obs (B, 5 + 2 J) -> the control step's bus commands (B, T, J), rad."""
+
+
+def make(name: "str | Path", robot: "Robot | str" = "fish", **options: Any) -> Controller:
+    """A controller by name, or a policy by name or file.
+
+    Args:
+        options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
+
+    Raises:
+        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for.
+    """
+    robot, name = load_robot(robot), str(name)
+    if name.endswith(".safetensors") or name in shipped_policies():
+        if options:
+            raise ConfigError(f"controller {name}: a policy has no gains, got {', '.join(options)}")
+        return _learned(robot, name)
+    if name not in NAMES:
+        raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
+    if name == "drift":
+        if options:
+            raise ConfigError(f"controller drift: has no gains, got {', '.join(options)}")
+        from fishmj.controllers.drift import Drift
+
+        return Drift(robot)
+    return _classical(robot, name, options)
+
+
+def shipped_policies() -> list[str]:
+    """Names of the policies in this build."""
+    return sorted(p.stem for p in POLICIES.glob("*.safetensors"))
+
+
+def _learned(robot: Robot, name: str) -> Controller:
+    from fishmj.controllers.learned import Learned
+    from fishmj.policy import Policy
+
+    return Learned(robot, Policy.load(name), Path(name).stem)
+
+
+def _classical(robot: Robot, name: str, options: dict) -> Controller:
+    from fishmj.controllers.adrc import Adrc
+    from fishmj.controllers.cpg import Cpg, Rates
+    from fishmj.controllers.gait import Throttle
+    from fishmj.controllers.helm import Helm
+    from fishmj.controllers.observer import FlowObserver
+    from fishmj.controllers.pursuit import Pursuit
+    from fishmj.controllers.sense import Navigator
+
+    gait, k = gains_of("gait"), gains_of(name, options)
+    lag = np.radians(gait["lag_deg"])
+    if len(lag) != robot.n_joints:
+        raise ConfigError(
+            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
+        )
+    quick, bend = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
+    rates = Rates(frequency=gait["frequency_rate"], amplitude=quick, bias=bend)
+    cpg, navigator = Cpg(robot, lag, rates), Navigator(robot, gait["wobble"])
+    if name.startswith("adrc"):
+        low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
+        return Adrc(name, cpg, Throttle(gait, low, high), navigator, k)
+    helm = Helm(robot, gait, cpg, k)
+    if name == "dob":
+        return FlowObserver(helm, navigator, k, gait["glide"])
+    return Pursuit(name, helm, navigator, k)
+
+
+__all__ = ["NAMES", "Controller", "make", "shipped_policies"]

@@ -1,0 +1,60 @@
+"""Central pattern generator: one travelling wave for every model-based controller, 50 Hz commands, continuous in phase.
+
+    phi' = 2 pi f,     c_i = A sin(phi - lag_i) + bias / J                    [rad], i = 1..J
+
+Frequency f, amplitude A and bias (summed over the joints; positive bends the tail to the right, which turns the fish to
+the right) move towards their goals at a limited rate, so that no chunk starts with a jump.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.engines import ticks_per
+from fishmj.mjcf.description import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """How fast the goals are followed."""
+
+    frequency: float  # Hz/s
+    amplitude: float  # rad/s
+    bias: float  # rad/s
+
+
+class Cpg:
+    """B oscillators.
+
+    Args:
+        robot: gives bus ticks and the command path; under `hold` a chunk repeats the wave's value at its middle.
+        lag: (J,) rad behind the phase.
+        rates: limits on how fast f, A and bias may move.
+    """
+
+    def __init__(self, robot: Robot, lag, rates: Rates):
+        self.lag, self.rates = np.asarray(lag, float), rates
+        self.ticks = ticks_per(robot)[1]
+        self.dt = robot.timing.bus_dt
+        self.hold = robot.timing.command_path == "hold"
+        self.reset(0)
+
+    def reset(self, n: int) -> None:
+        """n oscillators at rest: no amplitude, no bias, phase zero."""
+        self.phase, self.frequency, self.amplitude, self.bias = (np.zeros(n) for _ in range(4))
+
+    def __call__(self, frequency, amplitude, bias) -> np.ndarray:
+        """The next control step's commands, (B, T, J) rad, for goals f [Hz], A [rad] and bias [rad], each (B,)."""
+        f = self._towards(self.frequency, frequency, self.rates.frequency)
+        a = self._towards(self.amplitude, amplitude, self.rates.amplitude)
+        b = self._towards(self.bias, bias, self.rates.bias)
+        phase = self.phase[:, None] + 2 * np.pi * self.dt * np.cumsum(f, 1)
+        wave = a[..., None] * np.sin(phase[..., None] - self.lag) + b[..., None] / len(self.lag)
+        self.phase, self.frequency, self.amplitude, self.bias = phase[:, -1] % (2 * np.pi), f[:, -1], a[:, -1], b[:, -1]
+        return np.repeat(wave[:, [self.ticks // 2 - 1]], self.ticks, 1) if self.hold else wave
+
+    def _towards(self, now, goal, rate: float):
+        """A straight line (B, T) from `now` to what of `goal` can be reached in the control step; values at the ticks' ends."""
+        most = rate * self.ticks * self.dt
+        share = (np.arange(self.ticks) + 1) / self.ticks
+        return now[:, None] + np.clip(goal - now, -most, most)[:, None] * share

@@ -1,0 +1,26 @@
+"""Gains of the controllers: data/calib/controllers.toml, every one with unit and source."""
+
+from functools import cache
+
+from fishmj.calib import calib_folder, read_toml
+from fishmj.errors import UnknownName
+
+
+@cache
+def _file() -> dict:
+    return read_toml(calib_folder() / "controllers.toml")
+
+
+def gains_of(section: str, changes: dict | None = None) -> dict:
+    """Values of one section, some of them changed.
+
+    A section with `like = "other"` starts from that section. Raises UnknownName for a gain that does not exist.
+    """
+    table = dict(_file()[section])
+    base = table.pop("like", None)
+    values = gains_of(base) if base else {}
+    values.update({key: entry["value"] for key, entry in table.items()})
+    for key in changes or {}:
+        if key not in values:
+            raise UnknownName(f"gain of {section}", key, values)
+    return {**values, **(changes or {})}

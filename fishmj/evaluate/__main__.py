@@ -1,0 +1,121 @@
+"""Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from fishmj import console, controllers, engines
+from fishmj.errors import ConfigError, MissingExtra, UnknownName
+from fishmj.evaluate import protocol, tables
+from fishmj.evaluate.driver import Result, run
+from fishmj.evaluate.statistics import compare
+from fishmj.flow import PRESETS
+from fishmj.mjcf.description import COMMAND_PATHS, load_robot
+
+WATERS = ("structured",)
+FALLBACKS = ("compiled", "planar")
+
+
+def options(argv: list[str]):
+    """Parsed arguments."""
+    parser = console.parser("evaluate", __doc__)
+    add = parser.add_argument
+    add("controllers", nargs="+", metavar="CONTROLLER", help=f"{', '.join(controllers.NAMES)}, a shipped policy or a policy file")
+    add("--robot", default="fish", help="shipped name or TOML file")
+    add("--water", default="structured", help=", ".join(WATERS))
+    add("--turbulence", default="default", help=", ".join(PRESETS))
+    add("--intensity", type=float, default=None, help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
+    add("--speeds", type=numbers, default=None, metavar="M/S,..", help="default 0.1,0.2,0.3")
+    add("--los", type=numbers, default=None, metavar="DEG,..", help="default 0,45,..,315; 0 = target straight upstream")
+    add("--repeats", type=int, default=None, help="default 3")
+    add("--heading", default="upstream", help=", ".join(protocol.HEADINGS))
+    add("--engine", default="batch", help=f"{', '.join(engines.NAMES)}; the judge is batch (MuJoCo C)")
+    add("--duration", type=float, default=None, help="s, default 60")
+    add("--seed", type=int, default=0)
+    add("--seeds", default="judge", help="judge, or tune for choosing gains and checkpoints")
+    add("--command-path", default=None, help=", ".join(COMMAND_PATHS))
+    add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
+    add("--no-noise", action="store_true", help="exact observations")
+    add("--out", type=Path, default=None, metavar="DIR", help="report.html, results.json, trials.csv")
+    add("--plots", action="store_true", help="with --out: pictures too, also in the report")
+    add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay")
+    return parser.parse_args(argv)
+
+
+def numbers(text: str) -> list[float]:
+    """`0.1,0.2` -> [0.1, 0.2]."""
+    return [float(part) for part in text.split(",") if part]
+
+
+def main(argv: list[str]) -> int:
+    args = options(argv)
+    if args.water not in WATERS:
+        raise UnknownName("water", args.water, WATERS)
+    if (args.plots or args.log) and args.out is None:
+        raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
+    robot = load_robot(args.robot)
+    if args.command_path is not None:
+        if args.command_path not in COMMAND_PATHS:
+            raise UnknownName("command path", args.command_path, COMMAND_PATHS)
+        robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
+    trials = protocol.trials(
+        speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds, turbulence=args.turbulence,
+        intensity=args.intensity, heading=args.heading, randomisation=0.0 if args.no_randomisation else 1.0,
+        noise=0.0 if args.no_noise else 1.0, duration=args.duration,
+    )  # fmt: skip
+    brains = [controllers.make(name, robot) for name in args.controllers]  # a wrong name fails before anything runs
+    engine = choose_engine(args.engine, robot)
+    results = [judge(brain, robot, trials, engine) for brain in brains]
+    return report(results, args)
+
+
+def choose_engine(name: str, robot):
+    """The engine asked for; without batched MuJoCo the next one that is installed, with a note."""
+    if name not in engines.NAMES:
+        raise UnknownName("engine", name, engines.NAMES)
+    for option in (name, *FALLBACKS) if name == "batch" else (name,):
+        try:
+            made = engines.make(option, robot)
+        except (MissingExtra, ModuleNotFoundError) as error:
+            reason = error
+            continue
+        if option != name:
+            console.warn(f"engine {name} is not available ({reason}); judged on {option} instead")
+        return made
+    raise ConfigError(f"engine {name}: not available in this build: {reason}")
+
+
+def judge(brain, robot, trials, engine) -> Result:
+    """One controller over all trials, with a progress line in simulated seconds."""
+    with console.Progress(trials.duration * len(trials), f"judge {brain.name}", unit="sim s") as bar:
+        done = robot.timing.control_dt * len(trials)
+        return run(brain, robot, trials, engine, progress=lambda step: bar.update(step * done))
+
+
+def report(results: list[Result], args) -> int:
+    """Tables to the terminal, files where asked."""
+    summaries = [r.summary() for r in results]
+    console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
+    console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
+    for s in summaries:
+        console.say("", f"{s['controller']} by flow speed", tables.by_condition(s, "by_speed"))
+        console.say("", f"{s['controller']} by direction (0 = target straight upstream)", tables.by_condition(s, "by_los"))
+    pairs = [(results[0], other) for other in results[1:]]
+    for a, b in pairs:
+        console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; * = the interval excludes 0")
+        console.say(tables.paired(a, b))
+    found = {
+        "condition": tables.condition(results[0]),
+        "results": summaries,
+        "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for a, b in pairs for d in compare(a, b)],
+    }
+    if args.out is not None:
+        from fishmj.evaluate.report import write
+
+        console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log)}")
+    if args.json:
+        console.emit_json(found)
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

@@ -1,0 +1,100 @@
+"""Judged trials as trial folders (`fishmj.log`), for replay and for whoever wants the time series."""
+
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from fishmj import __version__
+from fishmj.engines.planar import link_centres
+from fishmj.evaluate.driver import Result
+from fishmj.flow import sample, stack
+from fishmj.hydro_fit.chain import chain_of
+from fishmj.log import SCHEMA, Trial, numbered, write_trial
+
+BLOCK = 200  # ticks whose flow is looked up at once
+
+
+def trial_of(r: Result, i: int) -> Trial:
+    """Trial i of a result in the log's schema, origin "synthetic".
+
+    `joint` and `pose` are the exact state; what the sensors made of it is `obs`.
+    """
+    t, start, step = r.t[1:], r.t[:-1], r.robot.timing.control_dt
+    servo, item, flow = r.robot.servo, r.trials.items[i], r.trials.flows()[i]
+    decisions = np.arange(r.obs.shape[1]) * step
+    pose, velocity, joint, rate = (x[i, 1:] for x in (r.pose, r.velocity, r.joint, r.rate))
+    names = ("x", "y", "yaw", "vx", "vy", "wz")
+    tables = {
+        "cmd": {"t": start, **numbered("c#", r.command[i])},
+        "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
+        "pose": {"t": t, "x": pose[:, 0], "y": pose[:, 1], "yaw": pose[:, 2]},
+        "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": r.power[i] / servo.voltage},
+        "truth": {
+            "t": t,
+            **dict(zip(names, [*pose.T, *velocity.T], strict=True)),
+            **numbered("j#", joint),
+            **numbered("k#", rate),
+        },
+        "obs": {"t": decisions, **numbered("o#", r.obs[i])},
+        "target": {"t": np.zeros(1), "x": r.target[i, :1], "y": r.target[i, 1:]},
+        "flow": {"t": start, **_flow_at_links(r, i)},
+    }
+    if r.action is not None:
+        tables["action"] = {"t": decisions, **numbered("a#", r.action[i])}
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": r.robot.name,
+        "medium": "water",
+        "flow": {**asdict(flow), "known": True},
+        "water": "structured",
+        "root": "planar",
+        "engine": r.engine,
+        "controller": r.controller,
+        "target": r.target[i].tolist(),
+        "seed": int(item.seed[0]),
+        "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
+        "excitation": "station holding",
+        "clock": {name: "simulation" for name in tables},
+        "versions": {"fishmj": __version__, "numpy": np.__version__, "mujoco": _version("mujoco")},
+        "source": "fishmj.evaluate",
+        "licence": "Apache-2.0",
+        "notes": "simulated; joint and pose are exact, obs is what the controller saw",
+    }
+    return Trial(meta, tables)
+
+
+def name_of(r: Result, i: int) -> str:
+    """Folder name of trial i: `dob_u0.2_los045_r1`."""
+    t = r.trials.items[i]
+    return f"{r.controller}_u{t.speed:g}_los{round(np.degrees(t.los)) % 360:03d}_r{t.repeat}"
+
+
+def write_logs(r: Result, folder: Path) -> list[Path]:
+    """Every trial as a folder under `folder`."""
+    return [write_trial(folder / name_of(r, i), trial_of(r, i), overwrite=True) for i in range(len(r.trials))]
+
+
+def _flow_at_links(r: Result, i: int) -> dict:
+    """Water velocity at the link centres at the start of each tick, as columns."""
+    current, chain = stack([r.trials.flows()[i]]), chain_of(r.robot)
+    q = np.concatenate([r.pose[i], r.joint[i]], -1)[:-1]
+    rows = []
+    for first in range(0, len(q), BLOCK):
+        some = q[first : first + BLOCK]
+        tick = first + np.arange(len(some))
+        many = current._replace(
+            **{name: np.repeat(getattr(current, name), len(some), 0) for name in ("mean", "rms", "row", "offset", "turn")}
+        )
+        rows.append(sample(np, many, link_centres(np, chain, some), tick)[0])
+    u = np.concatenate(rows)
+    return {**numbered("u#x", u[:, :, 0]), **numbered("u#y", u[:, :, 1])}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

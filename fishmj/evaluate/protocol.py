@@ -1,0 +1,156 @@
+"""The 72 trials: 3 speeds x 8 directions x 3 repeats, each drawn from its own seed, the same for every controller.
+
+    target - start = distance (cos, sin)(upstream + los),   their midpoint at the tank's centre
+los = 0: target straight upstream; positive: to the left of a fish that faces upstream. The water moves to tank +x (where the
+axes point is a matter of convention: all figures are relative to the stream), so upstream is -x.
+A trial's draws depend on (seed, box, speed, los, repeat) only: a subset of the trials is made of the very same trials.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import flow as background
+from fishmj.calib import constant
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.flow import Flow
+from fishmj.mjcf.description import Robot
+from fishmj.tasks import station_hold as task
+
+HEADINGS = ("upstream", "uniform")
+SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
+FIELDS = 4  # independent streams of one trial: fish, flow, heading, sensor noise
+
+
+class Trial(NamedTuple):
+    """One trial's condition and its seed."""
+
+    speed: float  # m/s
+    los: float  # rad
+    repeat: int
+    seed: tuple[int, ...]  # (seed, box, speed in 0.1 mm/s, los in 0.01 deg, repeat)
+
+    def draw(self, stream: int) -> np.random.Generator:
+        """A fresh generator of one of this trial's streams."""
+        return np.random.default_rng([*self.seed, stream])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trials:
+    """What is judged: a list of trials and what they have in common."""
+
+    items: tuple[Trial, ...]
+    turbulence: str
+    intensity: float
+    heading: str
+    box: str
+    direction: float  # rad, where the water moves to
+    randomisation: float
+    noise: float
+    duration: float  # s
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """(n,) m/s."""
+        return np.array([t.speed for t in self.items])
+
+    @property
+    def los(self) -> np.ndarray:
+        """(n,) rad."""
+        return np.array([t.los for t in self.items])
+
+    @property
+    def upstream(self) -> float:
+        """Heading against the mean stream, rad."""
+        return self.direction + np.pi
+
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Start pose (n, 3) and target (n, 2), tank frame, m and rad."""
+        bearing = self.upstream + self.los
+        target = 0.5 * constant("protocol", "distance") * np.stack([np.cos(bearing), np.sin(bearing)], -1)
+        heading = np.full(len(self), self.upstream)
+        if self.heading == "uniform":
+            heading += 2 * np.pi * np.array([t.draw(2).random() for t in self.items])
+        return np.concatenate([-target, heading[:, None]], 1), target
+
+    def flows(self) -> list[Flow]:
+        """The background flow of each trial."""
+        seeds = [int(t.draw(1).integers(2**31)) for t in self.items]
+        box = background.BOXES[self.box]
+        kind = {"direction": self.direction, "turbulence": self.turbulence, "intensity": self.intensity, "box": box}
+        return [Flow(speed=t.speed, seed=seed, **kind) for t, seed in zip(self.items, seeds, strict=True)]
+
+    def fish(self, robot: Robot):
+        """Randomised fish: (FishParams, camera delay in bus ticks (n,))."""
+        uniforms = np.stack([t.draw(0).random(task.n_fish(robot)) for t in self.items])
+        return task.draw_fish(np, robot, uniforms, self.randomisation)
+
+    def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:
+        """Standard normal draws times the wanted strength, (n, steps, 5 + 2 J)."""
+        shape = (steps, 5 + 2 * robot.n_joints)
+        return self.noise * np.stack([t.draw(3).standard_normal(shape) for t in self.items])
+
+
+def trials(
+    *,
+    speeds=None,
+    los_deg=None,
+    repeats: int | None = None,
+    seed: int = 0,
+    box: str = "judge",
+    turbulence: str = "default",
+    intensity: float | None = None,
+    heading: str = "upstream",
+    direction: float = 0.0,
+    randomisation: float = 1.0,
+    noise: float = 1.0,
+    duration: float | None = None,
+) -> Trials:
+    """The decided 72 trials, or a part of them.
+
+    Args:
+        speeds: some of 0.1, 0.2, 0.3 m/s (others are possible and said so in the tables).
+        los_deg: some of 0, 45, .. 315. repeats: 1 to 3 (more are possible).
+        heading: of the start, "upstream" or "uniform".
+        randomisation, noise: 0 switches them off.
+
+    Raises:
+        ConfigError, UnknownName: a setting that cannot be.
+    """
+    get = lambda key: constant("protocol", key)  # noqa: E731
+    speeds = tuple(get("speeds") if speeds is None else speeds)
+    los_deg = tuple(get("bearings_deg") if los_deg is None else los_deg)
+    repeats = get("repeats") if repeats is None else repeats
+    duration = get("duration") if duration is None else duration
+    names = (("heading", heading, HEADINGS), ("seeds", box, SETS), ("turbulence", turbulence, background.PRESETS))
+    for kind, name, known in names:
+        if name not in known:
+            raise UnknownName(kind, name, known)
+    if not speeds or not los_deg or repeats < 1:
+        raise ConfigError(f"trials: {len(speeds)} speeds x {len(los_deg)} directions x {repeats} repeats is nothing to judge")
+    if not all(0 <= u <= 1 for u in speeds):
+        raise ConfigError(f"trials: speeds = {list(speeds)} m/s; expected 0 to 1 m/s, usually 0.1, 0.2, 0.3")
+    if seed < 0:
+        raise ConfigError(f"trials: seed = {seed}; expected 0 or more")
+    if not 1 <= duration <= 600:
+        raise ConfigError(f"trials: duration = {duration} s; expected 1 to 600 s, usually 60")
+    key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))  # noqa: E731
+    items = tuple(
+        Trial(float(u), float(np.radians(b)), r, (*key(u, b), r)) for u, b, r in product(speeds, los_deg, range(repeats))
+    )
+    return Trials(
+        items=items,
+        turbulence=turbulence,
+        intensity=constant("turbulence", "intensity") if intensity is None else intensity,
+        heading=heading,
+        box=box,
+        direction=direction,
+        randomisation=randomisation,
+        noise=noise,
+        duration=duration,
+    )

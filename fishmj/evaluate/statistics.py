@@ -1,0 +1,118 @@
+"""From one figure a trial to a statement: means with bootstrap intervals, by condition, and paired comparisons.
+
+    interval      percentile bootstrap over trials, 95 %, fixed seed (Efron & Tibshirani 1993)
+    difference    mean of b_i - a_i over the trials that both have, its bootstrap interval, and Welch's t-test of a against b
+
+Approach time is a median over the trials that arrive; every other key is a mean over the trials that have it.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.errors import ConfigError
+from fishmj.evaluate.driver import Result
+from fishmj.evaluate.metrics import UNITS, figures
+
+RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
+MEDIANS = ("approach_time",)
+
+
+class Estimate(NamedTuple):
+    """A figure with its interval over n trials."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+
+
+class Difference(NamedTuple):
+    """b minus a, trial by trial, and Welch's test of the two samples."""
+
+    key: str
+    value: float
+    low: float
+    high: float
+    n: int
+    welch_t: float
+    welch_p: float
+
+
+def statistic(key: str) -> Callable:
+    """How a key is gathered over trials: a function of (array, axis)."""
+    return np.median if key in MEDIANS else np.mean
+
+
+def estimate(key: str, values) -> Estimate:
+    """Gather (n,) figures, NaN left out, with a bootstrap interval over trials."""
+    x = np.asarray(values, float)
+    x = x[np.isfinite(x)]
+    if not len(x):
+        return Estimate(np.nan, np.nan, np.nan, 0)
+    gather = statistic(key)
+    low, high = _interval(gather(_resampled(x), -1))
+    return Estimate(float(gather(x)), low, high, len(x))
+
+
+def difference(key: str, a, b) -> Difference:
+    """Paired difference b - a of (n,) figures of the same trials; pairs with a NaN are left out."""
+    from scipy.stats import ttest_ind
+
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both], b[both]
+    if not len(a):
+        return Difference(key, np.nan, np.nan, np.nan, 0, np.nan, np.nan)
+    low, high = _interval(_resampled(b - a).mean(-1))
+    differ = len(a) > 1 and (np.ptp(a) > 0 or np.ptp(b) > 0)
+    t, p = ttest_ind(b, a, equal_var=False) if differ else (np.nan, np.nan)
+    return Difference(key, float(np.mean(b - a)), low, high, len(a), float(t), float(p))
+
+
+def _resampled(x) -> np.ndarray:
+    """(RESAMPLES, n) draws with replacement, the same for every key and controller of n trials."""
+    return x[np.random.default_rng(SEED).integers(len(x), size=(RESAMPLES, len(x)))]
+
+
+def _interval(draws) -> tuple[float, float]:
+    tail = (1 - LEVEL) / 2
+    low, high = np.quantile(draws, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def summary(result: Result) -> dict:
+    """Every key over all trials, by speed and by direction; plain numbers, ready for JSON.
+
+    Returns:
+        {"controller", "n", "overall": {key: {value, low, high, n, unit}}, "by_speed": {"0.1": ..}, "by_los": {"45": ..}}
+    """
+    found = figures(result)
+    trials = result.trials
+    degrees = np.round(np.degrees(trials.los)).astype(int)
+    return {
+        "controller": result.controller,
+        "n": len(trials),
+        "overall": gather(found),
+        "by_speed": {f"{u:g}": gather(found, trials.speed == u) for u in np.unique(trials.speed)},
+        "by_los": {f"{b}": gather(found, degrees == b) for b in np.unique(degrees)},
+        "left_domain": int(np.sum(result.left < len(result.t))),
+    }
+
+
+def gather(found: dict, rows=slice(None)) -> dict:
+    """{key: {value, low, high, n, unit}} of some trials."""
+    return {key: {**estimate(key, x[rows])._asdict(), "unit": UNITS[key]} for key, x in found.items()}
+
+
+def compare(first: Result, second: Result) -> list[Difference]:
+    """second minus first for every key, over the same trials.
+
+    Raises:
+        ConfigError: the two were not judged on the same trials.
+    """
+    if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
+        raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
+    a, b = figures(first), figures(second)
+    return [difference(key, a[key], b[key]) for key in UNITS]

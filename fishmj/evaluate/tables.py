@@ -1,0 +1,79 @@
+"""Tables for the terminal and the report: aligned, with units and intervals, every condition named."""
+
+from fishmj import console
+from fishmj.evaluate.driver import Result
+from fishmj.evaluate.statistics import compare
+
+SHORT = {  # key -> heading, digits
+    "arrival": ("arrival", 3),
+    "approach_time": ("approach [s]", 1),
+    "rmse_after_arrival": ("rmse after [m]", 3),
+    "rmse_last20": ("rmse last 20 s [m]", 3),
+    "rmse_total": ("rmse total [m]", 3),
+    "power": ("power [W]", 2),
+    "energy_per_metre": ("energy [J/m]", 1),
+    "cost_of_transport": ("CoT", 2),
+    "rheotactic_index": ("RI cos", 3),
+    "rheotactic_index_linear": ("RI lin", 3),
+}
+MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
+REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
+
+
+def condition(result: Result) -> str:
+    """One line that names everything that a figure depends on."""
+    t = result.trials
+    speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
+    turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
+    switch = lambda on: "on" if on else "off"  # noqa: E731
+    return (
+        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water structured, engine {result.engine}, "
+        f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
+        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}"
+    )
+
+
+def overall(summaries: list[dict], keys=MAIN) -> str:
+    """One row a controller: value and 95 % interval over trials."""
+    rows = []
+    for s in summaries:
+        row = {"controller": s["controller"]}
+        for key in keys:
+            row[SHORT[key][0]] = cell(key, s["overall"][key])
+        rows.append(row)
+    return console.table(rows)
+
+
+def cell(key: str, e: dict, interval: bool = True) -> str:
+    """`0.052 (0.048 0.057)`; the median over arrivals says their number."""
+    digits = SHORT[key][1]
+    if e["n"] == 0:
+        return "-"
+    text = f"{e['value']:.{digits}f}"
+    if interval:
+        text += f" ({e['low']:.{digits}f} {e['high']:.{digits}f})"
+    return f"{text} n={e['n']}" if key == "approach_time" else text
+
+
+def by_condition(summary: dict, which: str, keys=MAIN) -> str:
+    """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
+    head = {"by_speed": "flow [m/s]", "by_los": "los [deg]"}[which]
+    order = sorted(summary[which], key=float)
+    return console.table(
+        [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
+    )
+
+
+def paired(first: Result, second: Result, keys=MAIN) -> str:
+    """second minus first, trial by trial: mean difference, its interval, Welch's t-test."""
+    rows = []
+    for d in compare(first, second):
+        if d.key not in keys:
+            continue
+        head, digits = SHORT[d.key]
+        clear = d.low > 0 or d.high < 0
+        row = {"key": head, f"{second.controller} - {first.controller}": f"{d.value:+.{digits}f}" if d.n else "-"}
+        row["95 % interval"] = f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if clear else ''}" if d.n else "-"
+        row |= {"pairs": d.n, "Welch t": f"{d.welch_t:.2f}" if d.n else "-", "Welch p": f"{d.welch_p:.2g}" if d.n else "-"}
+        rows.append(row)
+    return console.table(rows)
