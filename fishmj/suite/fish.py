@@ -1,0 +1,157 @@
+"""The fish domain: `rl.control` tasks made from `fishmj.tasks`, one factory a task.
+
+    observation   target (2) m, velocity (2) m/s, yaw_rate (1) rad/s, joint (3) rad, joint_rate (3) rad/s, body frame, as the
+                  camera and the encoders give them; `flat_observation=True` joins them in this order
+    action        (3,) in [-1, 1]: desired joint angles over +-60 deg
+    end           left the domain: LAST with discount 0. Time is up: LAST with discount 1, which is how dm_env marks a truncation:
+                  bootstrap from it.
+
+The flow is in `env.task.scenario` for logs; no observation has it.
+"""
+
+from collections import OrderedDict
+from dataclasses import fields
+
+import numpy as np
+from dm_control.rl import control
+from dm_control.suite import base
+from dm_control.utils import containers
+from dm_env import specs
+
+from fishmj.errors import ConfigError
+from fishmj.suite.physics import Physics
+from fishmj.tasks import station_hold as task
+from fishmj.tasks.episode import Rules, Scenario, Setting
+
+SUITE = containers.TaggedTasks()
+DOMAIN = "fish"
+
+
+@SUITE.add("benchmarking")
+def station_hold(random=None, environment_kwargs=None, root="planar", **setting):
+    """Swim to a target and keep it in a current that the fish cannot sense. Options: `tasks.episode.Setting`."""
+    return environment("station_hold", {}, random, environment_kwargs, root, setting)
+
+
+@SUITE.add("benchmarking")
+def figure_eight(random=None, environment_kwargs=None, root="planar", speed=None, cycles=None, phase=None, **setting):
+    """Follow a point on a figure eight at constant speed. Options: speed m/s, cycles, phase m (None draws it), and `Setting`."""
+    course = {k: v for k, v in (("speed", speed), ("cycles", cycles), ("phase", phase)) if v is not None}
+    return environment("figure_eight", course, random, environment_kwargs, root, setting)
+
+
+@SUITE.add()
+def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=None, **setting):
+    """Start on the target, turned from upstream by `angle` rad (None draws one of the paper's four); and `Setting`."""
+    return environment("angle_of_attack", {"angle": angle}, random, environment_kwargs, root, setting)
+
+
+def environment(name: str, course: dict, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
+    """One dm_control environment.
+
+    Raises:
+        ConfigError, UnknownName: an option that does not exist or cannot be.
+    """
+    rules = Rules(name, chosen(setting), **course)
+    options = dict(environment_kwargs or {})
+    for key in ("time_limit", "control_timestep", "n_sub_steps"):
+        if key in options:
+            raise ConfigError(f"suite: environment_kwargs has {key!r}; set `seconds` or `control_dt` in task_kwargs instead")
+    physics = Physics.of(rules.robot, root)
+    return control.Environment(physics, FishTask(rules, random), control_timestep=rules.dt, **options)
+
+
+def chosen(setting: dict) -> Setting:
+    """A `Setting` from keyword arguments; an unknown one is one clear error."""
+    known = [f.name for f in fields(Setting)]
+    unknown = sorted(set(setting) - set(known))
+    if unknown:
+        raise ConfigError(f"task: unknown option {unknown[0]!r}; known: {', '.join(known)}")
+    return Setting(**setting)
+
+
+class FishTask(base.Task):
+    """Observation, reward, start and end of one course.
+
+    Attributes:
+        scenario: what was drawn for the running episode (batch of one): start, flow, fish, camera. Never observed.
+    """
+
+    def __init__(self, rules: Rules, random=None):
+        super().__init__(random=random)
+        self.rules = rules
+        self.scenario = rules.scenario(rules.draws(np.random.RandomState(0), 1))
+        self._start(self.scenario, np.zeros((1, rules.n_obs)))
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Draw fish, flow, start and target; everything at rest over ground."""
+        self.begin(physics, self.rules.scenario(self.rules.draws(self.random, 1)))
+        super().initialize_episode(physics)
+
+    def begin(self, physics: Physics, scenario: Scenario) -> None:
+        """Start a given episode instead of a drawn one; call inside `physics.reset_context()`."""
+        self._start(scenario, self._sensors())
+        physics.begin(scenario.launch.start.pose[0], scenario.params, scenario.current)
+        physics.place_target(self._target())
+
+    def before_step(self, action, physics: Physics) -> None:
+        """Turn the action into the bus commands of one control step."""
+        action = np.asarray(action, float)
+        if action.shape != (self.rules.n_act,) or not np.isfinite(action).all():
+            raise ConfigError(f"suite: action {action.tolist()}; expected {self.rules.n_act} finite numbers in [-1, 1]")
+        commands = task.chunk(np, self.rules.robot, self.command, action[None])
+        self.command = commands[:, -1]
+        physics.send(commands[0])
+
+    def after_step(self, physics: Physics) -> None:
+        """Move the target, take the camera's pictures, draw the sensors' noise; then colours, if wanted."""
+        trace = physics.trace()
+        if trace.pose.shape[1]:
+            self.count += 1
+            self.history = np.concatenate([self.history, trace.pose], 1)[:, -self.rules.history :]
+            self.joint, self.rate, self.trace = trace.joint[:, -1], trace.rate[:, -1], trace
+            self.normals = self._sensors()
+            physics.place_target(self._target())
+        super().after_step(physics)
+
+    def get_observation(self, physics: Physics) -> OrderedDict:
+        """The egocentric observation by name."""
+        rules, camera, target = self.rules, self.scenario.camera, self._target()[None]
+        noise = rules.noise(self.normals)
+        seen = task.observe(np, rules.robot, self.history, camera, self.joint, self.rate, target, noise)[0]
+        names = spans(rules.n_act)
+        parts = np.split(seen, np.cumsum([*names.values()])[:-1])
+        return OrderedDict((name, part.copy()) for name, part in zip(names, parts, strict=True))
+
+    def get_reward(self, physics: Physics) -> float:
+        """The paper's reward of the control step just taken."""
+        pose = self.history[:, -1]
+        distance = np.linalg.norm(pose[:, :2] - self._target(), axis=-1)
+        rates = self.rate[:, None] if self.trace is None else self.trace.rate
+        return float(self.rules.reward(distance, rates)[0])
+
+    def get_termination(self, physics: Physics) -> float | None:
+        """0.0 outside the domain, 1.0 when time is up, else None."""
+        if task.outside(np, self.history[0, -1]):
+            return 0.0
+        return 1.0 if self.count >= self.rules.limit else None
+
+    def action_spec(self, physics: Physics) -> specs.BoundedArray:
+        """(J,) in [-1, 1], float64."""
+        return specs.BoundedArray((self.rules.n_act,), float, -1.0, 1.0, name="action")
+
+    def _start(self, scenario: Scenario, normals) -> None:
+        self.scenario, self.normals, self.count, self.trace = scenario, normals, 0, None
+        self.history = np.repeat(scenario.launch.start.pose[:, None], self.rules.history, 1)
+        self.command = self.joint = self.rate = np.zeros((1, self.rules.n_act))
+
+    def _sensors(self) -> np.ndarray:
+        return self.random.standard_normal((1, self.rules.n_obs))
+
+    def _target(self) -> np.ndarray:
+        return self.rules.target(self.scenario, np.array([self.count]))[0]
+
+
+def spans(joints: int) -> dict[str, int]:
+    """Name and width of each observation, in the order of the flat vector."""
+    return {"target": 2, "velocity": 2, "yaw_rate": 1, "joint": joints, "joint_rate": joints}

@@ -1,0 +1,263 @@
+"""The fish in its water as a dm_control `Physics`: bus commands in, poses out.
+
+    planar root   Q_water - M_a a goes into qfrc_applied before each mj_step: the same step as the callback, and nothing that
+                  the process shares, so any number of environments and threads may run side by side
+    free root     the passive callback of `hydro_fit.inject`, installed during `step` only; one thread
+
+A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy` takes all of it along;
+`get_state` and `set_state` mean MuJoCo's part only.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control import mujoco as dm_mujoco
+from dm_control.mujoco import wrapper
+from dm_control.rl import control
+
+from fishmj import engines
+from fishmj.engines import FishParams
+from fishmj.engines.batch import evaluator_of
+from fishmj.engines.planar import arrived, link_centres, quantise
+from fishmj.errors import ConfigError, MissingExtra, SimDiverged
+from fishmj.flow import Current, Flow, sample
+from fishmj.hydro_fit import chain
+from fishmj.hydro_fit.inject import inject
+from fishmj.hydro_fit.wrench import FreeWater
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.model import reference_pose, reference_qpos
+from fishmj.tasks.scene import TARGET, build_scene
+
+PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
+
+
+@dataclass
+class Swim:
+    """What a fish is and remembers beyond MuJoCo's data, batch axis of 1. Arrays are replaced, never written to."""
+
+    robot: Robot
+    chain: chain.Chain
+    evaluate: Any  # None with a free root
+    params: FishParams
+    current: Current
+    attached: np.ndarray  # (1,)
+    buffer: np.ndarray  # (1, BUFFER, J) bus commands
+    pending: np.ndarray  # (T, J) bus commands not yet sent
+    steps: int  # physics steps in a bus tick
+    step: int = 0  # physics steps since the start
+    targets: list | tuple = ()  # servo targets of this tick, one (1, J) a physics step
+    water: Any = None  # (flow (1, N, 2), ambient (1, 2)) of this tick
+    yaw: float = 0.0  # unwrapped
+    power: float = 0.0  # sum over this tick's steps so far, W
+    rows: tuple = ()  # (pose, joint, rate, velocity, power) of the bus ticks since `send`
+
+
+class Physics(dm_mujoco.Physics):
+    """A fish in water; make one with `Physics.of`."""
+
+    swim: Swim
+    free_water: FreeWater | None
+
+    @classmethod
+    def of(cls, robot: Robot, root: str = "planar") -> "Physics":
+        """A straight fish at rest in still water.
+
+        Raises:
+            UnknownName: a root that does not exist.
+        """
+        physics = cls.from_model(wrapper.MjModel(build_scene(robot, root).compile()))
+        ch, free = chain.chain_of(robot), root == "free"
+        physics.free_water = FreeWater(robot) if free else None
+        model = physics.model
+        physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
+        rest = engines.at_rest(robot, [[0.0, 0.0, 0.0]])
+        physics.swim = Swim(
+            robot=robot, chain=ch, evaluate=None if free else evaluator(robot, ch), params=engines.nominal_params(robot, 1),
+            current=Flow().current(), attached=rest.attached, buffer=rest.buffer, pending=np.zeros((0, robot.n_joints)),
+            steps=engines.ticks_per(robot)[0],
+        )  # fmt: skip
+        return physics
+
+    # ---- what a task does with it ----
+
+    def begin(self, pose, params: FishParams, current: Current) -> None:
+        """Put this fish (a batch of one) at rest at pose (3,) [m, rad] in this flow. Call inside `reset_context`."""
+        self._personalise(params)
+        self.data.qpos[:] = reference_qpos(self.model.ptr, *pose, params.zero[0])
+        self.data.qvel[:] = 0.0
+        rest = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
+        self.swim = replace(  # a new one: copies made before keep theirs
+            self.swim, params=params, current=current, attached=rest.attached, buffer=rest.buffer, pending=self.swim.pending[:0],
+            step=0, targets=(), water=None, yaw=float(pose[2]), power=0.0, rows=(),
+        )  # fmt: skip
+
+    def send(self, commands) -> None:
+        """Queue bus commands (T, J) [rad], one a bus tick; the last one holds when they run out."""
+        commands = np.asarray(commands, float)
+        if commands.ndim != 2 or commands.shape[1] != self.model.nu or not np.isfinite(commands).all():
+            raise ConfigError(f"suite: commands of shape {commands.shape}; expected finite (ticks, {self.model.nu}) in rad")
+        self.swim.pending, self.swim.rows = commands, ()
+
+    def set_control(self, control) -> None:
+        """Hold one command (J,) rad; the servo obeys after its latency."""
+        self.send(np.asarray(control, float)[None])
+
+    def step(self, n_sub_steps: int = 1) -> None:
+        """Advance by physics steps. Raises dm_control's PhysicsError when the fish leaves the finite numbers."""
+        with self.check_invalid_state():
+            if self.free_water is None:
+                for _ in range(n_sub_steps):
+                    self._step_planar()
+            else:
+                self._step_free(n_sub_steps)
+            if self.legacy_step:
+                mujoco.mj_step1(self.model.ptr, self.data.ptr)
+
+    # ---- named accessors, world frame, without noise or latency ----
+
+    def reference_pose(self) -> np.ndarray:
+        """(x, y, yaw) of the reference point, m, rad; yaw counts full turns."""
+        pose = reference_pose(self.model.ptr, self.data.ptr)
+        return np.array([pose[0], pose[1], self._unwrapped(pose[2])])
+
+    def reference_velocity(self) -> np.ndarray:
+        """(x', y', yaw') of the reference point, m/s, rad/s."""
+        return reference_pose(self.model.ptr, self.data.ptr)[3:]
+
+    def joint_angles(self) -> np.ndarray:
+        """What the encoders read, (J,) rad."""
+        return self.data.qpos[-self.model.nu :] - self.swim.params.zero[0]
+
+    def joint_rates(self) -> np.ndarray:
+        """(J,) rad/s."""
+        return self.data.qvel[-self.model.nu :].copy()
+
+    def target_position(self) -> np.ndarray:
+        """(2,) m."""
+        return self.data.mocap_pos[0, :2].copy()
+
+    def place_target(self, position) -> None:
+        """Move the target to (2,) m."""
+        self.data.mocap_pos[0, :2] = position
+
+    def water_velocity(self) -> np.ndarray:
+        """Mean flow (2,) m/s; for logs, never for a policy."""
+        return np.array(self.swim.current.mean[0])
+
+    def trace(self) -> engines.Trace:
+        """Every bus tick since the last `send`, as the engines' Trace with a batch of one."""
+        if not self.swim.rows:
+            empty, joints = np.zeros((1, 0, 3)), np.zeros((1, 0, self.model.nu))
+            return engines.Trace(empty, joints, joints, empty, empty[..., 0])
+        return engines.Trace(*(np.array(column)[None] for column in zip(*self.swim.rows, strict=True)))
+
+    # ---- the loop ----
+
+    def _next_tick(self) -> None:
+        """Take the next command from the queue and look the flow up, both constant over the tick."""
+        s = self.swim
+        sent = quantise(np, s.robot, s.pending[:1]) if len(s.pending) else s.buffer[0, -1:]
+        s.buffer, s.pending, s.power = np.concatenate([s.buffer[:, 1:], sent[None]], 1), s.pending[1:], 0.0
+        if self.free_water is None:
+            centres = link_centres(np, s.chain, self.data.qpos[None])
+        else:
+            mujoco.mj_kinematics(self.model.ptr, self.data.ptr)
+            centres = np.array([[self.data.ptr.site(f"{link.name}_centre").xpos[:2] for link in s.robot.links]])
+        s.water = sample(np, s.current, centres, np.array([s.step // s.steps]))
+        s.targets = arrived(np, s.buffer, s.params.delay, s.steps, s.robot.timing.command_path == "move_time")
+
+    def _command(self) -> np.ndarray:
+        """Servo targets (1, J) of the next physics step."""
+        part = self.swim.step % self.swim.steps
+        if part == 0:
+            self._next_tick()
+        return self.swim.targets[part]
+
+    def _step_planar(self) -> None:
+        target, s, data = self._command(), self.swim, self.data.ptr
+        force, attached, power = s.evaluate(data.qpos[None], data.qvel[None], s.attached, s.params, target, *s.water)
+        data.ctrl[:], data.qfrc_applied[:] = target[0], force[0]
+        mujoco.mj_step(self.model.ptr, data)
+        self._remember(attached, float(power[0]))
+
+    def _step_free(self, n: int) -> None:
+        model, data, water = self.model.ptr, self.data.ptr, self.free_water
+        water.attached = float(self.swim.attached[0])
+        try:
+            with inject(model, water) as fish:
+                for _ in range(n):
+                    data.ctrl[:] = self._command()[0]
+                    flow, ambient = self.swim.water
+                    water.set_flow(flow[0], ambient[0])
+                    rates = [0.0, 0.0, 0.0, *data.qvel[-model.nu :]]
+                    fish.step(data)
+                    power = float(chain.electrical_power(np, water.swimmer, rates, data.actuator_force))
+                    self._remember(np.array([water.attached]), power)
+        except SimDiverged as error:
+            raise control.PhysicsError(str(error)) from error
+
+    def _remember(self, attached, power: float) -> None:
+        s = self.swim
+        s.attached, s.power, s.step = attached, s.power + power, s.step + 1
+        if s.step % s.steps == 0:
+            pose = reference_pose(self.model.ptr, self.data.ptr)
+            s.yaw = self._unwrapped(pose[2])
+            row = (np.array([*pose[:2], s.yaw]), self.joint_angles(), self.joint_rates(), pose[3:], s.power / s.steps)
+            s.rows = (*s.rows, row)
+
+    def _unwrapped(self, yaw: float) -> float:
+        """yaw, by whole turns next to the last one recorded."""
+        return float(yaw + 2 * np.pi * np.round((self.swim.yaw - yaw) / (2 * np.pi)))
+
+    def _personalise(self, params: FishParams) -> None:
+        """Write one fish's masses and gains into the model, starting from the nominal ones."""
+        model, nominal = self.model.ptr, self._nominal
+        links = [model.body(link.name).id for link in self.swim.robot.links]
+        for name, value in nominal.items():
+            getattr(model, name)[:] = value
+        model.body_mass[links] *= params.mass[0]
+        model.body_inertia[links] *= params.mass[0][:, None]
+        model.actuator_gainprm[:, 0] = params.kp[0]
+        model.actuator_biasprm[:, :3] = np.stack([params.kp[0] * params.zero[0], -params.kp[0], -params.kv[0]], -1)
+        model.dof_damping[-model.nu :] = params.kb[0]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.free_water is not None:
+            one = engines.swimmer(FishParams(*(a[0] for a in params)))
+            geometry = self._trimmed_geometry(params)
+            self.free_water.swimmer, self.free_water.geometry = one, geometry
+
+    def _trimmed_geometry(self, params: FishParams):
+        """A robot is trimmed after it is built: buoyancy follows each link's own weight."""
+        nominal = FreeWater(self.swim.robot).geometry
+        return replace(nominal, mass=nominal.mass * params.mass[0])
+
+    def copy(self, share_model: bool = False) -> "Physics":
+        """A copy that swims on by itself."""
+        new = super().copy(share_model)
+        new.swim, new.free_water, new._nominal = copy.copy(self.swim), None, self._nominal
+        if self.free_water is not None:
+            new.free_water = FreeWater(self.swim.robot)  # its attachment is set before every step
+            new.free_water.swimmer, new.free_water.geometry = self.free_water.swimmer, self.free_water.geometry
+        return new
+
+
+def evaluator(robot: Robot, ch: chain.Chain):
+    """The water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
+    try:
+        return evaluator_of(robot, ch, 1, "compiled")
+    except MissingExtra:
+        return lambda *arguments: in_numpy(ch, *arguments)
+
+
+def in_numpy(ch: chain.Chain, q, v, attached, params, target, flow, ambient):
+    """(applied (1, nv), attached (1,), power (1,)) of one fish, batch axis of 1 on every argument."""
+    one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
+    line = lambda a: [float(x) for x in a[0]]  # noqa: E731
+    s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient))
+    return np.array([s.applied]), np.array([s.attached]), np.array([s.power])
+
+
+__all__ = ["TARGET", "Physics", "Swim", "evaluator", "in_numpy"]
