@@ -59,7 +59,7 @@ def test_npz_round_trips_bits_shapes_and_types(tmp_path, arrays):
 def test_tensors_round_trip_with_zero_d_arrays_and_meta(tmp_path, arrays):
     meta = {"shape": (11, 3), "rate": np.float64(0.1), "name": "paper", "nested": {"a": [1, 2]}}
     back, header = store.read_tensors(store.write_tensors(tmp_path / "x.safetensors", arrays, meta))
-    assert back["n"].shape == () and back["n"] == 7
+    assert back["step"].shape == () and back["step"] == 7
     assert all(np.array_equal(back[k], v) and back[k].dtype == v.dtype for k, v in arrays.items())
     assert header == {"shape": [11, 3], "rate": 0.1, "name": "paper", "nested": {"a": [1, 2]}}
 
