@@ -107,18 +107,20 @@ class Rules:
         """Draws for n episodes from a NumPy Generator or RandomState."""
         return Draws(*(rng.random((n, k)) for k in (task.N_START, task.N_FLOW + 1, task.n_fish(self.robot))))
 
-    def scenario(self, draws: Draws) -> Scenario:
-        """What these draws mean."""
+    def scenario(self, draws: Draws, **fixed) -> Scenario:
+        """What these draws mean; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
         s, launch = self.setting, self.course.launch(np, draws.start)
         start, u = launch.start, draws.flow
         if s.flow_speed is not None:
             low, high = np.broadcast_to(np.asarray(s.flow_speed, float), 2)
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
-        if s.flow_direction is not None:
-            turned = s.flow_direction - start.direction
-            start = start._replace(direction=start.direction + turned)
-            if self.name == "angle_of_attack":  # the heading is given against the flow
-                start = start._replace(pose=start.pose + turned[:, None] * np.array([0.0, 0.0, 1.0]))
+        direction = fixed.pop("direction", s.flow_direction)
+        if direction is not None:
+            if self.name == "angle_of_attack":  # the heading is given against the flow: it turns along
+                turned = (direction - start.direction)[:, None] * np.array([0.0, 0.0, 1.0])
+                start = start._replace(pose=start.pose + turned)
+            start = start._replace(direction=direction + 0.0 * start.direction)
+        start = start._replace(**fixed)
         low, high = np.broadcast_to(np.asarray(s.intensity, float), 2)
         intensity = low + (high - low) * u[:, 4]
         current = flow.draw(np, s.turbulence, self.table, self.cell, start.speed, start.direction, intensity, u)
