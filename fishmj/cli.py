@@ -45,7 +45,8 @@ def present() -> dict[str, str]:
 def _summary(path: Path) -> str:
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     first = text.strip().partition("\n")[0]
-    return first.partition(": ")[2] if first.startswith("`") else first
+    said = first.partition(": ")[2] if first.startswith("`") else first
+    return said[:1].upper() + said[1:]
 
 
 def load(verb: str) -> console.Main:
