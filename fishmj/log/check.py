@@ -21,6 +21,7 @@ ANGLE = math.pi  # rad, a joint
 SPIN = 30.0  # rad/s, a joint or the body; a fast servo turns at 5 to 8 rad/s
 REACH = 100.0  # m
 SPEED = 20.0  # m/s
+TURNS = 4  # an unwrapped heading may have piled up this many before the first row
 PERIOD = 5.0  # s, the slowest sensible median time step
 _LIMITS = {
     "angle": (ANGLE, "degrees; the schema says rad. Multiply the column by pi/180"),
@@ -159,7 +160,7 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
 def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place) -> None:
     """Unwrapped headings may pile up turns, so size alone proves nothing: look at the start and at the turning rate."""
     bad = -1
-    if abs(yaw[0]) > 2 * math.pi:
+    if abs(yaw[0]) > TURNS * 2 * math.pi:
         bad = 0
     elif len(yaw) > 2:
         turn = np.abs((np.diff(yaw) + math.pi) % (2 * math.pi) - math.pi)

@@ -1,0 +1,155 @@
+"""One fish, one controller, and a current and target that may change while it swims."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import controllers, engines
+from fishmj.errors import ConfigError
+from fishmj.flow import Flow, sample
+from fishmj.hydro_fit import chain
+from fishmj.log import Trial, numbered
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.tasks import station_hold as task
+from fishmj.units import wrap
+
+FASTEST = 0.5  # m/s
+
+
+class Chunk(NamedTuple):
+    """One control step: T bus ticks, N links."""
+
+    t: np.ndarray  # (T,) s
+    q: np.ndarray  # (T, 2 + N) m, rad
+    v: np.ndarray  # (T, 2 + N) m/s, rad/s
+    flow: np.ndarray  # (T, N, 2) m/s
+    power: np.ndarray  # (T,) W with idle
+    command: np.ndarray  # (T, N - 1) rad
+    target: np.ndarray  # (2,) m
+    obs: np.ndarray  # (11,)
+
+
+class Pond:
+    """One nominal fish under a controller, in a current and with a target that may change between control steps."""
+
+    def __init__(
+        self,
+        controller: str = "dob",
+        robot: "Robot | str" = "fish",
+        flow: Flow | None = None,
+        engine="batch",
+        noise: float = 1.0,
+    ):
+        self.robot = load_robot(robot)
+        self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
+        self.engine = engines.make(engine, self.robot) if isinstance(engine, str) else engine
+        self._chain = chain.chain_of(self.robot)
+        self._params = engines.nominal_params(self.robot, 1)
+        self._camera = np.array([round(self.robot.timing.camera_latency / self.robot.timing.bus_dt)])
+        self._ticks = engines.ticks_per(self.robot)[1]
+        self.choose(controller)
+        self.reset()
+
+    def choose(self, name: str) -> None:
+        """Hand the fish to another controller."""
+        self.controller = controllers.make(name, self.robot)
+        self.controller.reset(1)
+
+    def reset(self) -> None:
+        """Back to the start: at rest 0.7 m from the target, heading upstream. What was recorded is dropped."""
+        start = np.array([[-0.7, 0.0, wrap(np, np.pi + self.flow.direction)]])
+        self.target, self.count = np.array([0.7, 0.0]), 0
+        self._state = engines.at_rest(self.robot, start)
+        self._history = np.repeat(start[:, None], task.history_length(self.robot), 1)
+        self._joint = self._rate = np.zeros((1, self.robot.n_joints))
+        self._current, self._random = self.flow.current(), np.random.default_rng(self.flow.seed)
+        self.controller.reset(1)
+        self.chunks: list[Chunk] = []
+
+    def set_flow(self, speed: float, direction: float) -> None:
+        """Change the mean current [m/s, rad]; the eddies around the fish stay where they are."""
+        before = self._current
+        self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
+        now = self.flow.current()
+        if now.table.ndim == 4:  # frozen eddies ride on the mean: carry their phase over
+            shift = (now.mean - before.mean)[0] * self.time
+            c, s = now.turn[0]
+            moved = np.array([[c * shift[0] + s * shift[1], c * shift[1] - s * shift[0]]]) / now.cell
+            now = now._replace(offset=before.offset + moved)
+        self._current = now
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the start."""
+        return self.count * self.robot.timing.control_dt
+
+    @property
+    def q(self) -> np.ndarray:
+        """(2 + N,) pose and joint angles now, m, rad."""
+        return np.concatenate([self._history[0, -1], self._joint[0]])
+
+    def step(self) -> Chunk:
+        """One control step of 0.2 s."""
+        noise = self.noise * self._random.standard_normal((1, 5 + 2 * self.robot.n_joints))
+        obs = task.observe(np, self.robot, self._history, self._camera, self._joint, self._rate, self.target[None], noise)
+        command = np.asarray(self.controller(obs), float)
+        first = np.array([self.count * self._ticks])
+        self._state, trace = self.engine.advance(self._state, command, self._params, self._current, first)
+        trace = engines.Trace(*(np.asarray(a, float) for a in trace))
+        self._history = np.concatenate([self._history, trace.pose], 1)[:, -task.history_length(self.robot) :]
+        self._joint, self._rate = trace.joint[:, -1], trace.rate[:, -1]
+        q = np.concatenate([trace.pose[0], trace.joint[0]], -1)
+        ticks = first + 1 + np.arange(self._ticks)
+        chunk = Chunk(
+            t=ticks * self.robot.timing.bus_dt,
+            q=q,
+            v=np.concatenate([trace.velocity[0], trace.rate[0]], -1),
+            flow=sample(np, self._current, _centres(self._chain, q), ticks)[0],
+            power=trace.power[0] + self.robot.servo.idle_power,
+            command=command[0],
+            target=self.target.copy(),
+            obs=obs[0],
+        )
+        self.count += 1
+        self.chunks.append(chunk)
+        return chunk
+
+    def trial(self) -> Trial:
+        """Everything since the start, in the log's schema."""
+        if not self.chunks:
+            raise ConfigError("play: nothing recorded yet; swim for a moment before saving")
+        t, q, v, flow, power, command = (np.concatenate([getattr(c, name) for c in self.chunks]) for name in Chunk._fields[:6])
+        slow = t[:: self._ticks] - self.robot.timing.bus_dt
+        target, obs = (np.array([getattr(c, name) for c in self.chunks]) for name in ("target", "obs"))
+        volts = self.robot.servo.voltage
+        tables = {
+            "truth": {
+                "t": t,
+                **dict(zip(("x", "y", "yaw", "vx", "vy", "wz"), (*q[:, :3].T, *v[:, :3].T), strict=True)),
+                **numbered("j#", q[:, 3:]),
+                **numbered("k#", v[:, 3:]),
+            },
+            "cmd": {"t": t - self.robot.timing.bus_dt, **numbered("c#", command)},
+            "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
+            "target": {"t": slow, "x": target[:, 0], "y": target[:, 1]},
+            "obs": {"t": slow, **numbered("o#", obs)},
+            "flow": {"t": t, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
+        }
+        meta = {
+            "origin": "synthetic",
+            "robot": self.robot.name,
+            "controller": self.controller.name,
+            "flow": {**vars(self.flow), "known": False},
+            "water": "structured",
+            "seed": self.flow.seed,
+            "source": "fishmj.play",
+            "notes": "steered by hand; flow.speed and flow.direction are the last ones set, the table flow has the truth",
+        }
+        return Trial(meta, tables)
+
+
+def _centres(ch: chain.Chain, q: np.ndarray) -> np.ndarray:
+    """Link centres (T, N, 2) of poses q (T, 2 + N)."""
+    from fishmj.engines.planar import link_centres
+
+    return link_centres(np, ch, q)

@@ -1,0 +1,197 @@
+"""Claims about the live fish: keys change the current and the target, MeshCat shows it, the swim is saved as a log."""
+
+import json
+import math
+import os
+import pty
+import re
+import urllib.request
+
+import numpy as np
+import pytest
+
+from fishmj import log
+from fishmj.errors import ConfigError
+from fishmj.flow import Flow
+from fishmj.mjcf import load_robot
+from fishmj.mjcf.skin import posed, skin
+from fishmj.play import Pond
+from fishmj.play.__main__ import main, swim
+from fishmj.play.keyboard import Keyboard, press
+from fishmj.replay.live import LiveView, arrow, ring, slices_of
+
+
+class Screen:
+    """A view that remembers."""
+
+    def __init__(self):
+        self.shown, self.path, self.cleared = [], [], 0
+
+    def show(self, q, target, current):
+        self.shown.append((np.array(q), np.array(target), np.array(current)))
+
+    def trail(self, point):
+        self.path.append(point)
+
+    def clear_trail(self):
+        self.cleared += 1
+
+
+class Script:
+    """Keys by call."""
+
+    def __init__(self, *calls):
+        self.calls = list(calls)
+
+    def read(self):
+        return self.calls.pop(0) if self.calls else []
+
+
+@pytest.fixture(scope="module")
+def body():
+    """One engine for all ponds: compiling it takes longer than swimming."""
+    from fishmj import engines
+
+    return engines.make("batch", load_robot())
+
+
+@pytest.fixture
+def pond(body):
+    return Pond("dob", flow=Flow(speed=0.2, direction=math.pi, turbulence="default", intensity=0.05), engine=body)
+
+
+def test_two_seconds_of_swimming_are_shown_and_logged(pond, tmp_path):
+    screen = Screen()
+    swim(pond, screen, Script(), 2.0, lambda text: None)
+    assert len(screen.shown) == 51 and len(screen.path) == 10  # the start, then 25 pictures a second
+    back = log.read_trial(log.write_trial(tmp_path / "a", pond.trial()))
+    assert len(back.tables["truth"]["t"]) == 100 and back.tables["truth"]["t"][-1] == pytest.approx(2.0)
+    assert np.allclose(back.tables["truth"]["x"][1::2], [q[0] for q, *_ in screen.shown[1:]], atol=1e-3)
+    assert back.value("controller") == "dob" and back.value("origin") == "synthetic"
+    assert np.abs(log.stacked(back.tables["truth"], "j#")).max() > 0.05, "it beats its tail"
+    assert np.abs(log.stacked(back.tables["flow"], "u#x") + 0.2).max() < 0.1
+
+
+def test_the_arrow_keys_steer_the_current(pond):
+    brains = iter(())
+    for key in ("up", "up", "left"):
+        press(pond, key, brains)
+    assert pond.flow.speed == pytest.approx(0.24) and pond.flow.direction == pytest.approx(math.pi + math.pi / 12)
+    for _ in range(40):
+        press(pond, "down", brains)
+    assert pond.flow.speed == 0 and pond._current.mean == pytest.approx(np.zeros((1, 2)))
+
+
+def test_wasd_moves_the_target_but_not_out_of_the_tank(pond):
+    for key in "wwas":
+        press(pond, key, iter(()))
+    assert pond.target == pytest.approx([0.6, 0.1])
+    for _ in range(40):
+        press(pond, "d", iter(()))
+    assert pond.target == pytest.approx([1.5, 0.1])
+
+
+def test_a_passive_fish_drifts_with_the_current_that_the_keys_make(body):
+    pond = Pond("drift", flow=Flow(speed=0.0), engine=body)
+    start = pond.q
+    swim(pond, Screen(), Script([], ["up"] * 10, ["left"] * 6), 6.0, lambda text: None)
+    moved = pond.q - start
+    assert moved[1] > 0.5 and abs(moved[0]) < 0.4 * moved[1]  # 0.2 m/s towards +y for most of the 6 s
+
+
+def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
+    pond.step()
+    before = log.stacked(pond.trial().tables["flow"], "u#x")[-1] + 0.2
+    from fishmj.flow import sample
+    from fishmj.play.pond import _centres
+
+    pond.set_flow(0.2 + 1e-9, math.pi)
+    tick = np.array([pond.count * 10])
+    now = sample(np, pond._current, _centres(pond._chain, pond.q[None]), tick)[0][0, :, 0] + 0.2
+    assert now == pytest.approx(before, abs=2e-4)
+    pond.count = 500
+    ahead = pond._current
+    pond.set_flow(0.3, math.pi)
+    points = np.array([[[0.1, 0.2], [-0.4, 0.3]]])
+    tick = np.array([pond.count * 10])
+    eddies = [(sample(np, c, points, tick)[0] - c.mean) / c.rms for c in (ahead, pond._current)]
+    assert eddies[0] == pytest.approx(eddies[1], abs=1e-6)
+
+
+def test_pause_stops_the_clock_and_q_ends_the_swim(pond):
+    screen, texts = Screen(), []
+    swim(pond, screen, Script([], [" "], [], [], [" "], [], ["q"]), 60.0, texts.append)
+    assert pond.count == 3 and len(texts) == 3 and "dob  current 0.20 m/s to 180 deg" in texts[0]
+
+
+def test_c_hands_the_fish_to_the_next_controller_and_r_starts_again(pond):
+    screen = Screen()
+    swim(pond, screen, Script([], ["c"], ["r"], [], ["q"]), 60.0, lambda text: None)
+    assert pond.controller.name != "dob" and screen.cleared == 1 and pond.count == 2
+
+
+def test_an_empty_swim_is_not_saved(pond):
+    with pytest.raises(ConfigError, match="nothing recorded yet"):
+        pond.trial()
+
+
+def test_keys_are_read_from_a_terminal_without_enter_and_it_is_restored():
+    import termios
+
+    ours, theirs = pty.openpty()
+    before = termios.tcgetattr(theirs)
+    with Keyboard(theirs) as keys:
+        assert keys.read() == []
+        os.write(ours, b"\x1b[Aw\x1b[D\x1bOB Q")
+        assert keys.read() == ["up", "w", "left", "down", " ", "q"]
+    assert termios.tcgetattr(theirs) == before
+    os.close(ours)
+    os.close(theirs)
+    with Keyboard() as none:
+        assert none.read() == []
+
+
+# ------------------------------------------------------------------------------------------------------- the MeshCat side
+def test_slices_cover_the_skin_and_are_rigid_parts_of_it():
+    s = skin(load_robot(), spacing=0.008, around=20, smooth=True)
+    parts = slices_of(s)
+    assert 12 <= len(parts) <= 30
+    assert sum(len(faces) for *_, faces, _ in parts) >= len(s.faces)
+    q = np.array([0.3, 0.2, 0.5, 0.4, -0.5, 0.6])
+    whole = posed(s, q)
+    from fishmj.mjcf.skin import hinge_frames
+
+    hinges, headings = hinge_frames(s.hinge_x, q)
+    worst = 0.0
+    for hinge, share, vertices, _, _ in parts:
+        a = headings[hinge] + share * q[3 + hinge]
+        turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+        placed = hinges[hinge] + (vertices[:, :2] - [s.hinge_x[hinge], 0]) @ turn.T
+        worst = max(worst, *(np.abs(whole[:, :2] - p).sum(1).min() for p in placed[::7]))
+    assert worst < 0.012  # m, from the smooth skin, at strong bends
+
+
+def test_ring_and_arrow_are_sound_meshes():
+    for vertices, faces in (ring(0.1, 0.006), arrow()):
+        assert faces.min() == 0 and faces.max() == len(vertices) - 1 and np.isfinite(vertices).all()
+
+
+def test_the_command_serves_meshcat_swims_and_stops(tmp_path, capsys):
+    assert main(["--controller", "drift", "--headless-seconds", "2", "--save", str(tmp_path / "a"), "--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert re.match(r"open http://127.0.0.1:\d+/static/ in a browser", lines[0])
+    told = json.loads(lines[-1])
+    assert told["seconds"] == pytest.approx(2.0) and told["controller"] == "drift"
+    assert log.read_trial(tmp_path / "a").tables["truth"]["t"][-1] == pytest.approx(2.0)
+
+
+def test_the_server_answers_and_holds_the_fish_and_dies_with_the_view():
+    view = LiveView(load_robot())
+    with view:
+        view.show(np.zeros(6), [0.7, 0.0], [-0.2, 0.0])
+        view.trail([0.0, 0.0])
+        view.trail([0.1, 0.0])
+        assert urllib.request.urlopen(view.url, timeout=10).status == 200
+        page = view.page()
+        assert page.count("viewer.handle_command_bytearray") > 2 * len(view.slices)
+    assert view._vis.window.server_proc.poll() is not None
