@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthetic import whole_trial
 
 from fishmj import log
 from fishmj.errors import FishmjError, LogError
-from synthetic import whole_trial
 
 
 def csv_trial(tmp_path, text, name="joint.csv", meta='schema = "fishmj.log/1"\norigin = "measured"\n'):
@@ -66,6 +66,11 @@ def test_fault_20_wrong_units_of_a_pose_are_noticed(tmp_path, text, message):
 def test_an_unwrapped_heading_of_many_turns_is_fine(tmp_path):
     rows = "".join(f"{i / 50},0,0,{0.02 * i}\n" for i in range(3000))  # 1 rad/s for a minute
     assert log.read_trial(csv_trial(tmp_path, "t,x,y,yaw\n" + rows, "pose.csv")).tables["pose"]["yaw"][-1] == 0.02 * 2999
+
+
+def test_a_heading_may_begin_after_a_few_turns(tmp_path):
+    rows = "".join(f"{i / 50},0,0,{6.3 + 0.02 * i}\n" for i in range(100))
+    log.read_trial(csv_trial(tmp_path, "t,x,y,yaw\n" + rows, "pose.csv"))
 
 
 def test_windows_line_ends_quotes_and_spaces_are_fine(tmp_path):
