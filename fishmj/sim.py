@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from fishmj import mjcf
+from fishmj.engines.record import Recorder, rescue
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
 from fishmj.hydro_fit import chain
@@ -25,7 +26,6 @@ from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.log import Trial
 from fishmj.mjcf.description import Servo, check_timing
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
-from fishmj.engines.record import Recorder, rescue
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)
@@ -77,9 +77,9 @@ class Sim:
         s = self.swimmer
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
-        self.data.qpos[:] = reference_qpos(self.model, *pose, np.zeros(self.robot.n_joints))
-        kind = {"planar": PlanarWater, "free": FreeWater}[root]
-        self.water = kind(self.robot, self.swimmer) if water == "structured" else None
+        self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
+        make_water = {"planar": PlanarWater, "free": FreeWater}[root]
+        self.water = make_water(self.robot, self.swimmer) if water == "structured" else None
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)
@@ -118,7 +118,8 @@ class Sim:
         if not callable(commands):
             given = np.asarray(commands, float)
             if len(given) < ticks:
-                raise ConfigError(f"Sim.run: {len(given)} bus commands last {len(given) / self.ticks_a_second} s, asked for {seconds} s")
+                lasts = len(given) / self.ticks_a_second
+                raise ConfigError(f"Sim.run: {len(given)} bus commands last {lasts} s, asked for {seconds} s")
         for i in range(ticks):
             self.step(commands(self.data.time) if callable(commands) else given[i])
         return self.trial()

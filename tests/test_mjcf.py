@@ -119,7 +119,7 @@ def test_mjcf_text_compiles_to_the_same_model():
 def test_pose_is_read_as_it_was_set(root):
     model = mjcf.build("fish", root)
     data = mujoco.MjData(model)
-    data.qpos[:] = reference_qpos(model, 0.3, -0.2, 2.1, [0.1, 0.2, 0.3])
+    data.qpos[:] = reference_qpos(model, (0.3, -0.2, 2.1), [0.1, 0.2, 0.3])
     data.qvel[-4 if root == "free" else 2] = 0.7  # yaw rate
     np.testing.assert_allclose(reference_pose(model, data), [0.3, -0.2, 2.1, 0, 0, 0.7], atol=1e-12)
 

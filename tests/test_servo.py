@@ -35,9 +35,10 @@ def dc_motor_in_air(robot):
     spec = build_spec(robot)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
-    xml = spec.to_xml() if spec.compile() else ""
-    motors = "".join(f'<dcmotor joint="j{i + 1}" nominal="{s.voltage} {s.torque} {s.speed_no_load}"/>' for i in range(robot.n_joints))
-    spec = mujoco.MjSpec.from_string(xml.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
+    spec.compile()
+    nameplate = f"{s.voltage} {s.torque} {s.speed_no_load}"
+    motors = "".join(f'<dcmotor joint="j{i + 1}" nominal="{nameplate}"/>' for i in range(robot.n_joints))
+    spec = mujoco.MjSpec.from_string(spec.to_xml().replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
     for joint in spec.joints:
         joint.damping = [0, 0, 0]
     spec.option.timestep, spec.option.integrator = DT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST

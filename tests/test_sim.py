@@ -55,3 +55,63 @@ def test_sim_equals_the_closed_form_engine_over_100_ticks(turbulence, path):
     np.testing.assert_allclose(stacked(truth, "j#"), expected[1], rtol=0, atol=1e-8)
     power = sim.trial().table("power")
     np.testing.assert_allclose(power["V"] * power["I"] - robot.servo.idle_power, expected[2], rtol=1e-6, atol=1e-8)
+
+
+def test_free_root_takes_the_planar_path_in_turbulence():
+    ends = [Sim("fish", root=r, flow=Flow(speed=0.1, direction=1.0, turbulence="default", seed=2)) for r in ("planar", "free")]
+    for sim in ends:
+        sim.run(gait, 3.0)
+    np.testing.assert_allclose(ends[1].pose[:3], ends[0].pose[:3], atol=0.01)
+
+
+@pytest.mark.parametrize("water", WATERS)
+@pytest.mark.parametrize("root", ["planar", "free"])
+def test_every_water_swims_and_logs(tmp_path, water, root):
+    """A trial in the decided schema, read back equal; without water only "none" goes nowhere."""
+    sim = Sim("fish", water=water, root=root)
+    trial = sim.run(gait, 1.0)
+    assert set(trial.tables) == {"cmd", "joint", "pose", "power", "truth", "flow"}
+    assert trial.value("origin") == "synthetic" and trial.value("water") == water
+    again = read_trial(write_trial(tmp_path / "trial", trial, precision="float64"))
+    for name, table in trial.tables.items():
+        for column, values in table.items():
+            np.testing.assert_array_equal(again.table(name)[column], values, err_msg=f"{name}.{column}")
+    assert len(trial.table("pose")["t"]) == 50
+    np.testing.assert_allclose(trial.table("pose")["t"], np.arange(1, 51) / 50, atol=1e-9)
+    np.testing.assert_allclose(trial.table("cmd")["t"], np.arange(50) / 50, atol=1e-9)
+    com = sim.data.subtree_com[1][:2]
+    assert (np.linalg.norm(com) < 1e-3) == (water == "none")
+
+
+def test_structured_water_swims_and_the_ellipsoids_barely_do():
+    """1 Hz, 30 deg, 60 deg lag: 0.2 to 0.4 m/s, and less than half of it in MuJoCo's own fluid, which leaves M_a out."""
+    speed = {}
+    for water in ("structured", "ellipsoid"):
+        sim = Sim("fish", water=water)
+        sim.run(gait, 3.0)
+        start = sim.pose[:2].copy()
+        sim.run(gait, 3.0)
+        speed[water] = np.linalg.norm(sim.pose[:2] - start) / 3
+    assert 0.2 < speed["structured"] < 0.4
+    assert speed["ellipsoid"] < 0.5 * speed["structured"]
+
+
+def test_a_limp_fish_drifts_with_the_stream():
+    for water in ("structured", "ellipsoid"):
+        sim = Sim("fish", water=water, flow=Flow(speed=0.2, direction=2.0))
+        sim.run(lambda t: np.zeros(3), 10.0)
+        ahead = sim.pose[3:5] @ [np.cos(2.0), np.sin(2.0)]
+        assert 0.1 < ahead < 0.21, water
+
+
+def test_commands_arrive_after_the_latency():
+    """Not a step earlier, not a step later."""
+    sim = Sim("fish", latency=0.06)
+    sim.step([0.5, 0.5, 0.5])
+    targets = [sim.arrived(step)[0] for step in range(20)]
+    assert targets[:15] == [0.0] * 15 and all(t == bus_command(sim.robot.servo, [0.5])[0] for t in targets[15:20])
+
+
+def test_commands_that_run_out_are_refused():
+    with pytest.raises(ConfigError, match="10 bus commands last 0.2 s, asked for 1.0 s"):
+        Sim("fish").run(np.zeros((10, 3)), 1.0)

@@ -10,7 +10,6 @@ Masses, inertias and servo gains differ from fish to fish inside MuJoCo's models
 import os
 from typing import Any
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
@@ -57,7 +56,7 @@ class Engine:
         commands = quantise(np, self.robot, np.asarray(commands, float))
         check_commands(commands, self.robot.n_joints)
         count, length, joints = commands.shape
-        params = FishParams(*(np.ascontiguousarray(a, np.int64 if name == "delay" else float) for name, a in params._asdict().items()))
+        params = FishParams(*(np.ascontiguousarray(a, float) for a in params[:-1]), np.asarray(params.delay, int))
         batch = self._models(count, params)
         batch.qpos[:], batch.qvel[:] = state.q, state.v
         attached, buffer = np.array(state.attached, float), np.array(state.buffer, float)
@@ -65,7 +64,8 @@ class Engine:
         tick = np.asarray(tick)
         before = batch.warning[:, :, 1].copy()  # counters; column 0 is the last degree of freedom
         q, v, ctrl, applied = batch.qpos, batch.qvel, batch.ctrl, batch.qfrc_applied
-        out = Trace(*(np.empty((count, length, n)) for n in (3, joints, joints, 3)), np.zeros((count, length)))
+        blank = lambda n: np.empty((count, length, n))  # noqa: E731
+        out = Trace(blank(3), blank(joints), blank(joints), blank(3), np.zeros((count, length)))
         for k in range(length):
             buffer = np.concatenate([buffer[:, 1:], commands[:, k : k + 1]], 1)
             flow, ambient = sample(np, current, link_centres(np, self.chain, q), tick + k)

@@ -84,7 +84,11 @@ def rescue(sim, error: SimDiverged) -> SimDiverged:
         t, q, v, ctrl = (np.array(column) for column in zip(*sane, strict=True))
         n = sim.model.nu
         pose = np.array([_pose_at(sim, *row) for row in zip(q, v, strict=True)])
-        meta = {**meta_of(sim), "notes": f"the last {len(t)} physics steps before: {error}", "diverged": {"term": error.term, "link": error.link}}
+        meta = {
+            **meta_of(sim),
+            "notes": f"the last {len(t)} physics steps before: {error}",
+            "diverged": {"term": error.term, "link": error.link},
+        }
         tables = {"truth": truth(t, pose, q[:, -n:] - sim.swimmer.zero, v[:, -n:]), "cmd": {"t": t, **numbered("c#", ctrl)}}
         where = f"; the last {len(t)} states are in {write_trial(folder, Trial(meta, tables), overwrite=True)}"
     return SimDiverged(f"{error}{where}", time=error.time, term=error.term, link=error.link, states=states)

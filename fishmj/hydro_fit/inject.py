@@ -7,6 +7,9 @@ MuJoCo calls `mjcb_passive` once per step, between the factorisation of M and th
 Nothing reads qfrc_actuator or qfrc_bias, which are stale at that moment. The callback is pure; what the water remembers
 advances once a step in `Handle.step`.
 
+No exception may cross MuJoCo: after any call back into it, the jump out of its C frames aborts the process. An exception in
+the water is kept, `Handle.step` puts the state back and raises it; after a bare mj_step it is raised when the block ends.
+
 The slot is one per process, so this module owns it: it dispatches on the model, leaves other models alone, refuses a
 slot that someone else filled, serves one thread (batched engines take `qfrc_applied` instead), and always cleans up.
 """
@@ -35,17 +38,29 @@ class Handle:
                 " triangle; the water needs one serial chain of links, built by fishmj.mjcf.build"
             )
         self.model, self.water = model, water
+        self.error: BaseException | None = None
         self._pattern = rows, model.M_colind.copy()
 
     def step(self, data: mujoco.MjData) -> None:
         """One `mj_step`, after which the water's memory has advanced by one step.
 
         Raises:
-            SimDiverged: a force or the state left the finite numbers; a step that raises in the water changes nothing.
+            SimDiverged: a force or the state left the finite numbers.
+            Anything that the water raises; then the state is what it was before the step.
         """
         following = self.water.next_attached(self.model, data, self.model.opt.timestep)
-        checked_step(self.model, data)
+        before = data.time, data.qpos.copy(), data.qvel.copy()
+        checked_step(self.model, data, self)
+        if self.error is not None:
+            data.time, data.qpos[:], data.qvel[:] = before
+            self.raise_error()
         self.water.attached = following
+
+    def raise_error(self) -> None:
+        """Raise what the callback kept, once."""
+        error, self.error = self.error, None
+        if error is not None:
+            raise error
 
     def passive(self, model, data) -> None:
         """The callback's work: M + M_a, and the explicit force."""
@@ -83,12 +98,13 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
         raise InjectionError("inject: the callback serves another thread; use the engine 'batch' (qfrc_applied) from threads")
     if not _handles:
         if mujoco.get_mjcb_passive() is not None:
-            raise InjectionError("inject: mjcb_passive is taken by someone else; remove it with mujoco.set_mjcb_passive(None) first")
+            raise InjectionError("inject: mjcb_passive is taken by someone else; remove it first: mujoco.set_mjcb_passive(None)")
         _owner[:] = [threading.get_ident()]
         mujoco.set_mjcb_passive(_dispatch)
     _handles[key] = handle
     try:
         yield handle
+        handle.raise_error()
     finally:
         del _handles[key]
         if not _handles:
@@ -96,7 +112,7 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
             _owner.clear()
 
 
-def checked_step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | None = None) -> None:
     """`mj_step` that raises where MuJoCo would silently put the fish back to its start.
 
     MuJoCo answers a NaN or a huge number with a reset to qpos0 and a warning counter; the state it had is lost.
@@ -107,6 +123,8 @@ def checked_step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     before = data.warning.number.copy()
     time = data.time
     mujoco.mj_step(model, data)
+    if handle is not None and handle.error is not None:
+        return  # the water's own error says more
     grown = np.flatnonzero(data.warning.number > before)
     if len(grown):
         kind = mujoco.mjtWarning(int(grown[0])).name.removeprefix("mjWARN_BAD").lower()
@@ -125,5 +143,9 @@ def checked_step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 def _dispatch(model, data) -> None:
     handle = _handles.get(model._address)
-    if handle is not None:
+    if handle is None or handle.error is not None:
+        return
+    try:
         handle.passive(model, data)
+    except BaseException as error:  # noqa: BLE001  kept, raised outside MuJoCo's frames
+        handle.error = error

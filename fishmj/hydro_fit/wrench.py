@@ -51,8 +51,7 @@ class FreeWater(passive.PlanarWater):
     def forces(self, model, data) -> tuple[np.ndarray, np.ndarray]:
         """Added mass (nv, nv) and the explicit generalised force (nv,); pure."""
         total, force = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
-        for i in range(self.chain.n):
-            turn, jac, drift = self._jacobian(model, data, i)
+        for i, (turn, jac, drift) in enumerate(jacobians(data, self.chain.n)):
             nu = jac @ data.qvel
             nu[:3] -= turn.T @ self.flow[i]
             drift[:3] -= np.cross(nu[3:], nu[:3])  # d/dt of components in a turning frame
@@ -67,33 +66,31 @@ class FreeWater(passive.PlanarWater):
 
     def tail(self, model, data) -> tuple[float, float, float]:
         """(u, w, Omega) of the last link relative to its water."""
-        return self._planar(model, data, self.chain.n - 1)
+        return self._planar(data)[-1]
+
+    def next_attached(self, model, data, dt: float) -> float:
+        """Attachment state one step later; brings the link poses up to date first."""
+        mujoco.mj_kinematics(model, data)
+        return super().next_attached(model, data, dt)
 
     def blame(self, model, data):
         """The error that names the first term and link whose force is not finite."""
+        motion = self._planar(data)
         for i, link in enumerate(self.robot.links):
-            u, w, omega = self._planar(model, data, i)
-            for term, value in passive.named_terms(self.chain.strips, self.swimmer.water, i, u, w, omega, self.attached).items():
+            named = passive.named_terms(self.chain.strips, self.swimmer.water, i, *motion[i], self.attached)
+            for term, value in named.items():
                 if not np.all(np.isfinite(value)):
-                    return passive.diverged(data, term, link.name, u, w, omega)
-        return passive.diverged(data, "vertical, roll or fins", self.robot.links[0].name, *self._planar(model, data, 0))
+                    return passive.diverged(data, term, link.name, *motion[i])
+        return passive.diverged(data, "vertical, roll or fins", self.robot.links[0].name, *motion[0])
 
-    def _planar(self, model, data, i):
-        turn, jac, _ = self._jacobian(model, data, i)
-        nu = jac @ data.qvel
-        nu[:3] -= turn.T @ self.flow[i]
-        return nu[0], nu[1], nu[5]
-
-    def _jacobian(self, model, data, i):
-        """(world <- link rotation, J (6, nv), J' qvel (6,)) of the origin of link i, the last two in link axes."""
-        body = i + 1
-        turn, point = data.xmat[body].reshape(3, 3), data.xpos[body]
-        jac, rate = np.zeros((6, model.nv)), np.zeros((6, model.nv))
-        mujoco.mj_jac(model, data, jac[:3], jac[3:], point, body)
-        mujoco.mj_jacDot(model, data, rate[:3], rate[3:], point, body)
-        world = np.zeros((6, 6))
-        world[:3, :3] = world[3:, 3:] = turn.T
-        return turn, world @ jac, world @ (rate @ data.qvel)
+    def _planar(self, data) -> list:
+        """(u, w, Omega) of every link relative to its water."""
+        out = []
+        for i, (turn, jac, _) in enumerate(jacobians(data, self.chain.n)):
+            nu = jac @ data.qvel
+            nu[:3] -= turn.T @ self.flow[i]
+            out.append((nu[0], nu[1], nu[5]))
+        return out
 
     def _added_mass(self, i: int, rho: float) -> np.ndarray:
         """A (6, 6) of link i about its origin, link axes."""
@@ -143,3 +140,32 @@ class FreeWater(passive.PlanarWater):
         out[:3] += up
         out[3:] += np.cross([g.com[i, 0], 0.0, 0.0], up)
         return out
+
+
+def jacobians(data, n: int) -> list:
+    """Kinematics of n links on a free root, in link axes at each link's origin.
+
+    Returns:
+        A list of (world <- link rotation (3, 3), J (6, nv) of velocity and angular velocity, J' qvel (6,)).
+
+    Written out instead of calling mj_jac, because a water must not call MuJoCo from inside its callback.
+    """
+    nv = 5 + n
+    turns, points = data.xmat[1 : n + 1].reshape(n, 3, 3), data.xpos[1 : n + 1]
+    linear, angular = np.zeros((3, nv)), np.zeros((3, nv))
+    linear[:, :3], angular[:, 3:6] = np.eye(3), turns[0]
+    acceleration, spin = np.zeros(3), np.zeros(3)  # of the origin and of the link, without qacc
+    out = []
+    for i in range(n):
+        if i > 0:
+            lever, omega = points[i] - points[i - 1], angular @ data.qvel
+            linear = linear + np.cross(angular.T, lever).T
+            acceleration = acceleration + np.cross(spin, lever) + np.cross(omega, np.cross(omega, lever))
+            axis = turns[i][:, 2]
+            angular = angular.copy()
+            angular[:, 5 + i] = axis
+            spin = spin + np.cross(omega, axis) * data.qvel[5 + i]
+        turn = turns[i].T
+        jac, drift = np.concatenate([turn @ linear, turn @ angular]), np.concatenate([turn @ acceleration, turn @ spin])
+        out.append((turns[i], jac, drift))
+    return out

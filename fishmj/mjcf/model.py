@@ -130,8 +130,9 @@ def personalise(model: mujoco.MjModel, *, mass, kp, kv, kb, zero) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def reference_qpos(model: mujoco.MjModel, x: float, y: float, yaw: float, joints) -> np.ndarray:
-    """qpos (nq,) of a level fish at (x, y) [m] heading yaw [rad] with the given joint angles, for either root."""
+def reference_qpos(model: mujoco.MjModel, pose, joints) -> np.ndarray:
+    """qpos (nq,) of a level fish at pose (x, y, yaw) [m, rad] with the given joint angles (J,) [rad], for either root."""
+    x, y, yaw = pose
     if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
         return np.array([x, y, 0.0, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2), *joints])
     return np.array([x, y, yaw, *joints], float)

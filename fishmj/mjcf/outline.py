@@ -25,11 +25,13 @@ def add_link(spec, body, robot: Robot, geometry: Geometry, i: int) -> None:
         userface=faces.ravel(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    shape = dict(contype=0, conaffinity=0, mass=0.0, rgba=[*link.colour, 1.0])
+    shape = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": [*link.colour, 1.0]}
     body.add_geom(name=link.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{link.name}_hull", **shape)
     for fin in robot.fins:
         if fin.link == link.name:
-            _add_fin(body, fin, link, geometry, front, shape)
+            for (x, y, chord, span), side in zip(fin_plates(robot, geometry, fin), ("left", "right"), strict=False):
+                size = [chord / 2, span / 2, FIN_THICKNESS]
+                body.add_geom(name=f"{fin.name}_{side}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, 0], size=size, **shape)
     body.add_site(name=f"{link.name}_centre", pos=[(rear + front) / 2, 0, 0], size=[0.004] * 3)
     if i == 0:
         body.add_site(name="reference", pos=[0, 0, 0], size=[0.004] * 3)
@@ -65,9 +67,7 @@ def loft(link, geometry: Geometry, i: int) -> tuple[np.ndarray, np.ndarray]:
     half_w = np.maximum(np.interp(stations, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2, 2e-4)  # visible from above
     turn = np.linspace(0, 2 * np.pi, RING, endpoint=False)
     x = geometry.span[i, 1] - stations
-    rings = np.stack(
-        [np.repeat(x[:, None], RING, 1), half_w[:, None] * np.cos(turn), half_h[:, None] * np.sin(turn)], axis=-1
-    )
+    rings = np.stack([np.repeat(x[:, None], RING, 1), half_w[:, None] * np.cos(turn), half_h[:, None] * np.sin(turn)], axis=-1)
     n = len(stations)
     vertices = np.concatenate([rings.reshape(-1, 3), [[x[0], 0, 0], [x[-1], 0, 0]]])
     a = (np.arange(n - 1)[:, None] * RING + np.arange(RING)).ravel()
@@ -90,17 +90,3 @@ def fin_plates(robot: Robot, geometry: Geometry, fin) -> list[tuple[float, float
     root = np.interp(station, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2
     sides = (1.0, -1.0)[: fin.count]
     return [(front - station, side * (root + fin.span / 2), chord, fin.span) for side in sides]
-
-
-def _add_fin(body, fin, link, geometry, front, shape) -> None:
-    chord, station = fin.station[1] - fin.station[0], (fin.station[0] + fin.station[1]) / 2
-    rows = np.array(link.sections)
-    root = np.interp(station, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2
-    for side, label in zip((1.0, -1.0)[: fin.count], ("left", "right"), strict=False):
-        body.add_geom(
-            name=f"{fin.name}_{label}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[front - station, side * (root + fin.span / 2), 0],
-            size=[chord / 2, fin.span / 2, FIN_THICKNESS],
-            **shape,
-        )
