@@ -43,7 +43,10 @@ def whole_trial(seconds=4.0, joints=3, **meta):
     return log.Trial({"origin": "synthetic", "robot": "swift", "flow": {"speed": 0.2, "direction": math.pi}, **meta}, tables)
 
 
-def swim(seconds=4.0, amplitude=math.radians(30), lag=math.radians(60), current=(-0.15, 0.0), start=(-0.7, 0.1, 0.0)):
+LAG = math.radians(60)  # between neighbouring joints
+
+
+def swim(seconds=4.0, amplitude=0.5, lag=LAG, current=(-0.15, 0.0), start=(-0.7, 0.1, 0.0)):
     """The nominal fish in the strip water, open loop at 1 Hz, integrated by the closed-form chain."""
     robot = load_robot()
     ch, swimmer = chain.chain_of(robot), chain.nominal(robot)

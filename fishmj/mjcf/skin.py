@@ -101,13 +101,13 @@ def _profile(robot: Robot, scale: float, smooth: bool):
 
 def _hull(robot: Robot, g: Geometry, spacing: float, around: int, smooth: bool):
     fronts, profile = _profile(robot, g.width_scale, smooth)
-    stations, owner = [], []
+    stations, owners = [], []
     for i, link in enumerate(robot.links):  # seams get two rings, so that colours meet in a sharp line
         n = max(2, int(np.ceil(link.length / spacing)))
         inner = fronts[i] + np.linspace(0, link.length, n + 1)
         stations.append(np.union1d(inner, fronts[i] + np.array(link.sections)[:, 0]))
-        owner += [i] * len(stations[-1])
-    s, owner = np.concatenate(stations), np.array(owner)
+        owners += [i] * len(stations[-1])
+    s, owner = np.concatenate(stations), np.array(owners)
     half_h, half_w = profile(s)
     turn = np.linspace(0, 2 * np.pi, around, endpoint=False)
     c, sn = np.cos(turn), np.sin(turn)

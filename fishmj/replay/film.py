@@ -203,8 +203,8 @@ class TopView:
         lines = [self.title] if self.title else []
         for t in self.tracks:
             i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
-            figures = [(t.distance[i], "m off", 2), (t.speed[i], "m/s", 2), (t.power[i], "W", 1)]
-            figures = [f"{value:.{digits}f} {unit}" for value, unit, digits in figures if np.isfinite(value)]
+            measured = [(t.distance[i], "m off", 2), (t.speed[i], "m/s", 2), (t.power[i], "W", 1)]
+            figures = [f"{value:.{digits}f} {unit}" for value, unit, digits in measured if np.isfinite(value)]
             lines.append(f"{t.label} ({t.origin})  " + ", ".join(figures))
         box = image[6 : 16 + 22 * len(lines), 6 : 16 + max(9 * len(line) for line in lines)]
         box[:] = (box * 0.3 + np.array([24, 16, 5])).astype(np.uint8)
