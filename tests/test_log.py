@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthetic import whole_trial
 
 from fishmj import log
 from fishmj.errors import LogError, StoreError, UnknownName
 from fishmj.log import check, toml
 from fishmj.log.archive import HALF_ERROR, narrow
-from synthetic import whole_trial
 
 
 @pytest.fixture
