@@ -98,15 +98,14 @@ def swum_apart(fast, reference, turbulence, chunks, dtype):
     return apart
 
 
-@pytest.mark.parametrize("turbulence", ["default", "gust", "none"])
+@pytest.mark.parametrize("turbulence", ["default", "gust"])
 def test_twenty_control_steps_equal_the_jax_engine(engine, turbulence):
     assert swum_apart(engine, planar.Engine(ROBOT), turbulence, 20, np.float32) < 5e-5
 
 
-@pytest.mark.parametrize("turbulence", ["default", "gust"])
-def test_in_double_precision_the_difference_is_round_off(double, turbulence):
+def test_in_double_precision_the_difference_is_round_off(double):
     with jax.enable_x64(True):
-        assert swum_apart(double, planar.Engine(RAMPED), turbulence, 5, np.float64) < 1e-10
+        assert swum_apart(double, planar.Engine(RAMPED), "default", 5, np.float64) < 1e-10
 
 
 def test_applied_force_attachment_and_power_are_those_of_chain_step(engine):
