@@ -8,6 +8,7 @@ Masses, inertias and servo gains differ from fish to fish inside MuJoCo's models
 """
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,17 @@ from fishmj.flow import Current, sample
 from fishmj.hydro_fit import chain
 from fishmj.mjcf.description import Robot, load_robot
 
+SMALLEST = 16  # fish below which a second thread does not pay
+
 
 class Engine:
     """MuJoCo C, batched. NumPy in, NumPy out; not jit-able.
 
+    The fish are shared out to one `Shoal` a thread; MuJoCo, the evaluator and large NumPy operations hold no lock.
+
     Args:
         robot: description or name.
-        threads: of MuJoCo's pool; default, the CPUs this process may use.
+        threads: at most so many; default, the CPUs this process may use.
         evaluator: "compiled" (needs numba), "jax", or None for the faster one that is installed.
     """
 
@@ -35,14 +40,11 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", threads: int | None = None, evaluator: str | None = None):
         self.robot = load_robot(robot)
-        self.model = mjcf.build(self.robot, bare=True)
-        self.chain = chain.chain_of(self.robot)
+        model, ch = mjcf.build(self.robot, bare=True), chain.chain_of(self.robot)
         self.steps, self.ticks = ticks_per(self.robot)
-        self.ramp = self.robot.timing.command_path == "move_time"
-        self.threads = threads or len(os.sched_getaffinity(0))
-        self.evaluate = evaluator_of(self.robot, self.chain, self.threads, evaluator)
-        self._batch: Any = None
-        self._params: FishParams | None = None
+        evaluate = evaluator_of(self.robot, ch, evaluator)
+        self.shoals = [Shoal(self.robot, model, ch, evaluate) for _ in range(threads or len(os.sched_getaffinity(0)))]
+        self._pool = ThreadPoolExecutor(len(self.shoals), "fishmj-batch")
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
         """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
@@ -55,13 +57,47 @@ class Engine:
         """
         commands = quantise(np, self.robot, np.asarray(commands, float))
         check_commands(commands, self.robot.n_joints)
+        count = len(commands)
+        used = max(1, min(len(self.shoals), count // SMALLEST))
+        edges = [count * i // used for i in range(used + 1)]
+        current, tick = Current(*(np.asarray(a) for a in current)), np.asarray(tick)
+        mean, rms, row, offset, turn, table, cell = current
+        jobs = []
+        for i, j in zip(edges, edges[1:], strict=False):
+            part = lambda tree: type(tree)(*(np.asarray(a)[i:j] for a in tree))  # noqa: B023, E731  used at once
+            flow = Current(mean[i:j], rms[i:j], row[i:j], offset[i:j], turn[i:j], table, cell)
+            jobs.append((part(state), commands[i:j], part(params), flow, tick[i:j]))
+        others = [self._pool.submit(shoal.advance, *job) for shoal, job in zip(self.shoals[1:], jobs[1:], strict=False)]
+        results = [self.shoals[0].advance(*jobs[0]), *(other.result() for other in others)]
+        bad = np.concatenate([edge + lost for edge, (_, _, lost) in zip(edges, results, strict=False)])
+        if len(bad):
+            raise SimDiverged(
+                f"batch: {len(bad)} of {count} fish diverged, the first is number {bad[0]}; MuJoCo reset them to their start."
+                " Check their parameters, the flow and the commands",
+                term="state",
+                states=bad,
+            )
+        join = lambda trees: type(trees[0])(*(np.concatenate(leaves) for leaves in zip(*trees, strict=True)))  # noqa: E731
+        return join([r[0] for r in results]), join([r[1] for r in results])
+
+
+class Shoal:
+    """The fish of one thread and their persistent MuJoCo batch."""
+
+    def __init__(self, robot: Robot, model, ch: chain.Chain, evaluate):
+        self.model, self.chain, self.evaluate = model, ch, evaluate
+        self.steps, _ = ticks_per(robot)
+        self.ramp = robot.timing.command_path == "move_time"
+        self._batch: Any = None
+        self._params: FishParams | None = None
+
+    def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
+        """As `Engine.advance`, for quantised commands; returns (FishState, Trace, numbers of the fish that diverged)."""
         count, length, joints = commands.shape
-        params = FishParams(*(np.ascontiguousarray(a, float) for a in params[:-1]), np.asarray(params.delay, int))
+        params = FishParams(*(np.ascontiguousarray(a, float) for a in params))._replace(delay=np.asarray(params.delay, int))
         batch = self._models(count, params)
         batch.qpos[:], batch.qvel[:] = state.q, state.v
         attached, buffer = np.array(state.attached, float), np.array(state.buffer, float)
-        current = Current(*(np.asarray(a) for a in current))
-        tick = np.asarray(tick)
         before = batch.warning[:, :, 1].copy()  # counters; column 0 is the last degree of freedom
         q, v, ctrl, applied = batch.qpos, batch.qvel, batch.ctrl, batch.qfrc_applied
         blank = lambda n: np.empty((count, length, n))  # noqa: E731
@@ -76,13 +112,13 @@ class Engine:
                 out.power[:, k] += power / self.steps
             out.pose[:, k], out.joint[:, k] = q[:, :3], q[:, 3:] - params.zero
             out.velocity[:, k], out.rate[:, k] = v[:, :3], v[:, 3:]
-        self._check(batch, before, q, v)
-        return FishState(q.copy(), v.copy(), attached, buffer), out
+        lost = (batch.warning[:, :, 1] > before).any(-1) | ~np.isfinite(q).all(-1) | ~np.isfinite(v).all(-1)
+        return FishState(q.copy(), v.copy(), attached, buffer), out, np.flatnonzero(lost)
 
     def _models(self, count: int, params: FishParams):
         """The batch of `count` fish with these masses and gains."""
         if self._batch is None or self._batch.nsim != count:
-            self._batch, self._params = Batch(self.model, count, self.threads), None
+            self._batch, self._params = Batch(self.model, count, 1), None
         known = self._params
         if known is None or not all(np.array_equal(a, b) for a, b in zip(known[:5], params[:5], strict=True)):
             model, batch = self.model, self._batch
@@ -96,25 +132,14 @@ class Engine:
             self._params = FishParams(*(a.copy() for a in params))
         return self._batch
 
-    def _check(self, batch, before, q, v) -> None:
-        """Raise for a fish that MuJoCo put back to its start, or that left the finite numbers."""
-        bad = np.flatnonzero((batch.warning[:, :, 1] > before).any(-1) | ~np.isfinite(q).all(-1) | ~np.isfinite(v).all(-1))
-        if len(bad):
-            raise SimDiverged(
-                f"batch: {len(bad)} of {len(q)} fish diverged, the first is number {bad[0]}; MuJoCo reset them to their start."
-                " Check their parameters, the flow and the commands",
-                term="state",
-                states=bad,
-            )
 
-
-def evaluator_of(robot: Robot, ch: chain.Chain, threads: int, name: str | None):
+def evaluator_of(robot: Robot, ch: chain.Chain, name: str | None):
     """f(q, v, attached, params, target, flow, ambient) -> (applied (B, nv), attached (B,), power (B,)), float64."""
     if name != "jax":
         try:
             from fishmj.engines.compiled import Engine as Compiled
 
-            compiled = Compiled(robot, threads)
+            compiled = Compiled(robot, threads=1)  # each shoal brings its own thread
             compiled._evaluate  # noqa: B018  compile now, not in the first step
             return compiled.forces
         except MissingExtra:
