@@ -138,7 +138,8 @@ class FishTask(base.Task):
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
         """(J,) in [-1, 1], float64."""
-        return specs.BoundedArray((self.rules.n_act,), float, -1.0, 1.0, name="action")
+        one = np.ones(self.rules.n_act)
+        return specs.BoundedArray(one.shape, one.dtype, -one, one, name="action")
 
     def _start(self, scenario: Scenario, normals) -> None:
         self.scenario, self.normals, self.count, self.trace = scenario, normals, 0, None

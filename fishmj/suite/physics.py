@@ -20,7 +20,6 @@ from dm_control.rl import control
 
 from fishmj import engines
 from fishmj.engines import FishParams
-from fishmj.engines.batch import evaluator_of
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
@@ -28,7 +27,7 @@ from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.inject import inject
 from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.model import reference_pose, reference_qpos
+from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.tasks.scene import TARGET, build_scene
 
 PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
@@ -86,7 +85,7 @@ class Physics(dm_mujoco.Physics):
     def begin(self, pose, params: FishParams, current: Current) -> None:
         """Put this fish (a batch of one) at rest at pose (3,) [m, rad] in this flow. Call inside `reset_context`."""
         self._personalise(params)
-        self.data.qpos[:] = reference_qpos(self.model.ptr, *pose, params.zero[0])
+        self.data.qpos[:] = reference_qpos(self.model.ptr, pose, params.zero[0])
         self.data.qvel[:] = 0.0
         rest = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
         self.swim = replace(  # a new one: copies made before keep theirs
@@ -214,16 +213,12 @@ class Physics(dm_mujoco.Physics):
 
     def _personalise(self, params: FishParams) -> None:
         """Write one fish's masses and gains into the model, starting from the nominal ones."""
-        model, nominal = self.model.ptr, self._nominal
-        links = [model.body(link.name).id for link in self.swim.robot.links]
-        for name, value in nominal.items():
+        model = self.model.ptr
+        for name, value in self._nominal.items():
             getattr(model, name)[:] = value
-        model.body_mass[links] *= params.mass[0]
-        model.body_inertia[links] *= params.mass[0][:, None]
-        model.actuator_gainprm[:, 0] = params.kp[0]
-        model.actuator_biasprm[:, :3] = np.stack([params.kp[0] * params.zero[0], -params.kp[0], -params.kv[0]], -1)
-        model.dof_damping[-model.nu :] = params.kb[0]
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        others = model.nbody - 1 - len(self.swim.robot.links)  # tank and target
+        own = {name: getattr(params, name)[0] for name in ("kp", "kv", "kb", "zero")}
+        personalise(model, mass=[*params.mass[0], *[1.0] * others], **own)
         if self.free_water is not None:
             one = engines.swimmer(FishParams(*(a[0] for a in params)))
             geometry = self._trimmed_geometry(params)
@@ -246,8 +241,14 @@ class Physics(dm_mujoco.Physics):
 
 def evaluator(robot: Robot, ch: chain.Chain):
     """The water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
+    rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
+    still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
     try:
-        return evaluator_of(robot, ch, 1, "compiled")
+        from fishmj.engines.compiled import Engine as Compiled
+
+        compiled = Compiled(robot, threads=1)
+        compiled.forces(rest.q, rest.v, rest.attached, params, *still)  # compiles now, not in the first step
+        return compiled.forces
     except MissingExtra:
         return lambda *arguments: in_numpy(ch, *arguments)
 
