@@ -1,0 +1,1 @@
+"""Training: PPO and SAC on the batched environments, resumable and seeded. `python -m fishmj.train --help`."""

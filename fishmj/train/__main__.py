@@ -1,0 +1,141 @@
+"""`python -m fishmj.train`: learn to hold station."""
+
+import argparse
+import shutil
+import textwrap
+from pathlib import Path
+
+from fishmj import console
+
+EXAMPLES = """
+examples
+  fishmj train                                   a policy for your laptop in a minute or two
+  fishmj train --preset paper --engine planar    the paper's network on a GPU
+  fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
+  fishmj train --algo sac --steps 300000         soft actor-critic
+  fishmj train --memory 8                        the policy sees its last eight observations
+  fishmj train --resume --out runs/quick-0       go on after Ctrl-C
+  fishmj evaluate runs/quick-0/best.safetensors  judge what came out
+"""
+
+
+def options() -> argparse.ArgumentParser:
+    from fishmj.engines import NAMES
+    from fishmj.flow import PRESETS as FLOWS
+    from fishmj.mjcf.description import COMMAND_PATHS
+    from fishmj.train.settings import ALGORITHMS, PRESETS
+
+    p = console.parser("train", "Learn to hold station in a current that the fish cannot sense.")
+    p.formatter_class = argparse.RawDescriptionHelpFormatter
+    p.epilog = textwrap.dedent(EXAMPLES)
+    p.add_argument("--preset", choices=PRESETS, help="quick for a CPU, paper for a GPU, paper-sac for the paper's own budget (default: by device)")
+    p.add_argument("--algo", choices=ALGORITHMS, help="learning algorithm (default: the preset's)")
+    p.add_argument("--engine", choices=("auto", *NAMES), help="auto: mjx on a GPU, compiled or planar on a CPU")
+    p.add_argument("--steps", type=float, help="control steps of 0.2 s, all fish together")
+    p.add_argument("--envs", type=int, help="fish that swim at once")
+    p.add_argument("--seed", type=int, default=0, help="seed of the run (default 0)")
+    p.add_argument("--seeds", help="several runs, for example 0,1,2")
+    p.add_argument("--memory", type=int, help="observations that the policy sees (default 1: memoryless, as the paper's)")
+    p.add_argument("--critic", choices=("plain", "privileged"), help="privileged: the critic sees the flow, the policy does not (PPO)")
+    p.add_argument("--hidden", help="layer widths, for example 256,256")
+    p.add_argument("--learning-rate", type=float)
+    p.add_argument("--turbulence", choices=FLOWS, help="turbulence to train in")
+    p.add_argument("--intensity", type=float, help="largest turbulence intensity; each episode draws from 0 to it")
+    p.add_argument("--command-path", choices=COMMAND_PATHS, help="how commands travel between policy steps (default linear)")
+    p.add_argument("--robot", help="fish, tendon_fish, or a TOML file")
+    p.add_argument("--hide", help="observation groups set to zero, for ablations: target, velocity, yaw_rate, joint, joint_rate")
+    p.add_argument("--reward", nargs="*", default=[], metavar="KEY=VALUE", help="weights of the reward: wG, wD, wS")
+    p.add_argument("--out", type=Path, help="folder of the run (default runs/<preset>-<seed>)")
+    p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
+    p.add_argument("--force", action="store_true", help="overwrite a run that is there")
+    return p
+
+
+def settings_from(args):
+    """The preset with everything that was asked for on the command line."""
+    from fishmj.errors import ConfigError
+    from fishmj.train.settings import change, preset
+
+    s = preset(args.preset or _by_device())
+    algorithm, task, reward, top = {}, {}, {}, {}
+    if args.algo and args.algo != s.algo:
+        keep = {k: v for k, v in s.algorithm.items() if k == "hidden"}
+        s = change(s, algo=args.algo, algorithm={})
+        object.__setattr__(s, "algorithm", keep)  # hyperparameters do not carry over from one algorithm to another
+    for name in ("engine", "robot", "seed", "command_path"):
+        if getattr(args, name) is not None:
+            top[name] = getattr(args, name)
+    if args.steps:
+        top["steps"] = int(args.steps)
+        top["assess_every"] = min(s.assess_every, max(1, int(args.steps) // 4))
+    if args.envs:
+        algorithm["envs"] = args.envs
+    if args.learning_rate:
+        algorithm["learning_rate"] = args.learning_rate
+    if args.hidden:
+        algorithm["hidden"] = tuple(int(v) for v in args.hidden.split(","))
+    if args.critic:
+        algorithm["privileged"] = args.critic == "privileged"
+    if args.memory:
+        task["memory"] = args.memory
+    if args.turbulence:
+        task["turbulence"] = args.turbulence
+    if args.intensity is not None:
+        task["intensity"] = (0.0, args.intensity)
+    if args.hide:
+        task["hide"] = tuple(args.hide.split(","))
+    for item in args.reward:
+        key, _, value = item.partition("=")
+        if key not in ("wG", "wD", "wS") or not value:
+            raise ConfigError(f"--reward {item!r}: expected wG=, wD= or wS= and a number")
+        reward[key] = float(value)
+    return change(s, algorithm=algorithm, task=task, reward=reward, **top)
+
+
+def _by_device() -> str:
+    import jax
+
+    return "quick" if jax.default_backend() == "cpu" else "paper"
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = options().parse_args(argv)
+    from fishmj.train.settings import change
+
+    settings = settings_from(args)
+    seeds = [int(v) for v in args.seeds.split(",")] if args.seeds else [settings.seed]
+    results = []
+    learner = None
+    for seed in seeds:
+        one = change(settings, seed=seed)
+        folder = args.out or Path("runs") / f"{settings.preset}-{settings.algo}-{seed}"
+        folder = folder / f"seed-{seed}" if args.out and len(seeds) > 1 else folder
+        if args.force and folder.exists() and not args.resume:
+            shutil.rmtree(folder)
+        if one.algo == "sb3-sac":
+            from fishmj.train.sb3 import train_sb3
+
+            results.append(train_sb3(one, folder))
+            continue
+        from fishmj.train.run import Run, learner_of
+
+        learner = learner or learner_of(one)
+        results.append(Run(one, folder, resume=args.resume, learner=learner).go())
+        if results[-1]["stopped"]:
+            break
+    for r in results:
+        console.say(
+            f"{r['algorithm']} seed {r['seed']}: {r['steps']:,} control steps in {console.duration(r['seconds'])} on {r['engine']}; "
+            f"tuning flows: arrival {r.get('tune_arrival', float('nan')):.1%}, RMSE of the last 10 s {r.get('tune_rmse_last10', float('nan')):.3f} m",
+            f"policy: {r['policy']}",
+        )
+    if args.json:
+        console.emit_json({"runs": results})
+    if results and results[-1]["stopped"]:
+        console.say(f"stopped; go on with: fishmj train --resume --out {results[-1]['folder']} (and the same options)")
+        return console.INTERRUPTED
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))
