@@ -22,9 +22,9 @@ import numpy as np
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.policy import shipped
 
 NAMES = ("drift", "pd", "pi", "dob", "adrc-c1", "adrc-c2", "adrc-c3")
-POLICIES = Path(__file__).resolve().parent.parent / "policies"
 
 
 class Controller(Protocol):
@@ -49,31 +49,20 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", **options: Any) -> C
         UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for.
     """
     robot, name = load_robot(robot), str(name)
-    if name.endswith(".safetensors") or name in shipped_policies():
-        if options:
-            raise ConfigError(f"controller {name}: a policy has no gains, got {', '.join(options)}")
-        return _learned(robot, name)
-    if name not in NAMES:
-        raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
-    if name == "drift":
-        if options:
-            raise ConfigError(f"controller drift: has no gains, got {', '.join(options)}")
-        from fishmj.controllers.drift import Drift
+    learned = name.endswith(".safetensors") or name in shipped()
+    if not learned and name not in NAMES:
+        raise UnknownName("controller", name, (*NAMES, *shipped()))
+    if not learned and name != "drift":
+        return _classical(robot, name, options)
+    if options:
+        raise ConfigError(f"controller {name}: has no gains, got {', '.join(options)}")
+    if learned:
+        from fishmj.controllers.learned import Learned
 
-        return Drift(robot)
-    return _classical(robot, name, options)
+        return Learned(robot, name)
+    from fishmj.controllers.drift import Drift
 
-
-def shipped_policies() -> list[str]:
-    """Names of the policies in this build."""
-    return sorted(p.stem for p in POLICIES.glob("*.safetensors"))
-
-
-def _learned(robot: Robot, name: str) -> Controller:
-    from fishmj.controllers.learned import Learned
-    from fishmj.policy import Policy
-
-    return Learned(robot, Policy.load(name), Path(name).stem)
+    return Drift(robot)
 
 
 def _classical(robot: Robot, name: str, options: dict) -> Controller:
@@ -93,7 +82,7 @@ def _classical(robot: Robot, name: str, options: dict) -> Controller:
         )
     quick, bend = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
     rates = Rates(frequency=gait["frequency_rate"], amplitude=quick, bias=bend)
-    cpg, navigator = Cpg(robot, lag, rates), Navigator(robot, gait["wobble"])
+    cpg, navigator = Cpg(robot, lag, rates), Navigator(robot, gait["wobble"], gait["sway"])
     if name.startswith("adrc"):
         low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
         return Adrc(name, cpg, Throttle(gait, low, high), navigator, k)
@@ -103,4 +92,4 @@ def _classical(robot: Robot, name: str, options: dict) -> Controller:
     return Pursuit(name, helm, navigator, k)
 
 
-__all__ = ["NAMES", "Controller", "make", "shipped_policies"]
+__all__ = ["NAMES", "Controller", "make"]

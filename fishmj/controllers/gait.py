@@ -37,11 +37,12 @@ def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=S
     return tuple(np.concatenate([np.asarray(a) for a in column], 1) for column in zip(*rows, strict=True))
 
 
-def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 40.0, 80.0), engine: str = "batch") -> dict:
-    """Steady speed over the grid, head yaw a joint angle, turning rate a bias, gliding length.
+def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 60.0, 120.0), engine: str = "batch") -> dict:
+    """Steady speed over the grid, head yaw and sway a joint angle, turning rate a bias, gliding length.
 
     Returns:
-        speed (F, A) m/s; power (F, A) W, servos; wobble (J,) rad/rad; turn rad/s a rad of bias and m/s of speed; glide m.
+        speed (F, A) m/s; power (F, A) W, servos; wobble (J,) rad/rad; sway (J,) m/rad; turn rad/s a rad of bias and m/s of
+        speed; glide m; residual: parts of head yaw and sway that the joints do not explain.
     """
     robot, lag = load_robot(robot), np.radians(lag_deg)
     f, a = (g.ravel() for g in np.meshgrid(FREQUENCIES, np.radians(AMPLITUDES_DEG), indexing="ij"))
@@ -50,24 +51,31 @@ def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 40.0, 80.0), engine: st
     shift = np.linalg.norm(pose[:, -1, :2] - pose[:, late, :2], axis=-1)
     speed = shift / ((pose.shape[1] - 1 - late) * robot.timing.bus_dt)
     grid = (len(FREQUENCIES), len(AMPLITUDES_DEG))
+    keep = (speed > 0.05) & (speed < 0.45)
+    wobble, sway, residual = _beat(pose[keep, late:], joint[keep, late:])
     return {
         "speed": speed.reshape(grid),
         "power": power[:, late:].mean(1).reshape(grid),
-        "wobble": _wobble(pose[:, late:, 2], joint[:, late:], speed),
+        "wobble": wobble,
+        "sway": sway,
+        "residual": residual,
         "turn": _turn(robot, lag, engine),
         "glide": _glide(robot, lag, engine),
     }
 
 
-def _wobble(yaw, joint, speed):
-    """c in psi_head = psi - c . J by least squares over gaits that swim 0.05 to 0.45 m/s, with a little ridge."""
-    keep = (speed > 0.05) & (speed < 0.45)
-    t = np.linspace(-1, 1, yaw.shape[1])
+def _beat(pose, joint):
+    """c and s in psi_head = psi - c . J and y = s . J, by least squares over gaits, with a little ridge; and what is left."""
+    t = np.linspace(-1, 1, pose.shape[1])
     line = np.stack([np.ones_like(t), t], 1)
-    remove = lambda x: x - line @ np.linalg.lstsq(line, x, rcond=None)[0]  # noqa: E731
-    x = np.concatenate([remove(j) for j in joint[keep]])
-    y = -np.concatenate([remove(p[:, None])[:, 0] for p in yaw[keep]])
-    return np.linalg.solve(x.T @ x + 1e-2 * np.trace(x.T @ x) * np.eye(x.shape[1]), x.T @ y)
+    level = lambda x: x - line @ np.linalg.lstsq(line, x, rcond=None)[0]  # noqa: E731
+    way = pose[:, -1, :2] - pose[:, 0, :2]
+    normal = np.stack([-way[:, 1], way[:, 0]], -1) / np.linalg.norm(way, axis=-1, keepdims=True)
+    left = np.einsum("btk,bk->bt", pose[:, :, :2], normal)
+    x = np.concatenate([level(j) for j in joint])
+    y = np.concatenate([level(np.stack([-yaw, side], 1)) for yaw, side in zip(pose[:, :, 2], left, strict=True)])
+    fit = np.linalg.solve(x.T @ x + 1e-2 * np.trace(x.T @ x) * np.eye(x.shape[1]), x.T @ y)
+    return fit[:, 0], fit[:, 1], (y - x @ fit).std(0) / y.std(0)
 
 
 def _turn(robot: Robot, lag, engine) -> float:
@@ -136,8 +144,15 @@ def main(argv: list[str]) -> int:
     m = measure(args.robot, engine=args.engine)
     rounded = lambda a, n: [rounded(r, n) for r in a] if np.ndim(a) else round(float(a), n)  # noqa: E731
     source = 'source = "derived: python -m fishmj.controllers.gait"'
-    for key, unit, digits in (("speed", "m/s", 4), ("wobble", "1", 3), ("turn", "1/m", 3), ("glide", "m", 3)):
+    for key, unit, digits in (
+        ("speed", "m/s", 4),
+        ("wobble", "1", 3),
+        ("sway", "m/rad", 4),
+        ("turn", "1/m", 3),
+        ("glide", "m", 3),
+    ):
         console.say(f'{key} = {{ value = {rounded(m[key], digits)}, unit = "{unit}", {source} }}')
+    console.say(f"# not explained by the joints: {m['residual'][0]:.2f} of the head's yaw, {m['residual'][1]:.2f} of the sway")
     return console.OK
 
 

@@ -1,9 +1,10 @@
 """What a controller makes of the 11 numbers: a fix of target, velocity and heading in axes that do not turn with the fish.
 
-The head yaws by up to 40 deg in each beat, and nearly in proportion to the joints: psi_head = psi - c . J with psi the
-heading of the swimming direction. So c (measured in still water, `gait.measure`) takes the beat out without a filter's delay:
+In each beat the head yaws by up to 40 deg and the reference point sways by up to 4 cm, both nearly in proportion to the
+joints (`gait.measure`: nine tenths of them). So the joints take the beat out, without a filter's delay:
 
-    omega = w + c . K,     psi = integral of omega                              heading axis and its rate
+    omega = w + c . K,     psi = integral of omega           heading of the swimming direction and its rate
+    r + n s . J,           v - n s . K                       target from, and velocity of, the path's centre; n = left of psi
 
 The observations are late: the pose by the camera, the tracker's rates by half its window more. Joints are prompt, so they
 are read back to those moments by cubic Hermite interpolation between the last two control steps.
@@ -20,8 +21,8 @@ from fishmj.mjcf.description import Robot
 class Fix(NamedTuple):
     """Where the fish is, in axes fixed at reset."""
 
-    target: np.ndarray  # (B, 2) m, from the fish to the target
-    velocity: np.ndarray  # (B, 2) m/s over ground
+    target: np.ndarray  # (B, 2) m, from the centre of the fish's path to the target
+    velocity: np.ndarray  # (B, 2) m/s over ground, without the beat
     heading: np.ndarray  # (B,) rad, of the swimming direction, not wrapped, extrapolated to now
     turn: np.ndarray  # (B,) rad/s, its rate
 
@@ -32,11 +33,12 @@ class Navigator:
     Args:
         robot: gives the nominal latencies and the control step.
         wobble: (J,) c, rad of head yaw a rad of joint angle.
+        sway: (J,) s, m to the left a rad of joint angle.
     """
 
-    def __init__(self, robot: Robot, wobble):
+    def __init__(self, robot: Robot, wobble, sway):
         t = robot.timing
-        self.wobble, self.dt = np.asarray(wobble, float), t.control_dt
+        self.wobble, self.sway, self.dt = np.asarray(wobble, float), np.asarray(sway, float), t.control_dt
         self.pose_age = t.camera_latency
         self.rate_age = t.camera_latency + (t.velocity_window - 1) * t.bus_dt / 2
         self.reset(0)
@@ -53,14 +55,15 @@ class Navigator:
         target, velocity, rate, joint, joint_rate = obs[:, :2], obs[:, 2:4], obs[:, 4], obs[:, 5 : 5 + j], obs[:, 5 + j :]
         old, old_rate = self.before or (joint, joint_rate)
         then = lambda age: hermite(old, old_rate, joint, joint_rate, self.dt, 1 - age / self.dt)  # noqa: E731
-        (bend, _), (bend_rates, speed) = then(self.pose_age), then(self.rate_age)
+        (bend, _), (bend_rates, speed) = then(self.pose_age), then(self.rate_age)  # at the picture, and when the rates held
         turn = rate + speed @ self.wobble
         if self.turn is not None:
             self.heading = self.heading + self.dt * 0.5 * (turn + self.turn)
         self.turn, self.before = turn, (joint, joint_rate)
-        seen = self.heading + (self.rate_age - self.pose_age) * turn - bend @ self.wobble  # head yaw when the picture was taken
-        met = self.heading - bend_rates @ self.wobble  # and when the rates held
-        return Fix(turned(target, seen), turned(velocity, met), self.heading + self.rate_age * turn, turn)
+        seen, met = self.heading + (self.rate_age - self.pose_age) * turn, self.heading
+        place = turned(target, seen - bend @ self.wobble) + across(seen, bend @ self.sway)
+        motion = turned(velocity, met - bend_rates @ self.wobble) - across(met, speed @ self.sway)
+        return Fix(place, motion, self.heading + self.rate_age * turn, turn)
 
 
 def hermite(a, da, b, db, h: float, s: float):
@@ -68,6 +71,11 @@ def hermite(a, da, b, db, h: float, s: float):
     value = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * h * da + s * s * (3 - 2 * s) * b + s * s * (s - 1) * h * db
     rate = 6 * s * (1 - s) * (b - a) / h + (1 - s) * (1 - 3 * s) * da + s * (3 * s - 2) * db
     return value, rate
+
+
+def across(heading, amount):
+    """Vectors (B, 2) of length `amount` (B,) to the left of `heading` (B,)."""
+    return amount[:, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
 
 
 def turned(vectors, angle):

@@ -22,6 +22,7 @@ class Result(NamedTuple):
     """What n trials did; T bus ticks of 20 ms, row 0 is the start; K control steps."""
 
     controller: str
+    policy_sha256: str  # of a policy's file, else ""
     robot: Robot
     trials: Trials
     engine: str
@@ -91,10 +92,10 @@ def run(
         joint, rate = trace.joint[:, -1], trace.rate[:, -1]
         rows.append((*trace, command, obs[:, None], _action(brain)))
         progress(k + 1)
-    return _result(brain.name, robot, trials, body, start, target, rows)
+    return _result(brain, robot, trials, body, start, target, rows)
 
 
-def _result(name, robot, trials, body, start, target, rows) -> Result:
+def _result(brain, robot, trials, body, start, target, rows) -> Result:
     """Rows of control steps as arrays; the start is tick 0."""
     join = lambda i: np.concatenate([row[i] for row in rows], 1)  # noqa: E731
     first = lambda x, like: np.concatenate([np.broadcast_to(x, (len(start), like.shape[2]))[:, None], like], 1)  # noqa: E731
@@ -104,7 +105,8 @@ def _result(name, robot, trials, body, start, target, rows) -> Result:
     distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
     return Result(
-        controller=name,
+        controller=brain.name,
+        policy_sha256=getattr(brain, "sha256", ""),
         robot=robot,
         trials=trials,
         engine=type(body).__module__.rpartition(".")[2],

@@ -53,6 +53,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "root": "planar",
         "engine": r.engine,
         "controller": r.controller,
+        "policy_sha256": r.policy_sha256,
         "target": r.target[i].tolist(),
         "seed": int(item.seed[0]),
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},

@@ -1,0 +1,217 @@
+"""Pictures of judged trials, like the paper's: distance curves, radar over directions, headings, tracks. Agg, no display.
+
+Axes are the stream's: upstream is up, LOS is counted counter-clockwise from upstream. Colours are those of Okabe and Ito
+(2008), told apart by all common kinds of colour vision; lines also differ in dash and carry their name.
+"""
+
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.calib import constant
+from fishmj.errors import MissingExtra
+from fishmj.evaluate.driver import Result
+from fishmj.evaluate.metrics import beat_mean, figures
+from fishmj.units import wrap
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B", "#8C564B")
+DASHES = ("-", "--", "-.", (0, (1, 1.2)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 2)), (0, (2, 3)))
+INK, FAINT = "#222222", "#C9CED6"
+RADAR = (("approach_time", "approach time [s]"), ("rmse_after_arrival", "RMSE after arrival [m], log"), ("power", "power [W]"))
+LOGARITHMIC = {"rmse_after_arrival": 0.02}  # key -> radius at the centre
+STYLE = {
+    "font.size": 10,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#777777",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+}
+
+
+def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
+    """Draw everything into `folder`: (file, caption)."""
+    drawn = (
+        ("distance.png", distance, "Distance to the target: median and the middle half of the trials, by flow speed."),
+        ("radar.png", radar, "Means over repeats, by direction of the target; upstream is up."),
+        ("heading.png", headings, "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
+        ("tracks.png", tracks, "Tracks seen from the target (cross, with the 0.1 m circle); the water flows down the page."),
+    )
+    try:
+        import matplotlib
+    except ModuleNotFoundError as error:
+        raise MissingExtra("matplotlib", "dev", "evaluate --plots") from error
+    matplotlib.use("Agg")
+    with matplotlib.rc_context(STYLE):
+        return [(draw(results, folder / name), caption) for name, draw, caption in drawn]
+
+
+def canvas(rows: int, columns: int, size: tuple[float, float], **options):
+    """A figure and its axes (rows, columns)."""
+    from matplotlib import pyplot
+
+    return pyplot.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **options)
+
+
+def save(figure, path: Path) -> Path:
+    """Write a PNG and forget the figure."""
+    from matplotlib import pyplot
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130, bbox_inches="tight", pad_inches=0.15)
+    pyplot.close(figure)
+    return path
+
+
+def looks(results: list[Result]):
+    """(result, colour, dash) for each controller."""
+    return [(r, c, d) for r, c, d in zip(results, cycle(COLOURS), cycle(DASHES), strict=False)]
+
+
+def legend(figure, results: list[Result], **options) -> None:
+    """One legend for the whole figure, under the panels."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=c, linestyle=d, linewidth=2.2, label=r.controller) for r, c, d in looks(results)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False, **options)
+
+
+def speeds_of(results: list[Result]) -> list[float]:
+    return sorted(set(results[0].trials.speed))
+
+
+def distance(results: list[Result], path: Path) -> Path:
+    """Distance over time, a panel a speed."""
+    speeds = speeds_of(results)
+    figure, axes = canvas(1, len(speeds), (4.4 * len(speeds), 4.0), sharey=True)
+    radius = constant("protocol", "arrival_radius")
+    for axis, speed in zip(axes[0], speeds, strict=True):
+        for r, colour, dash in looks(results):
+            d = r.distance[r.trials.speed == speed]
+            low, middle, high = np.quantile(d, [0.25, 0.5, 0.75], axis=0)
+            axis.fill_between(r.t, low, high, color=colour, alpha=0.13, linewidth=0)
+            axis.plot(r.t, middle, color=colour, linestyle=dash, linewidth=2)
+        axis.axhline(radius, color="#888888", linewidth=0.9, linestyle=":")
+        axis.set(title=f"flow {speed:g} m/s", xlabel="time [s]", xlim=(0, r.t[-1]), ylim=(0.01, 4), yscale="log")
+        axis.grid(axis="y", color="#E6E8EC", linewidth=0.8)
+        axis.set_yticks([0.01, 0.03, 0.1, 0.3, 1, 3], labels=["0.01", "0.03", "0.1", "0.3", "1", "3"])
+        axis.minorticks_off()
+    axes[0, -1].text(results[0].t[-1], radius, f" {radius:g} m", va="center", color="#666666", fontsize=9)
+    axes[0, 0].set_ylabel("distance to target [m]")
+    legend(figure, results)
+    return save(figure, path)
+
+
+def radar(results: list[Result], path: Path) -> Path:
+    """Approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
+    speeds = speeds_of(results)
+    figure, axes = canvas(len(speeds), 3, (12, 3.9 * len(speeds) + 0.5), subplot_kw={"projection": "polar"})
+    found = [(figures(r), r, c, d) for r, c, d in looks(results)]
+    for column, (key, title) in enumerate(RADAR):
+        for row, speed in enumerate(speeds):
+            axis = polar(axes[row, column])
+            for f, r, colour, dash in found:
+                los = np.unique(r.trials.los)
+                mean = np.array([_mean(f[key][(r.trials.speed == speed) & (r.trials.los == b)]) for b in los])
+                axis.plot(np.append(los, los[0]), np.append(mean, mean[0]), color=colour, linestyle=dash, linewidth=2)
+                axis.scatter(los, mean, color=colour, s=16, zorder=3)
+            if key in LOGARITHMIC:
+                axis.set_rscale("log")
+                axis.set_rticks([0.03, 0.1, 0.3, 1, 3], labels=["0.03", "0.1", "0.3", "1", "3"])
+                axis.minorticks_off()
+            axis.set_rlim(LOGARITHMIC.get(key, 0.0), _ceiling(found, key, results))
+            axis.set_title(f"{title}\nflow {speed:g} m/s", pad=14)
+    legend(figure, results, fontsize=11)
+    return save(figure, path)
+
+
+def _mean(x) -> float:
+    x = x[np.isfinite(x)]
+    return float(np.mean(x)) if len(x) else np.nan
+
+
+def _ceiling(found, key: str, results) -> float:
+    """Radius of a radar column: the largest mean of any condition."""
+    tops = []
+    for f, r, *_ in found:
+        for speed in speeds_of(results):
+            tops += [_mean(f[key][(r.trials.speed == speed) & (r.trials.los == b)]) for b in np.unique(r.trials.los)]
+    tops = [t for t in tops if np.isfinite(t)]
+    return 1.08 * max(tops) if tops else 1.0
+
+
+def polar(axis):
+    """Upstream up, angles as LOS."""
+    axis.set_theta_zero_location("N")
+    axis.set_thetagrids(range(0, 360, 45), ["upstream", *(f"{b}°" for b in range(45, 360, 45))], fontsize=9)
+    axis.tick_params(axis="x", pad=2)
+    axis.tick_params(axis="y", labelsize=8)
+    axis.set_rlabel_position(67)
+    axis.grid(color="#DDE1E7", linewidth=0.8)
+    axis.spines["polar"].set_color(FAINT)
+    return axis
+
+
+def headings(results: list[Result], path: Path) -> Path:
+    """Where the fish points in the hold phase, for targets upstream and downstream of the start."""
+    sides = (("target upstream", 1), ("target downstream", -1))
+    figure, axes = canvas(2, len(results), (3.3 * len(results) + 0.4, 7.8), subplot_kw={"projection": "polar"})
+    start, end = constant("protocol", "rheotaxis_window")
+    edges = np.radians(np.arange(-180, 181, 10))
+    for column, (r, colour, _) in enumerate(looks(results)):
+        heading = wrap(np, beat_mean(r.pose[:, :, 2], r.robot.timing.bus_dt) - r.trials.upstream)
+        inside = (r.t >= start) & (r.t <= end) & (np.arange(len(r.t)) < r.left[:, None])
+        for row, (title, sign) in enumerate(sides):
+            some = sign * np.cos(r.trials.los) > 1e-6
+            values = heading[some][inside[some]]
+            axis = polar(axes[row, column])
+            axis.set_title(f"{r.controller}, {title}", pad=14)
+            if not len(values):
+                axis.text(0, 0, "no trial\nstayed in\nthe tank", ha="center", va="center", color="#777777")
+                axis.set_yticks([])
+                continue
+            share = np.histogram(values, edges)[0] / len(values)
+            axis.bar(edges[:-1] + np.radians(5), np.sqrt(share), width=np.radians(9), color=colour, alpha=0.85, linewidth=0)
+            axis.set_yticks(np.sqrt([0.1, 0.4, 0.9]), labels=["10 %", "40 %", "90 %"])
+            axis.set_ylim(0, 1)
+            spread = np.degrees(np.sqrt(max(-2 * np.log(max(abs(np.mean(np.exp(1j * values))), 1e-9)), 0)))
+            axis.set_title(f"{r.controller}, {title}\nspread {spread:.0f}°", pad=14)
+    return save(figure, path)
+
+
+def tracks(results: list[Result], path: Path) -> Path:
+    """Tracks relative to the target: rows controllers, columns speeds, colour by direction."""
+    speeds = speeds_of(results)
+    figure, axes = canvas(len(results), len(speeds), (3.6 * len(speeds), 3.6 * len(results)), sharex=True, sharey=True)
+    los = np.unique(results[0].trials.los)
+    for row, r in enumerate(results):
+        c, s = np.cos(r.trials.upstream), np.sin(r.trials.upstream)
+        rel = r.pose[:, :, :2] - r.target[:, None]
+        up, left = c * rel[..., 0] + s * rel[..., 1], c * rel[..., 1] - s * rel[..., 0]
+        for column, speed in enumerate(speeds):
+            axis = axes[row, column]
+            for i in np.flatnonzero(r.trials.speed == speed):
+                stop = min(r.left[i] + 1, len(r.t))
+                hue = COLOURS[np.searchsorted(los, r.trials.los[i]) % len(COLOURS)]
+                axis.plot(-left[i, :stop], up[i, :stop], color=hue, linewidth=0.8, alpha=0.8)
+                axis.plot(-left[i, 0], up[i, 0], "o", color=hue, markersize=4)
+            axis.add_patch(_circle(constant("protocol", "arrival_radius")))
+            axis.plot(0, 0, "+", color=INK, markersize=9, zorder=4)
+            axis.annotate("", (1.75, 1.2), (1.75, 1.8), arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.6})
+            axis.text(1.66, 1.5, "flow", ha="right", va="center", color="#0072B2", fontsize=9)
+            axis.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", title=f"{r.controller}, {speed:g} m/s")
+        axes[row, 0].set_ylabel("upstream of the target [m]")
+    for axis in axes[-1]:
+        axis.set_xlabel("to the right, facing upstream [m]")
+    return save(figure, path)
+
+
+def _circle(radius: float):
+    from matplotlib.patches import Circle
+
+    return Circle((0, 0), radius, fill=False, color=INK, linewidth=1, zorder=4)

@@ -1,0 +1,231 @@
+"""The classical controllers: smooth commands, a beat-free heading, a measured gait, an observer that finds the flow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj import controllers, engines, evaluate
+from fishmj.controllers import gait
+from fishmj.controllers.adrc import Observer
+from fishmj.controllers.cpg import Cpg, Rates
+from fishmj.controllers.gains import gains_of
+from fishmj.controllers.sense import Navigator, hermite, turned
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf.description import load_robot
+from fishmj.policy import Policy
+
+ROBOT = load_robot("fish")
+LAG = np.radians(gains_of("gait")["lag_deg"])
+STEADY = Rates(frequency=4.0, amplitude=1.5, bias=4.0)
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return engines.make("compiled", ROBOT)
+
+
+def noisy_observations(steps: int, n: int) -> np.ndarray:
+    """Any 11 numbers of the right size: controllers must stay sane on them."""
+    return np.random.default_rng(3).normal(0, 0.4, (steps, n, 11))
+
+
+@pytest.mark.parametrize("name", controllers.NAMES)
+def test_a_controller_answers_every_observation_with_finite_angles(name):
+    brain = controllers.make(name, ROBOT)
+    brain.reset(5)
+    for obs in noisy_observations(40, 5):
+        command = brain(obs)
+        assert command.shape == (5, 10, 3)
+        assert np.isfinite(command).all() and np.abs(command).max() < np.pi
+
+
+@pytest.mark.parametrize("name", controllers.NAMES)
+def test_reset_forgets_everything(name):
+    brain, observations = controllers.make(name, ROBOT), noisy_observations(20, 4)
+    runs = []
+    for _ in range(2):
+        brain.reset(4)
+        runs.append([brain(obs) for obs in observations])
+    assert np.array_equal(*runs)
+
+
+@pytest.mark.parametrize("name", controllers.NAMES)
+def test_fish_do_not_see_each_other(name):
+    brain, observations = controllers.make(name, ROBOT), noisy_observations(20, 4)
+    brain.reset(4)
+    together = np.array([brain(obs) for obs in observations])
+    brain.reset(1)
+    alone = np.array([brain(obs[2:3]) for obs in observations])
+    assert np.allclose(together[:, 2:3], alone, atol=1e-12)
+
+
+def test_the_generator_is_continuous_even_when_its_goals_jump():
+    cpg = Cpg(ROBOT, LAG, STEADY)
+    cpg.reset(1)
+    rng, rows = np.random.default_rng(0), []
+    for _ in range(50):
+        f, a, b = rng.uniform(0, [2.0, 0.5, 1.0])
+        rows.append(cpg(np.full(1, f), np.full(1, a), np.full(1, b))[0])
+    step = np.abs(np.diff(np.concatenate(rows), axis=0)).max()
+    fastest = 0.5 * 2 * np.pi * 2.0 + STEADY.amplitude + STEADY.bias / 3  # rad/s
+    assert step <= fastest * ROBOT.timing.bus_dt
+
+
+def test_the_generator_beats_at_the_wanted_frequency_with_the_wanted_lag():
+    cpg = Cpg(ROBOT, LAG, replace(STEADY, frequency=100.0, amplitude=100.0))
+    cpg.reset(1)
+    wave = np.concatenate([cpg(np.full(1, 1.0), np.full(1, 0.4), np.zeros(1))[0] for _ in range(25)])[100:]  # 3 s
+    spectrum = np.fft.rfft(wave, axis=0)
+    assert np.all(np.abs(spectrum).argmax(0) == 3)
+    lag = np.angle(spectrum[3, :1] / spectrum[3])
+    assert lag == pytest.approx(LAG, abs=1e-6)
+
+
+def test_under_hold_a_chunk_is_one_sample():
+    held = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
+    smooth, stepped = (Cpg(robot, LAG, STEADY) for robot in (ROBOT, held))
+    goals = (np.full(2, 1.0), np.full(2, 0.5), np.full(2, 0.2))
+    for cpg in (smooth, stepped):
+        cpg.reset(2)
+    for _ in range(5):
+        a, b = smooth(*goals), stepped(*goals)
+        assert np.ptp(b, axis=1).max() == 0 and np.array_equal(b[:, 0], a[:, 4])
+
+
+def test_cubic_interpolation_is_exact_for_a_cubic():
+    p = np.poly1d([0.7, -1.1, 0.4, 2.0])
+    value, rate = hermite(p(0), p.deriv()(0), p(0.2), p.deriv()(0.2), 0.2, 0.425)
+    assert (value, rate) == pytest.approx((p(0.085), p.deriv()(0.085)))
+
+
+def test_the_beat_does_not_show_in_the_heading():
+    """A fish swimming straight yaws its head by tens of degrees; the navigator's heading hardly moves."""
+    navigator, n = Navigator(ROBOT, gains_of("gait")["wobble"], gains_of("gait")["sway"]), 3
+    pose, joint, _ = gait.swim(
+        ROBOT, LAG, np.full(n, 1.0), np.radians([15.0, 20.0, 25.0]), np.zeros(n), seconds=12.0, engine="compiled"
+    )
+    dt = ROBOT.timing.bus_dt
+    yaw_rate, joint_rate = np.gradient(pose[:, :, 2], dt, axis=1), np.gradient(joint, dt, axis=1)
+    late = round(navigator.rate_age / dt)
+    navigator.reset(n)
+    heading = []
+    for k in range(20, pose.shape[1], 10):
+        zero = np.zeros((n, 2))
+        obs = np.concatenate([zero, zero, yaw_rate[:, [k - late]], joint[:, k], joint_rate[:, k]], 1)
+        heading.append(navigator(obs).heading)
+    settled = np.array(heading)[25:]
+    assert np.all(settled.std(0) < 0.2 * pose[:, 250:, 2].std(1))
+
+
+def test_a_positive_bias_turns_to_the_right():
+    pose, _, _ = gait.swim(ROBOT, LAG, np.ones(2), np.full(2, 0.35), np.array([0.5, -0.5]), seconds=6.0, engine="compiled")
+    assert pose[0, -1, 2] < -0.7 and pose[1, -1, 2] > 0.7
+    assert gains_of("gait")["turn"] < 0
+
+
+def test_the_gait_map_is_what_the_water_gives():
+    """Two points of the map, swum again."""
+    known = gains_of("gait")
+    for i, j in ((1, 2), (5, 4)):
+        f, a = known["frequency"][i], np.radians(known["amplitude_deg"][j])
+        pose, _, _ = gait.swim(ROBOT, LAG, np.array([f]), np.array([a]), np.zeros(1), engine="compiled")
+        speed = np.linalg.norm(pose[0, -1, :2] - pose[0, 500, :2]) / ((pose.shape[1] - 501) * 0.02)
+        assert speed == pytest.approx(known["speed"][i][j], rel=0.02)
+
+
+def test_the_throttle_gives_the_speed_that_was_asked():
+    k = gains_of("dob")
+    low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
+    throttle = gait.Throttle(gains_of("gait"), low, high)
+    wanted = np.linspace(throttle.speeds[0], 0.98 * throttle.top, 20)
+    assert throttle.speed(*throttle(wanted)) == pytest.approx(wanted, abs=0.004)
+
+
+def test_the_observer_of_adrc_finds_a_constant_disturbance():
+    """psi'' = f + b u with f = 0.7, u = 0.3: z must become (psi, psi', f)."""
+    dt, gain = 0.2, -2.0
+    observer = Observer(3, 8.0, gain, dt)
+    observer.start(np.zeros(1))
+    a = 0.7 + gain * 0.3
+    for k in range(1, 40):
+        z = observer(np.array([0.5 * a * (k * dt) ** 2]), np.array([0.3]))
+    assert z[0] == pytest.approx([0.5 * a * (k * dt) ** 2, a * k * dt, 0.7], rel=1e-4)
+
+
+def test_the_flow_observer_finds_the_flow(engine):
+    """Its axes are those of the start, which faces upstream: the flow is (-U, 0)."""
+    brain = controllers.make("dob", ROBOT)
+    calm = evaluate.trials(
+        speeds=[0.2, 0.3], los_deg=[0, 90, 270], repeats=1, turbulence="none", randomisation=0, noise=0, duration=30
+    )
+    evaluate.run(brain, ROBOT, calm, engine)
+    truth = np.stack([-calm.speed, 0 * calm.speed], -1)
+    assert np.abs(brain.flow - truth).max() < 0.06
+
+
+def test_the_flow_observer_holds_station_to_centimetres_in_a_calm_stream(engine):
+    calm = evaluate.trials(speeds=[0.2], repeats=1, box="tune", turbulence="none", randomisation=0, noise=0)
+    found = evaluate.figures(evaluate.run("dob", ROBOT, calm, engine))
+    assert found["arrival"].all()
+    assert found["rmse_last20"].mean() < 0.02
+
+
+def a_policy(path, n_obs=11, n_act=3):
+    rng = np.random.default_rng(0)
+    weights = [(rng.normal(0, 0.5, (8, n_obs)), np.zeros(8)), (rng.normal(0, 0.5, (n_act, 8)), np.zeros(n_act))]
+    return Policy(weights, {"activation": "relu", "scale": [1.0] * n_obs}).save(path)
+
+
+def test_a_policy_file_is_a_controller_on_the_robots_command_path(tmp_path):
+    path, obs = a_policy(tmp_path / "mine.safetensors"), noisy_observations(3, 4)
+    smooth = controllers.make(path, ROBOT)
+    held = controllers.make(path, replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold")))
+    for brain in (smooth, held):
+        brain.reset(4)
+    for o in obs:
+        a, b = smooth(o), held(o)
+    goal = ROBOT.servo.range * Policy.load(path)(obs[-1])
+    assert smooth.name == "mine" and len(smooth.sha256) == 64
+    assert a[:, -1] == pytest.approx(goal) and b == pytest.approx(np.repeat(goal[:, None], 10, 1))
+    assert np.diff(a, 2, axis=1) == pytest.approx(0, abs=1e-9)  # a straight line
+
+
+def test_a_policy_for_another_robot_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="takes 7 observations"):
+        controllers.make(a_policy(tmp_path / "short.safetensors", n_obs=7), ROBOT)
+
+
+def test_vectors_turn_counter_clockwise():
+    assert turned(np.array([[1.0, 0.0]]), np.array([np.pi / 2])) == pytest.approx(np.array([[0.0, 1.0]]))
+
+
+def test_wrong_names_say_the_nearest_right_one():
+    with pytest.raises(UnknownName, match="Did you mean 'dob'"):
+        controllers.make("dop", ROBOT)
+    with pytest.raises(UnknownName, match="Did you mean 'observer_time'"):
+        controllers.make("dob", ROBOT, observer_tim=1.0)
+    with pytest.raises(ConfigError, match="no gains"):
+        controllers.make("drift", ROBOT, position=1.0)
+
+
+def test_a_gait_for_three_joints_is_refused_by_another_fish():
+    with pytest.raises(ConfigError, match="joints"):
+        controllers.make("dob", "tendon_fish")
+    drift = controllers.make("drift", "tendon_fish")
+    joints = load_robot("tendon_fish").n_joints
+    assert drift(np.zeros((2, 5 + 2 * joints))).shape == (2, 10, joints)
+
+
+def test_every_gain_has_unit_and_source():
+    from fishmj.calib import calib_folder, read_toml
+
+    for name, table in read_toml(calib_folder() / "controllers.toml").items():
+        if not isinstance(table, dict):
+            continue
+        for key, entry in table.items():
+            if key == "like":
+                assert entry in controllers.NAMES
+                continue
+            assert set(entry) == {"value", "unit", "source"}, f"{name}.{key}"
+            assert entry["source"].partition(": ")[0] in ("default", "derived", "tuned"), f"{name}.{key}"
