@@ -56,7 +56,7 @@ def test_the_fish_states_the_same_servo_and_timing_as_the_paper_file(section):
 
 def test_the_fish_states_the_same_robot_as_the_paper_file():
     assert [link["length"] for link in fish()["link"]] == calib.constant("robot", "link_lengths")
-    assert [link["mass"] for link in fish()["link"]] == calib.constant("robot", "mass_split")
+    assert sum(link["mass"] for link in fish()["link"]) == pytest.approx(calib.constant("robot", "mass"))
     assert fish()["body"]["mass_total"] == calib.constant("robot", "mass")
 
 

@@ -14,7 +14,7 @@ In the plane, with nothing vertical, F and the drag are those of `terms` (tests/
     fins        plates of chord c, span b: added mass rho pi/4 b^2 c, drag 1/2 rho Cn S |w_f| w_f (Cn of the tail plate),
                 lift 1/2 rho S (pi b/2c) |u| w_f (Jones 1946), w_f the vertical velocity at the plate's centre
     weight      carried by MuJoCo; buoyancy equals the nominal weight of each link, above its centre of mass on the long axis:
-                every link is trimmed by itself (foam, lead), else a bent fish with a heavy tail rolls over
+                every link is trimmed by itself (foam, lead), as the default fish is described; else a bent fish rolls over
 
 Left out: the surface (depth is indifferent), vertical trailing-edge flux, torsion of the tail.
 """
