@@ -1,6 +1,8 @@
 """The tasks as pure functions: reward, observation and starts by hand; what the fish must never see; late cameras."""
 
+import re
 from math import pi, radians
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -227,3 +229,15 @@ def test_the_camera_shows_a_jump_only_after_its_latency_and_the_filter_spreads_i
     moving = np.flatnonzero(np.abs(vx) > 1e-6)
     assert moving.tolist() == list(range(3 + late, 3 + late + window - 1))
     assert vx.sum() * 0.02 == pytest.approx(0.1)  # the filter spreads the jump, and loses nothing of it
+
+
+# ---- the manual ----
+
+MANUAL = re.findall(
+    r"```python\n(.*?)```", (Path(__file__).parent.parent / "docs" / "tasks.md").read_text(encoding="utf-8"), re.DOTALL
+)
+
+
+@pytest.mark.parametrize("example", MANUAL, ids=["dm_control", "gymnasium", "vector", "jax"])
+def test_the_examples_of_the_manual_run(example):
+    exec(compile(example, "docs/tasks.md", "exec"), {})  # noqa: S102  our own text

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ class Picture:
     """Draws one fish. `kind` is "mujoco" or "drawn"."""
 
     def __init__(self, robot: Robot):
-        self.robot, self._renderer = robot, None
+        self._renderer: Any = None
         self.kind = "mujoco" if can_render() else "drawn"
         if self.kind == "mujoco":
             import mujoco

@@ -27,7 +27,8 @@ class FishEnv(gymnasium.Env):
 
     def __init__(self, task: str = "station_hold", engine="batch", render_mode: str | None = None, **options):
         self.rules = spaces.rules_of(task, options)
-        self.observation_space, self.action_space = spaces.observation_space(self.rules), spaces.action_space(self.rules)
+        self._bounds = self.observation_space = spaces.observation_space(self.rules)
+        self.action_space = spaces.action_space(self.rules)
         self.episodes = Episodes(self.rules, engine, 1)
         self.render_mode, self._picture = render_mode, None
         self.metadata = {**self.metadata, "render_fps": round(1 / self.rules.dt)}
@@ -66,4 +67,4 @@ class FishEnv(gymnasium.Env):
 
     def _look(self) -> np.ndarray:
         seen = self.episodes.look(self.np_random.standard_normal((1, self.rules.n_obs)))[0]
-        return np.clip(seen, self.observation_space.low, self.observation_space.high).astype(np.float32)
+        return spaces.clipped(seen, self._bounds)

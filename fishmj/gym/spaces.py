@@ -36,6 +36,11 @@ def observation_space(rules: Rules) -> spaces.Box:
     return spaces.Box(-high, high, dtype=np.float32)
 
 
+def clipped(seen, space: spaces.Box) -> np.ndarray:
+    """Observations as the space declares them: float32, inside its bounds."""
+    return np.clip(seen, space.low, space.high).astype(np.float32)
+
+
 def action_space(rules: Rules) -> spaces.Box:
     """(3,) in [-1, 1]: desired joint angles over the servo's range."""
     return spaces.Box(-1.0, 1.0, (rules.n_act,), np.float32)

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from fishmj.errors import ConfigError
 from fishmj.gym import spaces
 from fishmj.gym.picture import Picture
-from fishmj.tasks.episode import Episodes
+from fishmj.tasks.episode import Draws, Episodes
 
 
 class FishVectorEnv(vector.VectorEnv):
@@ -35,7 +35,7 @@ class FishVectorEnv(vector.VectorEnv):
         if num_envs < 1:
             raise ConfigError(f"gym: num_envs = {num_envs}; needs at least 1")
         self.rules = spaces.rules_of(task, options)
-        self.single_observation_space = spaces.observation_space(self.rules)
+        self._bounds = self.single_observation_space = spaces.observation_space(self.rules)
         self.single_action_space = spaces.action_space(self.rules)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -113,8 +113,8 @@ class FishVectorEnv(vector.VectorEnv):
         return seen
 
     def _begin(self, rows, options: dict | None = None) -> None:
-        draws = [self.rules.draws(self._rngs[i], 1) for i in rows]
-        draws = type(draws[0])(*(np.concatenate(column) for column in zip(*draws, strict=True)))
+        each = [self.rules.draws(self._rngs[i], 1) for i in rows]
+        draws = Draws(*(np.concatenate(column) for column in zip(*each, strict=True)))
         self.episodes.begin(self.rules.scenario(draws, **spaces.fixed_by(self.rules, options, len(rows))), rows)
 
     def _look(self, rows=None) -> np.ndarray:
@@ -122,8 +122,7 @@ class FishVectorEnv(vector.VectorEnv):
         normals = np.zeros((self.num_envs, self.rules.n_obs))
         for i in range(self.num_envs) if rows is None else rows:
             normals[i] = self._rngs[i].standard_normal(self.rules.n_obs)
-        space = self.single_observation_space
-        return np.clip(self.episodes.look(normals), space.low, space.high).astype(np.float32)
+        return spaces.clipped(self.episodes.look(normals), self._bounds)
 
     def _info(self, distance, power, diverged) -> dict:
         every = np.ones(self.num_envs, bool)

@@ -18,6 +18,7 @@ from dm_control.suite import base
 from dm_control.utils import containers
 from dm_env import specs
 
+from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
@@ -75,7 +76,10 @@ class FishTask(base.Task):
 
     Attributes:
         scenario: what was drawn for the running episode (batch of one): start, flow, fish, camera. Never observed.
+        trace: the bus ticks of the control step just taken; None at the start.
     """
+
+    trace: Trace | None
 
     def __init__(self, rules: Rules, random=None):
         super().__init__(random=random)
@@ -142,7 +146,8 @@ class FishTask(base.Task):
         return specs.BoundedArray(one.shape, one.dtype, -one, one, name="action")
 
     def _start(self, scenario: Scenario, normals) -> None:
-        self.scenario, self.normals, self.count, self.trace = scenario, normals, 0, None
+        self.scenario, self.normals, self.count = scenario, normals, 0
+        self.trace = None
         self.history = np.repeat(scenario.launch.start.pose[:, None], self.rules.history, 1)
         self.command = self.joint = self.rate = np.zeros((1, self.rules.n_act))
 

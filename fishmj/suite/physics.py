@@ -46,12 +46,13 @@ class Swim:
     buffer: np.ndarray  # (1, BUFFER, J) bus commands
     pending: np.ndarray  # (T, J) bus commands not yet sent
     steps: int  # physics steps in a bus tick
+    keep: int  # bus ticks in a control step
     step: int = 0  # physics steps since the start
     targets: list | tuple = ()  # servo targets of this tick, one (1, J) a physics step
     water: Any = None  # (flow (1, N, 2), ambient (1, 2)) of this tick
     yaw: float = 0.0  # unwrapped
     power: float = 0.0  # sum over this tick's steps so far, W
-    rows: tuple = ()  # (pose, joint, rate, velocity, power) of the bus ticks since `send`
+    rows: tuple = ()  # (pose, joint, rate, velocity, power) of the last bus ticks
 
 
 class Physics(dm_mujoco.Physics):
@@ -72,11 +73,11 @@ class Physics(dm_mujoco.Physics):
         physics.free_water = FreeWater(robot) if free else None
         model = physics.model
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
-        rest = engines.at_rest(robot, [[0.0, 0.0, 0.0]])
+        rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
         physics.swim = Swim(
             robot=robot, chain=ch, evaluate=None if free else evaluator(robot, ch), params=engines.nominal_params(robot, 1),
             current=Flow().current(), attached=rest.attached, buffer=rest.buffer, pending=np.zeros((0, robot.n_joints)),
-            steps=engines.ticks_per(robot)[0],
+            steps=steps, keep=keep,
         )  # fmt: skip
         return physics
 
@@ -111,7 +112,7 @@ class Physics(dm_mujoco.Physics):
                 for _ in range(n_sub_steps):
                     self._step_planar()
             else:
-                self._step_free(n_sub_steps)
+                self._step_free(self.free_water, n_sub_steps)
             if self.legacy_step:
                 mujoco.mj_step1(self.model.ptr, self.data.ptr)
 
@@ -147,7 +148,7 @@ class Physics(dm_mujoco.Physics):
         return np.array(self.swim.current.mean[0])
 
     def trace(self) -> engines.Trace:
-        """Every bus tick since the last `send`, as the engines' Trace with a batch of one."""
+        """The bus ticks since the last `send`, one control step at most, as the engines' Trace with a batch of one."""
         if not self.swim.rows:
             empty, joints = np.zeros((1, 0, 3)), np.zeros((1, 0, self.model.nu))
             return engines.Trace(empty, joints, joints, empty, empty[..., 0])
@@ -182,8 +183,8 @@ class Physics(dm_mujoco.Physics):
         mujoco.mj_step(self.model.ptr, data)
         self._remember(attached, float(power[0]))
 
-    def _step_free(self, n: int) -> None:
-        model, data, water = self.model.ptr, self.data.ptr, self.free_water
+    def _step_free(self, water: FreeWater, n: int) -> None:
+        model, data = self.model.ptr, self.data.ptr
         water.attached = float(self.swim.attached[0])
         try:
             with inject(model, water) as fish:
@@ -205,7 +206,7 @@ class Physics(dm_mujoco.Physics):
             pose = reference_pose(self.model.ptr, self.data.ptr)
             s.yaw = self._unwrapped(pose[2])
             row = (np.array([*pose[:2], s.yaw]), self.joint_angles(), self.joint_rates(), pose[3:], s.power / s.steps)
-            s.rows = (*s.rows, row)
+            s.rows = (*s.rows, row)[-s.keep :]
 
     def _unwrapped(self, yaw: float) -> float:
         """yaw, by whole turns next to the last one recorded."""
