@@ -1,0 +1,105 @@
+"""Kernels that set and read whole fields: undisturbed water, a given velocity, density, the watch's sums."""
+
+import warp as wp
+
+from fishmj.lbm_oracle.collide import density, populations, relaxed
+from fishmj.lbm_oracle.inflow import Inflow, background
+from fishmj.lbm_oracle.lattice import Q, vec6, vec19
+from fishmj.lbm_oracle.stream import OPTIONS, Numbers, folded
+
+wp.set_module_options(OPTIONS)
+
+
+@wp.func
+def _store(f: wp.array(dtype=float), q: vec19, s: Numbers, x: int, y: int, z: int):
+    cells = s.nx * s.ny * s.nz
+    here = (x * s.ny + y) * s.nz + z
+    for i in range(wp.static(Q)):
+        f[i * cells + here] = q[i]
+
+
+@wp.kernel
+def settle(
+    s: Numbers,
+    flow: Inflow,
+    low: wp.vec3i,
+    clock: wp.array(dtype=int),
+    f: wp.array(dtype=float),
+    u: wp.array3d(dtype=wp.vec3),
+):
+    """Equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
+    i, j, k = wp.tid()
+    wx, wy, wz = low[0] + i, low[1] + j, low[2] + k
+    x, y, z = folded(wx, s.nx), folded(wy, s.ny), folded(wz, s.nz)
+    v = background(flow, wp.vec3(float(wx), float(wy), float(wz)), clock[0])
+    _store(f, populations(0.0, v, v, vec6()), s, x, y, z)
+    u[x, y, z] = v
+
+
+@wp.kernel
+def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=float)):
+    """A given field with its viscous stress, P = -2 rho c_s^2 tau S, derivatives across the periodic box."""
+    x, y, z = wp.tid()
+    xm, xp = folded(x - 1, s.nx), folded(x + 1, s.nx)
+    ym, yp = folded(y - 1, s.ny), folded(y + 1, s.ny)
+    zm, zp = folded(z - 1, s.nz), folded(z + 1, s.nz)
+    dx = 0.5 * (u[xp, y, z] - u[xm, y, z])
+    dy = 0.5 * (u[x, yp, z] - u[x, ym, z])
+    dz = 0.5 * (u[x, y, zp] - u[x, y, zm])
+    tau = 0.5 + 3.0 * s.nu
+    scale = -tau * (1.0 + drho[x, y, z]) / 3.0
+    p = scale * vec6(2.0 * dx[0], 2.0 * dy[1], 2.0 * dz[2], dy[0] + dx[1], dz[0] + dx[2], dz[1] + dy[2])
+    v = u[x, y, z]
+    _store(f, populations(drho[x, y, z], v, v, relaxed(p, 1.0 / tau, s.omega_bulk)), s, x, y, z)
+
+
+@wp.func
+def _loaded(f: wp.array(dtype=float), s: Numbers, x: int, y: int, z: int):
+    cells = s.nx * s.ny * s.nz
+    here = (x * s.ny + y) * s.nz + z
+    q = vec19()
+    for i in range(wp.static(Q)):
+        q[i] = f[i * cells + here]
+    return q
+
+
+@wp.kernel
+def weigh(s: Numbers, f: wp.array(dtype=float), drho: wp.array3d(dtype=float)):
+    """Density minus one at every memory node."""
+    x, y, z = wp.tid()
+    drho[x, y, z] = density(_loaded(f, s, x, y, z))
+
+
+@wp.kernel
+def survey(
+    s: Numbers,
+    f: wp.array(dtype=float),
+    u: wp.array3d(dtype=wp.vec3),
+    extremes: wp.array(dtype=float),
+    mass: wp.array(dtype=wp.float64),
+    lost: wp.array(dtype=int),
+):
+    """Least and greatest drho and greatest speed squared, sum of drho, number of nodes that are not finite."""
+    y, z = wp.tid()
+    low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)
+    for x in range(s.nx):
+        drho = density(_loaded(f, s, x, y, z))
+        speed2 = wp.length_sq(u[x, y, z])
+        if wp.isfinite(drho) and wp.isfinite(speed2):
+            low, high, fast = wp.min(low, drho), wp.max(high, drho), wp.max(fast, speed2)
+            total += wp.float64(drho)
+        else:
+            bad += 1
+    wp.atomic_min(extremes, 0, low)
+    wp.atomic_max(extremes, 1, high)
+    wp.atomic_max(extremes, 2, fast)
+    wp.atomic_add(mass, 0, total)
+    if bad > 0:
+        wp.atomic_add(lost, 0, bad)
+
+
+@wp.kernel
+def rest(low: wp.vec3i, s: Numbers, force: wp.array3d(dtype=wp.vec3)):
+    """No force in a box of world nodes."""
+    i, j, k = wp.tid()
+    force[folded(low[0] + i, s.nx), folded(low[1] + j, s.ny), folded(low[2] + k, s.nz)] = wp.vec3()

@@ -1,0 +1,294 @@
+"""The water: arrays, one step, the velocity that a body would meet, and what can be read out.
+
+Two copies of the populations and of the velocity take turns; `f`, `u` and `clock` are the present ones. Step n reads copy
+n % 2 and writes the other, so a captured graph holds an even number of steps.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.flow import Flow
+from fishmj.lbm_oracle import fields
+from fishmj.lbm_oracle.boundaries import PERIODIC, Boundaries
+from fishmj.lbm_oracle.device import device_of
+from fishmj.lbm_oracle.inflow import inflow_of
+from fishmj.lbm_oracle.lattice import Q
+from fishmj.lbm_oracle.stream import Numbers, box_array, kernels
+from fishmj.lbm_oracle.units import Lattice
+
+SUBGRID = ("wale", "none")
+CW = 0.325  # WALE constant
+OMEGA_BULK = 1.0
+NOWHERE = ((0, 0, 0), (0, 0, 0))
+BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
+_POOL = ThreadPoolExecutor(max_workers=8, thread_name_prefix="slab")
+
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # world nodes, low inclusive, high exclusive
+
+
+class Survey(NamedTuple):
+    """What the watch looks at, lattice units."""
+
+    rho_min: float
+    rho_max: float
+    speed: float  # greatest |u|
+    mass: float  # sum of rho - 1
+    lost: int  # nodes that are not finite
+
+
+class Fluid:
+    """A box of water, still or in the background flow, on `cpu` or `cuda`.
+
+    Attributes:
+        f: (19, nx, ny, nz) float32, populations after collision, minus their weights; the next step pulls them.
+        u: (nx, ny, nz) vec3, velocity of the last step.
+        force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
+        box: (6,) int32, low and high world node of that box, on the device.
+        origin: (3,) int32, world node of the low corner, on the device (`origin_lu` on the host).
+        clock: (1,) int32, steps done.
+
+    Arrays are indexed by world node modulo shape. Raises ConfigError and UnknownName for what cannot be.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        shape: tuple[int, int, int],
+        device: Any = "cpu",
+        *,
+        boundaries: Boundaries = PERIODIC,
+        subgrid: str = "wale",
+        flow: Flow | None = None,
+        drive: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        cw: float = CW,
+        omega_bulk: float = OMEGA_BULK,
+        threads: int | None = None,
+    ):
+        if subgrid not in SUBGRID:
+            raise UnknownName("subgrid model", subgrid, SUBGRID)
+        shape = tuple(int(n) for n in shape)
+        if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
+            raise ConfigError(f"fluid: shape = {shape}; expected three sizes of at least 1 and fewer than {2**31 // Q} cells in all")
+        self.lattice, self.shape, self.boundaries, self.subgrid = lattice, shape, boundaries, subgrid
+        self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
+        self.flow = flow or Flow()
+        self._kernels = kernels(boundaries.axes, subgrid == "wale")
+        self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk)
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self.threads = 1 if self.device.is_cuda else max(1, min(threads or cores, shape[0] // 4 or 1))
+        with wp.ScopedDevice(self.device):
+            self._f = [wp.zeros((Q, *shape), dtype=float) for _ in range(2)]
+            self._u = [wp.zeros(shape, dtype=wp.vec3) for _ in range(2)]
+            self._clock = [wp.zeros(1, dtype=int) for _ in range(2)]
+            self.force = wp.zeros(shape, dtype=wp.vec3)
+            self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(3, dtype=int)
+        self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
+        self._launches: list[list[Any]] | None = None
+        self._graph = None
+        self.set_flow(self.flow)
+        self.settle()
+
+    @property
+    def f(self) -> wp.array:
+        return self._f[self.parity]
+
+    @property
+    def u(self) -> wp.array:
+        return self._u[self.parity]
+
+    @property
+    def clock(self) -> wp.array:
+        return self._clock[self.parity]
+
+    @property
+    def numbers(self) -> Numbers:
+        return self._numbers
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.steps * self.lattice.dt
+
+    @property
+    def cells(self) -> int:
+        return int(np.prod(self.shape))
+
+    def set_flow(self, flow: Flow) -> None:
+        """Change the background flow from now on; the water inside follows through the sponge."""
+        self.flow = flow
+        self._inflow = inflow_of(flow, self.lattice, self.device)
+        self._launches = self._graph = None
+
+    def settle(self) -> None:
+        """Undisturbed background flow everywhere, at the present time."""
+        self._settle(self.origin_lu, self.shape)
+
+    def _settle(self, low, size) -> None:
+        inputs = [self._numbers, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
+        wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
+
+    def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
+        """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them."""
+        u_lu = np.asarray(u, np.float32) / self.lattice.velocity
+        drho = np.zeros(self.shape, np.float32) if pressure is None else np.asarray(pressure) * 3 / self.lattice.pressure
+        self.u.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
+        rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, self.u, _flat(self.f)], device=self.device)
+
+    def step(self, box: Box | None = None) -> None:
+        """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
+        self.set_box(box or NOWHERE)
+        self.advance()
+
+    def set_box(self, box: Box) -> None:
+        """The world nodes where `force` acts, until told otherwise."""
+        if box != self._box:
+            self.box.assign(box_array(box))
+            self._box = box
+
+    def advance(self) -> None:
+        """One time step with the force in `self.box`; no host transfer, so that a graph can capture it."""
+        if self._launches is None:
+            self._launches = [self._recorded(parity) for parity in range(2)]
+        launches = self._launches[self.parity]
+        if len(launches) == 1:
+            launches[0].launch()
+        else:
+            waiting = [_POOL.submit(launch.launch) for launch in launches[1:]]
+            launches[0].launch()
+            for slab in waiting:
+                slab.result()
+        self.parity, self.steps = 1 - self.parity, self.steps + 1
+
+    def _recorded(self, parity: int) -> list[Any]:
+        """The launches of one step, one a slab of x."""
+        a, b = parity, 1 - parity
+        plane = self.shape[1] * self.shape[2]
+        edges = np.linspace(0, self.shape[0], self.threads + 1).astype(int) * plane
+        args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), self._u[a], self.force]
+        args += [_flat(self._f[b]), self._u[b], self._clock[b]]
+        return [
+            wp.launch(
+                self._kernels.advance, dim=int(high - low), inputs=[int(low), *args], device=self.device, record_cmd=True
+            )
+            for low, high in zip(edges[:-1], edges[1:], strict=True)
+        ]
+
+    def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
+        """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
+        self.set_box(NOWHERE)
+        if before is None and self.device.is_cuda and steps >= 4:
+            if self.parity:
+                self.advance()
+                steps -= 1
+            self._captured()
+            for _ in range(steps // 2):
+                wp.capture_launch(self._graph)
+            self.steps += steps // 2 * 2
+            steps %= 2
+        for _ in range(steps):
+            if before is not None:
+                before()
+            self.advance()
+
+    def _captured(self) -> None:
+        """A graph of two steps from even parity."""
+        if self._graph is None:
+            wp.load_module(device=self.device)
+            steps = self.steps
+            self.advance(), self.advance()  # loads the kernels
+            with wp.ScopedCapture(self.device) as capture:
+                self.advance(), self.advance()
+            self._graph = capture.graph
+            self.steps = steps + 2
+
+    def predict(self, box: Box, out_u: wp.array, out_rho: wp.array) -> None:
+        """Velocity [lu] and density that the next step would find without a body, at the nodes of a box.
+
+        u* = sum c_i f_i / rho + drive, pulled through the same faces. The outputs are (nx, ny, nz) arrays, indexed like `u`.
+        """
+        self.set_box(box)
+        size = tuple(int(b - a) for a, b in zip(*box, strict=True))
+        inputs = [self._numbers, self.origin, self.box, _flat(self.f), out_u, out_rho]
+        wp.launch(self._kernels.predict, dim=size, inputs=inputs, device=self.device)
+
+    def clear_force(self, box: Box) -> None:
+        """No force at the nodes of a box."""
+        size = tuple(int(b - a) for a, b in zip(*box, strict=True))
+        wp.launch(fields.rest, dim=size, inputs=[wp.vec3i(*map(int, box[0])), self._numbers, self.force], device=self.device)
+
+    def shift(self, by: tuple[int, int, int]) -> None:
+        """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
+        by = np.asarray(by, int)
+        if np.any(np.abs(by) >= self.shape):
+            raise ConfigError(f"fluid: shift by {tuple(by)} cells in a window of {self.shape}; a shift is smaller than the window")
+        self.origin_lu = self.origin_lu + by
+        self.origin.assign(self.origin_lu.astype(np.int32))
+        for axis in np.flatnonzero(by):
+            low, size = self.origin_lu.copy(), np.array(self.shape)
+            size[axis] = abs(by[axis])
+            if by[axis] > 0:
+                low[axis] += self.shape[axis] - by[axis]
+            self._settle(low, size)
+
+    def velocity(self) -> np.ndarray:
+        """(nx, ny, nz, 3) m/s, low corner first."""
+        return np.roll(self.u.numpy(), -self.origin_lu, (0, 1, 2)) * self.lattice.velocity
+
+    def pressure(self) -> np.ndarray:
+        """(nx, ny, nz) Pa over still water, low corner first."""
+        return np.roll(self.drho().numpy(), -self.origin_lu, (0, 1, 2)) * self.lattice.pressure / 3
+
+    def drho(self) -> wp.array:
+        """(nx, ny, nz) density minus one, in memory order."""
+        out = wp.empty(self.shape, dtype=float, device=self.device)
+        wp.launch(fields.weigh, dim=self.shape, inputs=[self._numbers, _flat(self.f), out], device=self.device)
+        return out
+
+    def survey(self) -> Survey:
+        """Extremes of density and speed, mass, and nodes that are not finite."""
+        with wp.ScopedDevice(self.device):
+            extremes, mass, lost = wp.zeros(3, dtype=float), wp.zeros(1, dtype=wp.float64), wp.zeros(1, dtype=int)
+            outputs = [self._numbers, _flat(self.f), self.u, extremes, mass, lost]
+            wp.launch(fields.survey, dim=self.shape[1:], inputs=outputs)
+        low, high, fast = extremes.numpy()
+        return Survey(1 + float(low), 1 + float(high), float(np.sqrt(fast)), float(mass.numpy()[0]), int(lost.numpy()[0]))
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
+        return {"f": self.f.numpy(), "u": self.u.numpy(), "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a snapshot, bit for bit.
+
+        Raises:
+            ConfigError: it was taken in a box of another shape.
+        """
+        if state["f"].shape != (Q, *self.shape):
+            raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
+        self.f.assign(state["f"])
+        self.u.assign(state["u"])
+        self.origin_lu, self.steps = np.array(state["origin"], int), int(state["steps"])
+        self.origin.assign(self.origin_lu.astype(np.int32))
+        self.clock.fill_(self.steps)
+
+
+def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk) -> Numbers:
+    made = Numbers()
+    made.nx, made.ny, made.nz = shape
+    made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
+    made.drive = wp.vec3(*(np.asarray(drive, float) / lattice.acceleration))
+    made.slide = wp.vec3(*boundaries.slide_lu)
+    made.sponge, made.sponge_rate = max(boundaries.sponge, 1), boundaries.sponge_rate
+    return made
+
+
+def _flat(f: wp.array) -> wp.array:
+    """One-dimensional view: kernels compute their own offsets."""
+    return f.flatten()

@@ -1,0 +1,260 @@
+"""One step of the fluid in one pass over memory: pull, moments, faces, sponge, eddy viscosity, collision, force, push to the copy.
+
+    f_i(x, t + 1) = f_i'(x - c_i, t)
+
+Arrays are (19, nx, ny, nz) and (nx, ny, nz) with z fastest: neighbouring threads read neighbouring words of every population.
+Memory is addressed by world node modulo size, so that a window moves by changing `origin`, the world node of its low corner.
+
+Bytes a cell and step, FP32: populations 2 x 76 = 152; with eddy viscosity 12 more to write u and about 12 to read it once (its
+six neighbours come from cache); the force is read inside the body's box only.
+
+`kernels(boundaries, subgrid)` compiles the two kernels for one set of faces: what a face does not need costs nothing.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from fishmj.lbm_oracle.boundaries import Axis, ramp, through
+from fishmj.lbm_oracle.collide import density, departure, momentum, populations, relaxed, wale
+from fishmj.lbm_oracle.inflow import Inflow, background
+from fishmj.lbm_oracle.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
+
+OPTIONS = {"max_unroll": 32, "enable_backward": False}
+
+
+@wp.struct
+class Numbers:
+    """What every kernel needs to know, lattice units."""
+
+    nx: int
+    ny: int
+    nz: int
+    nu: float
+    omega_bulk: float
+    cw2: float  # square of the WALE constant
+    drive: wp.vec3  # uniform acceleration
+    slide: wp.vec3  # velocity of the wall at high y
+    sponge: int
+    sponge_rate: float
+
+
+class Kernels(NamedTuple):
+    advance: wp.Kernel
+    predict: wp.Kernel
+
+
+@wp.func
+def pick(c: int, back: int, here: int, ahead: int):
+    """Where a population of velocity c comes from along one axis."""
+    if c > 0:
+        return back
+    if c < 0:
+        return ahead
+    return here
+
+
+@wp.func
+def hits(c: int, low: bool, high: bool):
+    """Does it come through the low or the high face?"""
+    return (c > 0 and low) or (c < 0 and high)
+
+
+@wp.func
+def folded(i: int, n: int):
+    """World node -> memory."""
+    r = i % n
+    if r < 0:
+        r += n
+    return r
+
+
+@cache
+def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
+    """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity."""
+
+    def meets(i: int, axis: int, kind: str) -> bool:
+        """Can population i come through a face of this kind?"""
+        c = VELOCITIES[i, axis]
+        return bool(c) and faces[axis][0 if c > 0 else 1] == kind
+
+    def bends(i: int) -> bool:
+        return any(meets(i, axis, "slip") for axis in range(3))
+
+    def bounces(i: int) -> bool:
+        return any(meets(i, axis, "wall") for axis in range(3))
+
+    def turned(i: int, *axes: int) -> int:
+        return mirrored(i, *axes)
+
+    bounded = [axis.low != "periodic" for axis in faces]
+    opened = ["open" in axis for axis in faces]
+
+    @wp.func
+    def pull(f: wp.array(dtype=float), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+        """Populations that arrive at memory node (x, y, z), logical node (lx, ly, lz)."""
+        ny, nz = s.ny, s.nz
+        n = s.nx * ny * nz
+        x0, y0, z0 = x * (ny * nz), y * nz, z
+        xm, xp = wp.where(x > 0, x - 1, s.nx - 1) * (ny * nz), wp.where(x < s.nx - 1, x + 1, 0) * (ny * nz)
+        ym, yp = wp.where(y > 0, y - 1, ny - 1) * nz, wp.where(y < ny - 1, y + 1, 0) * nz
+        zm, zp = wp.where(z > 0, z - 1, nz - 1), wp.where(z < nz - 1, z + 1, 0)
+        lowx, lowy, lowz = lx == 0, ly == 0, lz == 0
+        highx, highy, highz = lx == s.nx - 1, ly == ny - 1, lz == nz - 1
+        out = vec19()
+        out[0] = f[x0 + y0 + z0]
+        for i in range(1, wp.static(Q)):
+            sx = pick(wp.static(C[i][0]), xm, x0, xp)
+            sy = pick(wp.static(C[i][1]), ym, y0, yp)
+            sz = pick(wp.static(C[i][2]), zm, z0, zp)
+            j = int(i)
+            lift = float(0.0)
+            if wp.static(bends(i)):
+                fx = wp.static(meets(i, 0, "slip")) and hits(wp.static(C[i][0]), lowx, highx)
+                fy = wp.static(meets(i, 1, "slip")) and hits(wp.static(C[i][1]), lowy, highy)
+                fz = wp.static(meets(i, 2, "slip")) and hits(wp.static(C[i][2]), lowz, highz)
+                sx, sy, sz = wp.where(fx, x0, sx), wp.where(fy, y0, sy), wp.where(fz, z0, sz)
+                plain = wp.where(fx, wp.where(fy, wp.static(turned(i, 0, 1)), wp.static(turned(i, 0))), wp.where(fy, wp.static(turned(i, 1)), i))
+                above = wp.where(
+                    fx,
+                    wp.where(fy, wp.static(turned(i, 0, 1, 2)), wp.static(turned(i, 0, 2))),
+                    wp.where(fy, wp.static(turned(i, 1, 2)), wp.static(turned(i, 2))),
+                )
+                j = wp.where(fz, above, plain)
+            if wp.static(bounces(i)):
+                bx = wp.static(meets(i, 0, "wall")) and hits(wp.static(C[i][0]), lowx, highx)
+                by = wp.static(meets(i, 1, "wall")) and hits(wp.static(C[i][1]), lowy, highy)
+                bz = wp.static(meets(i, 2, "wall")) and hits(wp.static(C[i][2]), lowz, highz)
+                if bx or by or bz:
+                    sx, sy, sz, j = x0, y0, z0, wp.static(opposite(i))
+                    if wp.static(C[i][1] < 0):
+                        if by:
+                            c = wp.vec3(wp.static(float(C[i][0])), wp.static(float(C[i][1])), wp.static(float(C[i][2])))
+                            lift = wp.static(6.0 * W[i]) * wp.dot(c, s.slide)
+            out[i] = f[j * n + sx + sy + sz] + lift
+        return out
+
+    @wp.func
+    def eddy(u: wp.array3d(dtype=wp.vec3), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+        """WALE viscosity from the velocity of the last step; at a face the node stands in for its missing neighbour."""
+        xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
+        ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
+        zm, zp = wp.where(z > 0, z - 1, s.nz - 1), wp.where(z < s.nz - 1, z + 1, 0)
+        if wp.static(bounded[0]):
+            xm, xp = wp.where(lx == 0, x, xm), wp.where(lx == s.nx - 1, x, xp)
+        if wp.static(bounded[1]):
+            ym, yp = wp.where(ly == 0, y, ym), wp.where(ly == s.ny - 1, y, yp)
+        if wp.static(bounded[2]):
+            zm, zp = wp.where(lz == 0, z, zm), wp.where(lz == s.nz - 1, z, zp)
+        return wale(
+            0.5 * (u[xp, y, z] - u[xm, y, z]),
+            0.5 * (u[x, yp, z] - u[x, ym, z]),
+            0.5 * (u[x, y, zp] - u[x, y, zm]),
+            s.cw2,
+        )
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def advance(
+        start: int,
+        s: Numbers,
+        flow: Inflow,
+        origin: wp.array(dtype=int),
+        box: wp.array(dtype=int),
+        clock: wp.array(dtype=int),
+        f: wp.array(dtype=float),
+        u_old: wp.array3d(dtype=wp.vec3),
+        force: wp.array3d(dtype=wp.vec3),
+        f_next: wp.array(dtype=float),
+        u_next: wp.array3d(dtype=wp.vec3),
+        clock_next: wp.array(dtype=int),
+    ):
+        here = start + wp.tid()
+        z = here % s.nz
+        column = here / s.nz
+        y = column % s.ny
+        x = column / s.ny
+        step = clock[0]
+        if here == 0:
+            clock_next[0] = step + 1
+        ox, oy, oz = origin[0], origin[1], origin[2]
+        lx, ly, lz = folded(x - ox, s.nx), folded(y - oy, s.ny), folded(z - oz, s.nz)
+        wx, wy, wz = lx + ox, ly + oy, lz + oz
+
+        if wp.static(any(opened)):
+            inner_x, inner_y = int(lx), int(ly)
+            if wp.static(opened[0]):
+                inner_x = wp.clamp(lx, 1, s.nx - 2)
+            if wp.static(opened[1]):
+                inner_y = wp.clamp(ly, 1, s.ny - 2)
+            q = pull(f, s, inner_x, inner_y, lz, folded(inner_x + ox, s.nx), folded(inner_y + oy, s.ny), z)
+        else:
+            q = pull(f, s, lx, ly, lz, x, y, z)
+        drho = density(q)
+        u = momentum(q) / (1.0 + drho)
+        p = departure(q, drho, u)
+
+        sigma = float(0.0)
+        target = wp.vec3()
+        if wp.static(any(opened)):
+            if wp.static(opened[0]):
+                sigma = ramp(lx, s.nx, s.sponge)
+            if wp.static(opened[1]):
+                sigma = wp.max(sigma, ramp(ly, s.ny, s.sponge))
+            sigma = s.sponge_rate * sigma
+            if sigma > 0.0:
+                target = background(flow, wp.vec3(float(wx), float(wy), float(wz)), step + 1)
+                if inner_x != lx or inner_y != ly:
+                    n = wp.normalize(wp.vec3(float(lx - inner_x), float(ly - inner_y), 0.0))
+                    drho, u = through(drho, u, target, n)
+
+        g = s.drive
+        nu = s.nu
+        bare = True
+        if wx >= box[0] and wx < box[3] and wy >= box[1] and wy < box[4] and wz >= box[2] and wz < box[5]:
+            push = force[x, y, z]
+            g += push
+            bare = wp.length_sq(push) == 0.0
+        if wp.static(subgrid):
+            if bare:  # the layer that the body's force smears out is no turbulence
+                nu += eddy(u_old, s, lx, ly, lz, x, y, z)
+        p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
+        v = u + g
+        if wp.static(any(opened)):
+            if sigma > 0.0:
+                drho -= sigma * drho
+                u += sigma * (target - u)
+                v += sigma * (target - v)
+                p *= 1.0 - sigma
+        q = populations(drho, u, v, p)
+        n_cells = s.nx * s.ny * s.nz
+        for i in range(wp.static(Q)):
+            f_next[i * n_cells + here] = q[i]
+        u_next[x, y, z] = 0.5 * (u + v)
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def predict(
+        s: Numbers,
+        origin: wp.array(dtype=int),
+        box: wp.array(dtype=int),
+        f: wp.array(dtype=float),
+        u: wp.array3d(dtype=wp.vec3),
+        rho: wp.array3d(dtype=float),
+    ):
+        i, j, k = wp.tid()
+        wx, wy, wz = box[0] + i, box[1] + j, box[2] + k
+        if wx >= box[3] or wy >= box[4] or wz >= box[5]:
+            return
+        x, y, z = folded(wx, s.nx), folded(wy, s.ny), folded(wz, s.nz)
+        q = pull(f, s, wx - origin[0], wy - origin[1], wz - origin[2], x, y, z)
+        drho = density(q)
+        rho[x, y, z] = 1.0 + drho
+        u[x, y, z] = (momentum(q) + (1.0 + drho) * s.drive) / (1.0 + drho)
+
+    return Kernels(advance, predict)
+
+
+def box_array(box) -> np.ndarray:
+    """((lox, loy, loz), (hix, hiy, hiz)) -> (6,) int32."""
+    return np.concatenate([np.asarray(box[0]), np.asarray(box[1])]).astype(np.int32)
