@@ -51,7 +51,7 @@ def skin(robot: Robot, *, spacing: float = 0.005, around: int = 28, smooth: bool
     faces = np.concatenate([p[2] + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
     hinge_x = g.origin[1:].copy()
     anchor = np.concatenate([p[4] for p in parts])  # a plate or an eye bends as a whole: by its root
-    hinge, share = _bend(robot, hinge_x, anchor)
+    hinge, share = bend(robot, hinge_x, anchor)
     return Skin(vertices, normals, faces, hinge, share, colour, hinge_x)
 
 
@@ -75,7 +75,7 @@ def hinge_frames(hinge_x: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.nda
     return q[..., None, :2] + np.cumsum(step, axis=-2), headings
 
 
-def _bend(robot: Robot, hinge_x: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def bend(robot: Robot, hinge_x: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nearest hinge and share of its angle for points at body station x."""
     hinge = np.argmin(np.abs(x[:, None] - hinge_x), axis=1)
     lengths = np.array([link.length for link in robot.links])

@@ -1,0 +1,196 @@
+"""The immersed boundary of one body on one device: its arrays, and the order in which the kernels of a step run.
+
+    listen   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
+    decide   (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
+    answer   F = F0 + sum v_j F_j -> G, link wrenches    the force field of this step
+
+All three are queues of launches without a look at the host; a GPU captures them in one graph.
+"""
+
+import numpy as np
+import warp as wp
+
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle import immersed, solve
+from fishmj.lbm_oracle.delta import check_width
+from fishmj.lbm_oracle.fluid import Fluid
+from fishmj.lbm_oracle.lattice import C
+from fishmj.lbm_oracle.markers import Markers
+from fishmj.lbm_oracle.units import Lattice
+
+GPU_CHUNKS = 32  # partial sums over the markers; one on the CPU
+MARGIN = 4  # cells of the scratch box round the markers: half a kernel, rounding, the bend of the skin
+
+
+def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004) -> float:
+    """The slip ratio of this grid for one quoted at the paper's: s = exp(-c dt / dx), c = -ln(slip) dx0 / dt0.
+
+    c [m/s] is the wall stress over rho and the slip velocity, so that neither the time step nor the cell changes the friction.
+    slip = 1 is a frictionless wall and 0 no slip on every grid.
+    """
+    if not 0 <= slip <= 1:
+        raise ConfigError(f"slip = {slip}; expected 0 (no slip) to 1 (free slip)")
+    return float(slip ** ((lattice.dt / lattice.dx) * (dx / dt))) if slip > 0 else 0.0
+
+
+class Boundary:
+    """Markers of one body in one fluid.
+
+    Args:
+        markers: in the frames of the body's links. body: its degrees of freedom and motion axes.
+        width: of the kernel, 3 or 4. passes: of the direct forcing. slip: quoted at the paper's grid.
+    """
+
+    def __init__(self, markers: Markers, body, fluid: Fluid, *, width: int = 3, passes: int = 2, slip: float = 1.0):
+        lattice, device = fluid.lattice, fluid.device
+        self.markers, self.lattice, self.shape, self.device = markers, lattice, fluid.shape, device
+        self.width, self.passes, self.slip = check_width(width), int(passes), slip_here(slip, lattice)
+        if self.passes < 1:
+            raise ConfigError(f"immersed boundary: passes = {passes}; expected 1 or more, 2 by default")
+        self.drive = fluid.numbers.drive
+        self.wraps = wp.vec3i(*(int(axis.low == "periodic") for axis in fluid.boundaries.axes))
+        n, self.dofs, self.links = len(markers), body.dofs, body.links
+        if n == 0:
+            raise ConfigError("immersed boundary: no markers")
+        self.count, self.rhs = n, self.dofs + 1
+        self.layout = _layout(self.links, self.dofs)
+        self.corners = _corners(markers, self.links)
+        size = body.largest_extent(self.corners)
+        self.box_shape = tuple(int(np.ceil(s / lattice.dx)) + 2 * MARGIN for s in size)
+        make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)  # noqa: E731
+        self.rest = make(markers.rest, wp.vec3d)
+        self.rest_normal = make(markers.normal, wp.vec3d)
+        self.pivot = make(markers.pivot, wp.vec3d)
+        self.before, self.after = make(markers.before.astype(np.int32), wp.int32), make(markers.after.astype(np.int32), wp.int32)
+        self.share = make(markers.share.astype(float), wp.float64)
+        self.volume = make((markers.area / lattice.dx**2).astype(np.float32), wp.float32)
+        self.slips = make(np.full(n, self.slip, np.float32), wp.float32)
+        self.moves, self.slides = make(body.reach, wp.float64), make(body.slides, wp.int32)
+        self.directions = make(np.array(C, np.int32), wp.vec3i)
+        empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)  # noqa: E731
+        self.host = empty(self.layout.size, wp.float64)
+        self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.outbox = wp.zeros(self.dofs, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.world, self.cell, self.normal = empty(n, wp.vec3d), empty(n, wp.vec3), empty(n, wp.vec3)
+        self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
+        self.box_u, self.box_rho = empty(self.box_shape, wp.vec3), empty(self.box_shape, wp.float32)
+        self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
+        self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)
+        self.final = empty(n, wp.vec3)
+        chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
+        self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
+        self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
+        self.matrix = empty((self.dofs, self.rhs), wp.float64)
+        self.velocity, self.target = empty(self.dofs, wp.float64), empty(self.dofs, wp.float64)
+        self.wrench_part = empty((chunks, self.links), wp.spatial_vectord)
+        self.wrench = empty(self.links, wp.spatial_vectord)  # impulse of the water since the last `take_wrench`, N s and N m s
+        self.block = self.staging.numpy()  # the host's view of what is sent
+
+    def fill(self, body, system, right, fixed=None, value=None) -> None:
+        """Write this step's numbers into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
+        at, out, lat = self.layout, self.block, self.lattice
+        body.pack(out, at)
+        corner = np.asarray(lat.corner, float)
+        low = np.round((body.middle(self.corners) - corner) / lat.dx - np.array(self.box_shape) / 2)
+        n = self.dofs
+        out[at.origin : at.origin + 3], out[at.box : at.box + 3] = corner, low
+        out[at.system : at.system + n * n], out[at.momentum : at.momentum + n] = system.ravel(), right
+        out[at.before : at.before + n] = body.data.qvel
+        out[at.fixed : at.fixed + n] = 0.0 if fixed is None else fixed
+        out[at.value : at.value + n] = 0.0 if value is None else value
+
+    def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
+        """Queue everything up to K and b0.
+
+        Args:
+            f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
+            acts: (6,) world nodes between which the fluid looks for a force; written here.
+        """
+        lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
+        wp.copy(self.host, self.staging)
+        pose_in = [
+            self.host,
+            self.layout,
+            self.rest,
+            self.rest_normal,
+            self.pivot,
+            self.before,
+            self.after,
+            self.share,
+            self.moves,
+        ]
+        pose_in += [self.slides, lat.dx, lat.dt, w, shape]
+        pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
+        self._launch(immersed.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
+        read_in = [f, self.directions, self.drive, self.cell, self.store, w, shape]
+        self._launch(immersed.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
+        aim_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
+        self._launch(immersed.aim, (n, self.rhs), aim_in, [self.wanted, self.force])
+        for _ in range(self.passes - 1):
+            self.scratch.zero_()
+            self._launch(immersed.spread, (n, self.rhs), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
+            self._launch(immersed.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
+        scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
+        self._launch(solve.weigh, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
+        self._launch(solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
+
+    def decide(self, implicit: bool = True) -> None:
+        """Queue the solve, and the copy of the velocity to the host."""
+        self._launch(
+            solve.solve, 1, [self.host, self.layout, self.water, int(implicit)], [self.matrix, self.velocity, self.target]
+        )
+        wp.copy(self.outbox, self.velocity)
+
+    def answer(self, acceleration: wp.array) -> None:
+        """Queue the final force into the fluid's `acceleration`, and the wrench on every link."""
+        lat = self.lattice
+        self._launch(immersed.combine, self.count, [self.force, self.target], [self.final])
+        args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
+        self._launch(immersed.push, self.count, args, [acceleration])
+        args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
+        self._launch(solve.wrench, self.wrench_part.shape, args, [self.wrench_part])
+        self._launch(solve.add_wrench, self.links, [self.wrench_part, lat.mass * lat.velocity], [self.wrench])
+
+    def clear(self, acceleration: wp.array) -> None:
+        """Queue G = 0 where the last answer pushed."""
+        args = [self.store, self.width, wp.vec3i(*self.shape)]
+        self._launch(immersed.clear, (self.count, self.width**3), args, [acceleration])
+
+    def take_wrench(self) -> np.ndarray:
+        """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin."""
+        out = self.wrench.numpy().reshape(self.links, 6).copy()
+        self.wrench.zero_()
+        return out
+
+    @property
+    def answer_matrix(self) -> tuple[np.ndarray, np.ndarray]:
+        """K (n, n) and b0 (n,) of the last step, SI momentum units."""
+        water = self.water.numpy()
+        return water[:, 1:].copy(), water[:, 0].copy()
+
+    def _launch(self, kernel, dim, inputs, outputs) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def _layout(links: int, dofs: int) -> immersed.Layout:
+    sizes = {"frame": 12 * links, "angle": links, "axis": 3 * dofs, "anchor": 3 * dofs, "origin": 3, "box": 3}
+    sizes |= {"system": dofs**2, "momentum": dofs, "before": dofs, "fixed": dofs, "value": dofs}
+    at = immersed.Layout()
+    at.links, at.dofs = links, dofs
+    place = 0
+    for name, size in sizes.items():
+        setattr(at, name, place)
+        place += size
+    at.size = place
+    return at
+
+
+def _corners(markers: Markers, links: int) -> np.ndarray:
+    """Corners (L, 8, 3) m of the box round the markers of every link, in its frame; a link without markers has its origin."""
+    out = np.zeros((links, 8, 3))
+    for i in range(links):
+        mine = markers.rest[(markers.before == i)]
+        if len(mine):
+            ends = np.stack([mine.min(0), mine.max(0)])
+            out[i] = [[ends[a, 0], ends[b, 1], ends[c, 2]] for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    return out
