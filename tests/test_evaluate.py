@@ -1,17 +1,13 @@
 """The judge: the decided trials, metrics with known answers, paired statistics, and golden runs of what drifts and what holds."""
 
-import json
-
 import numpy as np
 import pytest
 
 from fishmj import engines, evaluate
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import logs, metrics, report, statistics
+from fishmj.evaluate import metrics, statistics
 from fishmj.evaluate.driver import Result
-from fishmj.log import read_trial, stacked
 from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")
@@ -245,71 +241,3 @@ def test_welch_follows_its_formula():
 def test_results_of_other_trials_cannot_be_compared():
     with pytest.raises(ConfigError, match="different trials"):
         statistics.compare(hand_made(still(0.5)), hand_made(still(0.5), seed=1))
-
-
-def test_a_judged_trial_can_be_read_back(tmp_path, engine):
-    trials = evaluate.trials(speeds=[0.2], los_deg=[45], repeats=1, duration=4)
-    r = evaluate.run("dob", ROBOT, trials, engine)
-    (folder,) = logs.write_logs(r, tmp_path)
-    trial = read_trial(folder)
-    assert folder.name == "dob_u0.2_los045_r0"
-    assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"
-    assert trial.table("pose")["x"] == pytest.approx(r.pose[0, 1:, 0], abs=2e-3)
-    assert stacked(trial.table("cmd"), "c#") == pytest.approx(r.command[0], abs=2e-3)
-    flow = trials.flows()[0]
-    centre = np.append(r.pose[0, 100, :2], 0.0)
-    assert stacked(trial.table("flow"), "u#x")[100].mean() == pytest.approx(flow.at(centre, 2.0)[0], abs=0.02)
-
-
-def run_command(capsys, *argv) -> tuple[int, str, str]:
-    from fishmj import console
-
-    code = console.run(command.main, list(argv))
-    out = capsys.readouterr()
-    return code, out.out, out.err
-
-
-def test_a_wrong_controller_is_exit_2_with_the_nearest_name(capsys):
-    code, _, err = run_command(capsys, "drit")
-    assert code == 2 and "Did you mean 'drift'" in err
-
-
-@pytest.mark.parametrize(
-    "wrong", [["--water", "honey"], ["--engine", "warp"], ["--turbulence", "gusty"], ["--command-path", "lin"]]
-)
-def test_wrong_settings_are_exit_2(capsys, wrong):
-    code, _, err = run_command(capsys, "drift", *wrong)
-    assert code == 2 and "unknown" in err
-
-
-def test_the_command_prints_tables_and_one_json_object_last(capsys, tmp_path):
-    argv = ("drift", "pd", "--speeds", "0.2", "--los", "180", "--repeats", "2", "--engine", "compiled", "--duration", "30")
-    code, out, _ = run_command(capsys, *argv, "--json", "--out", str(tmp_path / "o"), "--plots")
-    last = json.loads(out.strip().splitlines()[-1])
-    assert code == 0 and [r["controller"] for r in last["results"]] == ["drift", "pd"]
-    assert last["results"][0]["overall"]["arrival"]["value"] == 1.0
-    assert {d["key"] for d in last["paired"]} == set(metrics.UNITS)
-    assert "gust" not in out and "default turbulence 5 %" in out
-    page = (tmp_path / "o" / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 4 and "http" not in page
-    rows = (tmp_path / "o" / "trials.csv").read_text(encoding="utf-8").splitlines()
-    assert len(rows) == 1 + 4
-    assert json.loads((tmp_path / "o" / "results.json").read_text(encoding="utf-8")) == last
-
-
-def test_pictures_show_something(tmp_path, engine):
-    from matplotlib import image
-
-    from fishmj.evaluate.plots import pictures
-
-    r = evaluate.run("drift", ROBOT, evaluate.trials(speeds=[0.2], repeats=1, duration=60), engine)
-    for path, caption in pictures([r], tmp_path):
-        pixels = image.imread(path)[..., :3]
-        assert pixels.shape[0] > 300 and caption
-        assert 0.01 < np.mean(pixels.min(-1) < 0.9) < 0.9, path.name
-
-
-def test_markdown_tables_become_html():
-    assert report.as_html("| a | b |\n|---|--:|\n| x<y | 1 |") == (
-        "<table><thead><tr><th>a</th><th>b</th></tr></thead><tbody><tr><td>x&lt;y</td><td>1</td></tr></tbody></table>"
-    )

@@ -82,4 +82,5 @@ class Adrc:
         zd = self.distance(d, self.speed)
         closing = (k["distance_wc"] * zd[:, 0] + zd[:, 1]) / k["distance_b0"]
         self.speed = np.clip(np.where(d > k["hover_radius"], closing, k["hover_speed"]), k["hover_speed"], self.throttle.top)
-        return self.cpg(*self.throttle(self.speed), self.bias)
+        f, a = self.throttle(self.speed)
+        return self.cpg(f, a, self.bias)

@@ -8,6 +8,8 @@ controllers read are in data/calib/controllers.toml [gait]. Remake them with
 A throttle u in [0, 1] moves along one line of the map, f = f0 + u (f1 - f0), A = A0 + u (A1 - A0), on which speed rises.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from fishmj import console, engines
@@ -105,7 +107,7 @@ class Throttle:
         low, high: ends of the line, (f [Hz], A [rad]).
     """
 
-    def __init__(self, gait: dict, low, high):
+    def __init__(self, gait: Mapping, low, high):
         self.axes = np.asarray(gait["frequency"], float), np.radians(gait["amplitude_deg"])
         self.map = np.asarray(gait["speed"], float)
         self.low, self.high = np.asarray(low, float), np.asarray(high, float)

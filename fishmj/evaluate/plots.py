@@ -6,6 +6,7 @@ Axes are the stream's: upstream is up, LOS is counted counter-clockwise from ups
 
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ DASHES = ("-", "--", "-.", (0, (1, 1.2)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), 
 INK, FAINT = "#222222", "#C9CED6"
 RADAR = (("approach_time", "approach time [s]"), ("rmse_after_arrival", "RMSE after arrival [m], log"), ("power", "power [W]"))
 LOGARITHMIC = {"rmse_after_arrival": 0.02}  # key -> radius at the centre
-STYLE = {
+STYLE: Any = {
     "font.size": 10,
     "text.color": INK,
     "axes.labelcolor": INK,

@@ -80,10 +80,17 @@ class Trials:
 
     def flows(self) -> list[Flow]:
         """The background flow of each trial."""
-        seeds = [int(t.draw(1).integers(2**31)) for t in self.items]
-        box = background.BOXES[self.box]
-        kind = {"direction": self.direction, "turbulence": self.turbulence, "intensity": self.intensity, "box": box}
-        return [Flow(speed=t.speed, seed=seed, **kind) for t, seed in zip(self.items, seeds, strict=True)]
+        return [
+            Flow(
+                speed=t.speed,
+                direction=self.direction,
+                turbulence=self.turbulence,
+                intensity=self.intensity,
+                seed=int(t.draw(1).integers(2**31)),
+                box=background.BOXES[self.box],
+            )
+            for t in self.items
+        ]
 
     def fish(self, robot: Robot):
         """Randomised fish: (FishParams, camera delay in bus ticks (n,))."""

@@ -72,7 +72,10 @@ def paired(first: Result, second: Result, keys=MAIN) -> str:
             continue
         head, digits = SHORT[d.key]
         clear = d.low > 0 or d.high < 0
-        row = {"key": head, f"{second.controller} - {first.controller}": f"{d.value:+.{digits}f}" if d.n else "-"}
+        row: dict[str, object] = {
+            "key": head,
+            f"{second.controller} - {first.controller}": f"{d.value:+.{digits}f}" if d.n else "-",
+        }
         row["95 % interval"] = f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if clear else ''}" if d.n else "-"
         row |= {"pairs": d.n, "Welch t": f"{d.welch_t:.2f}" if d.n else "-", "Welch p": f"{d.welch_p:.2g}" if d.n else "-"}
         rows.append(row)
