@@ -35,6 +35,7 @@ def options() -> argparse.ArgumentParser:
     p.add_argument("--envs", type=int, help="fish that swim at once")
     p.add_argument("--seed", type=int, default=0, help="seed of the run (default 0)")
     p.add_argument("--seeds", help="several runs, for example 0,1,2")
+    p.add_argument("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     p.add_argument("--memory", type=int, help="observations that the policy sees (default 1: memoryless, as the paper's)")
     p.add_argument("--critic", choices=("plain", "privileged"), help="privileged: the critic sees the flow, the policy does not (PPO)")
     p.add_argument("--hidden", help="layer widths, for example 256,256")
@@ -98,6 +99,19 @@ def _by_device() -> str:
     return "quick" if jax.default_backend() == "cpu" else "paper"
 
 
+def _together(settings, seeds: list[int], args) -> list[dict]:
+    from fishmj.errors import ConfigError
+    from fishmj.train.together import train_together
+
+    folder = args.out or Path("runs") / f"{settings.preset}-{settings.algo}"
+    if args.resume:
+        raise ConfigError("--together cannot resume; train the seeds one after another")
+    if folder.exists() and not args.force:
+        raise ConfigError(f"{folder} is there already; add --force to overwrite it, or choose another --out")
+    shutil.rmtree(folder, ignore_errors=True)
+    return train_together(settings, seeds, folder)
+
+
 def main(argv: list[str] | None = None) -> int:
     args = options().parse_args(argv)
     from fishmj.train.settings import change
@@ -106,6 +120,8 @@ def main(argv: list[str] | None = None) -> int:
     seeds = [int(v) for v in args.seeds.split(",")] if args.seeds else [settings.seed]
     results = []
     learner = None
+    if args.together:
+        results, seeds = _together(settings, seeds, args), []
     for seed in seeds:
         one = change(settings, seed=seed)
         folder = args.out or Path("runs") / f"{settings.preset}-{settings.algo}-{seed}"

@@ -118,9 +118,9 @@ class SAC:
         filled = (put(m.obs, obs), put(m.action, action), put(m.reward, reward), put(m.ahead, ahead), put(m.ended, ended))
         return Memory(*filled, jnp.minimum(m.size + n, size), (m.head + n) % size)
 
-    def learn(self, carry, key):
+    def learn(self, m: Memory, carry, key):
         """One gradient step on critics, actor and temperature."""
-        actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha), m = carry
+        actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha) = carry
         c = self.config
         k_rows, k_next, k_now = jax.random.split(key, 3)
         rows = jax.random.randint(k_rows, (c.batch,), 0, m.size)
@@ -146,7 +146,7 @@ class SAC:
         change, opt_alpha = self.optimiser.update(slope, opt_alpha, log_alpha)
         log_alpha = optax.apply_updates(log_alpha, change)
         targets = optax.incremental_update(critics, targets, c.tau)
-        return (actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha), m), critic_value
+        return (actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha)), critic_value
 
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
     def iterate(self, t: Training):
@@ -162,15 +162,15 @@ class SAC:
             env = self.env.step(t.env, action)
             ended = (env.terminated | env.diverged).astype(jnp.float32)
             m = self.store(t.memory, obs, action, env.reward, env.final_obs / self.scale, ended)
-            carry = (t.actor, t.critics, t.targets, t.log_alpha, t.optimisers, m)
+            carry = (t.actor, t.critics, t.targets, t.log_alpha, t.optimisers)  # without m: a branch would copy it
             keys = jax.random.split(k_learn, self.per_step)
-            learn = lambda carry: jax.lax.scan(self.learn, carry, keys)  # noqa: E731
+            learn = lambda carry: jax.lax.scan(partial(self.learn, m), carry, keys)  # noqa: E731
             wait = lambda carry: (carry, jnp.zeros(self.per_step))  # noqa: E731
             carry, loss = jax.lax.cond(warm, wait, learn, carry)
             done = env.terminated | env.truncated | env.diverged
             late = (env.count > 75) & ~done
             figures = (env.reward, env.distance, late, done, env.terminated, env.diverged, loss.mean())
-            return Training(*carry[:5], carry[5], env, t.key, t.updates + 1), figures
+            return Training(*carry, m, env, t.key, t.updates + 1), figures
 
         t, (reward, distance, late, done, left, diverged, loss) = jax.lax.scan(one, t, None, self.config.block)
         return t, {
