@@ -128,7 +128,7 @@ def read_cells(
     i, j, l = o // (width * width), (o // width) % width, o % width
     at = store[k]
     x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
-    rho, m = float(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
+    rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
     for q in range(directions.shape[0]):
         c = directions[q]
         px, py, pz = wrap(x - c[0], shape[0]), wrap(y - c[1], shape[1]), wrap(z - c[2], shape[2])

@@ -21,7 +21,9 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.mjcf.skin import bend
 
-OFFSET = {3: 0.7, 4: 0.9}  # cells that markers are drawn in, by the width of the kernel
+HELD = {3: 0.7, 4: 0.9}  # cells that markers are drawn in where the water sticks, by the width of the kernel
+SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
+STICKY = 0.95  # slip ratio up to which the drag of a sphere is that without slip
 CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
 
@@ -61,16 +63,19 @@ class Markers:
         )
 
 
-def offset_of(width: int, hydro_offset: float | None = None) -> float:
-    """Retraction in cells: as given, else the measured one of the kernel of that width (3 or 4)."""
-    if width not in OFFSET:
-        raise UnknownName("kernel width", str(width), OFFSET)
-    return OFFSET[width] if hydro_offset is None else float(hydro_offset)
+def offset_of(width: int, slip: float = 0.0, hydro_offset: float | None = None) -> float:
+    """Retraction in cells: as given, else the measured one of the kernel of that width (3 or 4) at that slip ratio."""
+    if width not in HELD:
+        raise UnknownName("kernel width", str(width), HELD)
+    if hydro_offset is not None:
+        return float(hydro_offset)
+    free = min(max((slip - STICKY) / (1 - STICKY), 0.0), 1.0)
+    return HELD[width] + free * (SLIDING[width] - HELD[width])
 
 
-def sphere_markers(radius: float, dx: float, *, width: int = 3, hydro_offset: float | None = None) -> Markers:
+def sphere_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None) -> Markers:
     """A sphere of `radius` m about the origin of link 0: points of a golden spiral, equal areas of about dx^2."""
-    r = radius - offset_of(width, hydro_offset) * dx
+    r = radius - offset_of(width, slip, hydro_offset) * dx
     if r <= dx:
         raise ConfigError(
             f"sphere of radius {radius} m: markers drawn in to {r:.4g} m do not resolve it; choose dx < {radius / 3:.3g} m"
@@ -84,19 +89,26 @@ def sphere_markers(radius: float, dx: float, *, width: int = 3, hydro_offset: fl
 
 
 def fish_markers(
-    robot: "Robot | str" = "fish", dx: float = 0.01, *, width: int = 3, hydro_offset: float | None = None, spacing: float = 1.0
+    robot: "Robot | str" = "fish",
+    dx: float = 0.01,
+    *,
+    slip: float = 1.0,
+    width: int = 3,
+    hydro_offset: float | None = None,
+    spacing: float = 1.0,
 ) -> Markers:
     """Markers of a fish for cells of size dx [m].
 
     Args:
-        width: of the kernel, 3 or 4. hydro_offset: cells; the measured one by default. spacing: cells between markers.
+        slip: ratio that the boundary will have; a sliding wall acts thinner. width: of the kernel, 3 or 4.
+        hydro_offset: cells; the measured one by default. spacing: cells between markers.
 
     Raises:
         ConfigError: nothing of the fish is left at this dx.
     """
     robot = load_robot(robot)
     g = geometry_of(robot)
-    inset, step = offset_of(width, hydro_offset) * dx, spacing * dx
+    inset, step = offset_of(width, slip, hydro_offset) * dx, spacing * dx
     parts = [_body(robot, g, inset, step, dx)]
     parts += [_side_fin(robot, g, fin, side, inset, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
     point, normal, area, anchor, sheet = (np.concatenate(column) for column in zip(*parts, strict=True))
