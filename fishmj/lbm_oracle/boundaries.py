@@ -4,7 +4,7 @@ slip   specular reflection half a cell outside the last node: f_i(x) = f_mirror(
 wall   halfway bounce-back:                                   f_i(x) = f_opp(i)(x) + 6 w_i c_i . u_wall
 open   the node takes the moments of its inner neighbour and replaces the incoming sound wave:
            out = c_s drho + (u - u_in).n      kept                               n points outwards
-           in  = c_s drho - (u - u_in).n      0 on an inlet, (1 - K) of the neighbour's on an outlet
+           in  = c_s drho - (u - u_in).n      0
        the tangential velocity is u_in on an inlet (u_in.n < 0) and the neighbour's on an outlet.
 sponge the last `sponge` cells of an open face relax towards density 1 and the background flow with
        sigma = sponge_rate (depth / sponge)^2
@@ -22,7 +22,6 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.lattice import CS
 
 KINDS = ("periodic", "slip", "wall", "open")
-OUTLET_RELAXATION = 0.05  # K
 
 
 class Axis(NamedTuple):
@@ -55,7 +54,9 @@ class Boundaries:
                 if kind not in KINDS:
                     raise UnknownName("kind of face", kind, KINDS)
             if ("periodic" in axis) and axis.low != axis.high:
-                raise ConfigError(f"boundaries: axis {name} is {axis.low} below and {axis.high} above; both faces are periodic or none")
+                raise ConfigError(
+                    f"boundaries: axis {name} is {axis.low} below and {axis.high} above; both faces are periodic or none"
+                )
         if "open" in self.z:
             raise ConfigError("boundaries: an open face at the top or bottom; z takes slip, wall or periodic")
         if self.sponge < 0 or not 0 <= self.sponge_rate <= 1:
@@ -80,7 +81,6 @@ def channel(*, bottom: str = "slip", sponge: int = 10) -> Boundaries:
 
 
 _CS = wp.constant(CS)
-_KEEP = wp.constant(1.0 - OUTLET_RELAXATION)
 
 
 @wp.func
@@ -88,12 +88,10 @@ def through(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
     """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
     away = u - target
     normal = wp.dot(away, n)
-    leaving = _CS * drho + normal
+    leaving = 0.5 * (_CS * drho + normal)
     if wp.dot(target, n) < 0.0:
-        return 0.5 * leaving / _CS, target + (0.5 * leaving) * n
-    entering = _KEEP * (_CS * drho - normal)
-    change = 0.5 * (leaving - entering) - normal
-    return 0.5 * (leaving + entering) / _CS, u + change * n
+        return leaving / _CS, target + leaving * n
+    return leaving / _CS, u + (leaving - normal) * n
 
 
 @wp.func

@@ -116,7 +116,11 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
                 fy = wp.static(meets(i, 1, "slip")) and hits(wp.static(C[i][1]), lowy, highy)
                 fz = wp.static(meets(i, 2, "slip")) and hits(wp.static(C[i][2]), lowz, highz)
                 sx, sy, sz = wp.where(fx, x0, sx), wp.where(fy, y0, sy), wp.where(fz, z0, sz)
-                plain = wp.where(fx, wp.where(fy, wp.static(turned(i, 0, 1)), wp.static(turned(i, 0))), wp.where(fy, wp.static(turned(i, 1)), i))
+                plain = wp.where(
+                    fx,
+                    wp.where(fy, wp.static(turned(i, 0, 1)), wp.static(turned(i, 0))),
+                    wp.where(fy, wp.static(turned(i, 1)), i),
+                )
                 above = wp.where(
                     fx,
                     wp.where(fy, wp.static(turned(i, 0, 1, 2)), wp.static(turned(i, 0, 2))),
@@ -201,11 +205,12 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
             if wp.static(opened[0]):
                 sigma = ramp(lx, s.nx, s.sponge)
             if wp.static(opened[1]):
-                sigma = wp.max(sigma, ramp(ly, s.ny, s.sponge))
+                sigma += ramp(ly, s.ny, s.sponge)
             sigma = s.sponge_rate * sigma
-            if sigma > 0.0:
+            outer = inner_x != lx or inner_y != ly
+            if outer or sigma > 0.0:
                 target = background(flow, wp.vec3(float(wx), float(wy), float(wz)), step + 1)
-                if inner_x != lx or inner_y != ly:
+                if outer:
                     n = wp.normalize(wp.vec3(float(lx - inner_x), float(ly - inner_y), 0.0))
                     drho, u = through(drho, u, target, n)
 

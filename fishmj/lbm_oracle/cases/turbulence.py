@@ -1,0 +1,63 @@
+"""Synthetic turbulence carried into the open box: are its intensity and length at the target what was asked for?
+
+    TI = u_rms / U,   L = U integral of the autocorrelation of u along the stream, to its first zero
+
+One record of a minute holds some forty eddies: its own figures scatter by a fifth. The undisturbed flow that was prescribed is
+therefore read at the same points and times, and the oracle's figures are held against those; the nominal ones are reported.
+"""
+
+import numpy as np
+
+from fishmj.calib import constant
+from fishmj.flow import LENGTH, Flow
+from fishmj.lbm_oracle.boundaries import channel
+from fishmj.lbm_oracle.cases import about, register, reported
+from fishmj.lbm_oracle.fluid import Fluid
+from fishmj.lbm_oracle.units import Lattice
+
+SPEED = 0.3  # m/s
+SHAPE, DX, DT = (60, 40, 16), 0.04, 0.008
+DURATION, EVERY = 64.0, 10  # s, steps between two samples
+PROBES = ((0.0, -0.24), (0.0, 0.0), (0.0, 0.24), (0.3, 0.0))  # m, from the target at the middle
+
+
+def figures(u: np.ndarray, interval: float, speed: float) -> tuple[float, float]:
+    """RMS of a component [m/s] and integral length along the stream [m] of records u (T, P, 3), stream along x."""
+    part = u - u.mean(0)
+    rms = float(np.sqrt(np.mean(part**2)))
+    n = len(part)
+    spectrum = np.abs(np.fft.rfft(part[:, :, 0], 2 * n, axis=0)) ** 2
+    correlation = np.fft.irfft(spectrum, axis=0)[:n].sum(1) / (n - np.arange(n))
+    correlation /= correlation[0]
+    zero = int(np.argmax(correlation < 0)) or n
+    return rms, float(np.sum(correlation[:zero]) - 0.5) * interval * speed
+
+
+def record(flow: Flow, device: str) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities at the probes in the oracle and in the undisturbed flow, each (T, P, 3) m/s."""
+    corner = tuple(-(n - 1) / 2 * DX for n in SHAPE)
+    lattice = Lattice(dx=DX, dt=DT, corner=corner)
+    water = Fluid(lattice, SHAPE, device, boundaries=channel(), flow=flow)
+    nodes = np.rint(lattice.to_lu([(x, y, 0.0) for x, y in PROBES])).astype(int)
+    points = lattice.to_si(nodes)
+    through = SHAPE[0] * DX / flow.speed
+    water.run(round(through / DT))
+    found, asked = [], []
+    for _ in range(round(DURATION / DT / EVERY)):
+        water.run(EVERY)
+        found.append(water.velocity()[tuple(nodes.T)])
+        asked.append(flow.at(points, water.time))
+    return np.array(found), np.array(asked)
+
+
+@register("turbulence", rung=16, grid="60 x 40 x 16, dx 4 cm, 64 s", source="the prescribed flow, fishmj.flow, at the same points")
+def turbulence(device):
+    """Intensity and integral length at the target."""
+    flow = Flow(speed=SPEED, turbulence="default", intensity=constant("turbulence", "intensity"), seed=3)
+    (found, asked), interval = record(flow, device), DT * EVERY
+    (rms, length), (rms_asked, length_asked) = figures(found, interval, SPEED), figures(asked, interval, SPEED)
+    yield about("u_rms, m/s", rms, rms_asked, 0.2)
+    yield about("integral length, m", length, length_asked, 0.2)
+    yield reported("TI", rms / SPEED, flow.intensity)
+    yield reported("integral length, m, against nominal", length, LENGTH["default"])
+    yield about("mean speed, m/s", found.mean((0, 1))[0], asked.mean((0, 1))[0], 0.02)
