@@ -50,3 +50,11 @@ class MissingExtra(FishmjError, ImportError):
 
 class InjectionError(FishmjError, RuntimeError):
     """The process-wide passive-force callback is used in a way that MuJoCo cannot serve."""
+
+
+class OracleUnstable(FishmjError, ArithmeticError):
+    """The flow solver cannot run like this, or no longer does. Carries what was broken, the step, and the figures."""
+
+    def __init__(self, message: str, *, limit: str = "", step: int = 0, figures=None):
+        super().__init__(message)
+        self.limit, self.step, self.figures = limit, step, figures

@@ -11,7 +11,7 @@ the difference between v and u in A2 and A3. In terms of u + G/2, the velocity o
 The third-order terms are H_xxy + H_yzz and H_xxy - H_yzz with their permutations, of norm 2 c_s^6 and 6 c_s^6. Summed at each
 velocity they shrink to -9 c_y (a_xxy + a_yzz) on the axes and 9 (c_y a_xxy + c_x a_xyy) on the diagonals.
 
-Sources: Malaspinas 2015, arXiv 1505.06900 (recursion); Jacob, Malaspinas, Sagaut 2018, J. Turbulence, hal-02114308 (the six terms);
+Sources: Malaspinas 2015, arXiv 1505.06900 (recursion); Jacob, Malaspinas, Sagaut 2018, J. Turbulence, hal-02114308 (six terms);
 Kupershtokh 2009, Comput. Math. Appl. 58:862 (exact difference); Nicoud and Ducros 1999, Flow Turbul. Combust. 62:183 (WALE).
 Departure: the trace of P relaxes on its own, omega_bulk = 1, so that sound between the walls dies out.
 

@@ -1,4 +1,4 @@
-"""Where the fluid runs: `auto` takes an accelerator if there is one and says what it chose; explicit `cuda` must exist and fit."""
+"""Where the fluid runs: `auto` takes an accelerator if there is one with room; explicit `cuda` must exist and fit."""
 
 from functools import cache
 

@@ -81,7 +81,7 @@ def survey(
 ):
     """Least and greatest drho and greatest speed squared, sum of drho, number of nodes that are not finite."""
     y, z = wp.tid()
-    low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)
+    low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)  # noqa: UP018  variables to Warp
     for x in range(s.nx):
         drho = density(_loaded(f, s, x, y, z))
         speed2 = wp.length_sq(u[x, y, z])

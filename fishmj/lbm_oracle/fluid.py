@@ -74,7 +74,9 @@ class Fluid:
             raise UnknownName("subgrid model", subgrid, SUBGRID)
         shape = tuple(int(n) for n in shape)
         if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
-            raise ConfigError(f"fluid: shape = {shape}; expected three sizes of at least 1 and fewer than {2**31 // Q} cells in all")
+            raise ConfigError(
+                f"fluid: shape = {shape}; expected three sizes of at least 1 and fewer than {2**31 // Q} cells in all"
+            )
         self.lattice, self.shape, self.boundaries, self.subgrid = lattice, shape, boundaries, subgrid
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
@@ -174,9 +176,7 @@ class Fluid:
         args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), self._u[a], self.force]
         args += [_flat(self._f[b]), self._u[b], self._clock[b]]
         return [
-            wp.launch(
-                self._kernels.advance, dim=int(high - low), inputs=[int(low), *args], device=self.device, record_cmd=True
-            )
+            wp.launch(self._kernels.advance, dim=int(high - low), inputs=[int(low), *args], device=self.device, record_cmd=True)
             for low, high in zip(edges[:-1], edges[1:], strict=True)
         ]
 
@@ -227,7 +227,9 @@ class Fluid:
         """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
         by = np.asarray(by, int)
         if np.any(np.abs(by) >= self.shape):
-            raise ConfigError(f"fluid: shift by {tuple(by)} cells in a window of {self.shape}; a shift is smaller than the window")
+            raise ConfigError(
+                f"fluid: shift by {tuple(by)} cells in a window of {self.shape}; a shift is smaller than the window"
+            )
         self.origin_lu = self.origin_lu + by
         self.origin.assign(self.origin_lu.astype(np.int32))
         for axis in np.flatnonzero(by):

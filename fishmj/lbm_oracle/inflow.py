@@ -1,6 +1,6 @@
 """The background flow on the device: the same table, slice, offset and rotation that `flow.Flow.at` reads.
 
-    U(x, t) = U_mean + u'(x - U_mean t)     trilinear in the periodic box; a gust is linear in time and uniform in space
+U(x, t) = U_mean + u'(x - U_mean t)     trilinear in the periodic box; a gust is linear in time and uniform in space
 """
 
 import numpy as np

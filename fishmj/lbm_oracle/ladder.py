@@ -19,7 +19,9 @@ def main(argv: list[str]) -> int:
         done = cases.solve(case, args.device)
         outcomes.append(done)
         table += cases.rows(done)
-        console.say(console.table(cases.rows(done)), f"{case.name}: {case.grid}, {console.duration(done.seconds)}; {case.source}", "")
+        console.say(
+            console.table(cases.rows(done)), f"{case.name}: {case.grid}, {console.duration(done.seconds)}; {case.source}", ""
+        )
     missed = [row for row in table if row["verdict"] == "MISS"]
     total = sum(done.seconds for done in outcomes)
     gated = sum(row["verdict"] != "reported" for row in table)

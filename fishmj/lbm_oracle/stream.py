@@ -1,4 +1,4 @@
-"""One step of the fluid in one pass over memory: pull, moments, faces, sponge, eddy viscosity, collision, force, push to the copy.
+"""One step of the fluid in one pass over memory: pull, moments, faces, sponge, eddy viscosity, collision, force.
 
     f_i(x, t + 1) = f_i'(x - c_i, t)
 
@@ -110,7 +110,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
             sy = pick(wp.static(C[i][1]), ym, y0, yp)
             sz = pick(wp.static(C[i][2]), zm, z0, zp)
             j = int(i)
-            lift = float(0.0)
+            lift = float(0.0)  # noqa: UP018  a variable, not a constant, to Warp
             if wp.static(bends(i)):
                 fx = wp.static(meets(i, 0, "slip")) and hits(wp.static(C[i][0]), lowx, highx)
                 fy = wp.static(meets(i, 1, "slip")) and hits(wp.static(C[i][1]), lowy, highy)
@@ -134,7 +134,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
                 if bx or by or bz:
                     sx, sy, sz, j = x0, y0, z0, wp.static(opposite(i))
                     if wp.static(C[i][1] < 0):
-                        if by:
+                        if by and not bx and not bz:  # in the corner the side wall holds: a moving corner is first order
                             c = wp.vec3(wp.static(float(C[i][0])), wp.static(float(C[i][1])), wp.static(float(C[i][2])))
                             lift = wp.static(6.0 * W[i]) * wp.dot(c, s.slide)
             out[i] = f[j * n + sx + sy + sz] + lift
@@ -199,7 +199,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         u = momentum(q) / (1.0 + drho)
         p = departure(q, drho, u)
 
-        sigma = float(0.0)
+        sigma = float(0.0)  # noqa: UP018
         target = wp.vec3()
         if wp.static(any(opened)):
             if wp.static(opened[0]):

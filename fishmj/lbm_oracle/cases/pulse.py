@@ -50,9 +50,7 @@ def round_pulse(device: str, n: int = 80, width: float = 4.0) -> tuple[float, fl
     return back / HEIGHT, back / arrived
 
 
-@register(
-    "pulse", rung=2.5, quick=True, grid="200 and 80^2, sponge of 10 cells", source="the same pulse in a box that it does not cross"
-)
+@register("pulse", rung=2.5, quick=True, grid="200 and 80^2, sponge of 10 cells", source="the same pulse in a wider box")
 def pulse_leaves(device):
     """Reflection of pressure pulses at the open faces."""
     yield below("plane, still water", plane(Flow(), device), 0.02)

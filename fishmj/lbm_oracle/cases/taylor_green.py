@@ -1,7 +1,7 @@
 """Taylor-Green vortices in a periodic square: does the viscosity come out, and does the error fall with dx^2?
 
-    u = -u0 cos kx sin ky e^(-2 nu k^2 t),   v = u0 sin kx cos ky e^(-2 nu k^2 t),   p = -rho u0^2 / 4 (cos 2kx + cos 2ky)
-    diffusive scaling: nu fixed in lattice units, u0 = 0.48 / N, so that dx^2 and Ma^2 fall together
+u = -u0 cos kx sin ky e^(-2 nu k^2 t),   v = u0 sin kx cos ky e^(-2 nu k^2 t),   p = -rho u0^2 / 4 (cos 2kx + cos 2ky)
+diffusive scaling: nu fixed in lattice units, u0 = 0.48 / N, so that dx^2 and Ma^2 fall together
 """
 
 import numpy as np
@@ -32,9 +32,7 @@ def decay(n: int, device: str) -> tuple[float, float]:
     return float(error), float(nu - 1)
 
 
-@register(
-    "taylor_green", rung=1, quick=True, grid="16^2, 32^2, 64^2", source="Taylor and Green 1937, Proc. R. Soc. A 158:499: closed form"
-)
+@register("taylor_green", rung=1, quick=True, grid="16^2, 32^2, 64^2", source="Taylor and Green 1937: closed form")
 def taylor_green(device):
     """Decay of a vortex array: order of convergence and viscosity."""
     errors, viscosity = zip(*(decay(n, device) for n in SIZES), strict=True)
