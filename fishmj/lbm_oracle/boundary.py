@@ -91,7 +91,7 @@ class Boundary:
         at, out, lat = self.layout, self.block, self.lattice
         body.pack(out, at)
         corner = np.asarray(lat.corner, float)
-        low = np.round((body.middle(self.corners) - corner) / lat.dx - np.array(self.box_shape) / 2)
+        low = np.round((sum(body.bounds(self.corners)) / 2 - corner) / lat.dx - np.array(self.box_shape) / 2)
         n = self.dofs
         out[at.origin : at.origin + 3], out[at.box : at.box + 3] = corner, low
         out[at.system : at.system + n * n], out[at.momentum : at.momentum + n] = system.ravel(), right

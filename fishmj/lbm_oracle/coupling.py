@@ -9,6 +9,8 @@ The solve is implicit in the velocity of the joints, so that a body as light as 
 explicit scheme diverges there (docs/oracle_coupling.md). `Coupled.step` is the main loop.
 """
 
+from contextlib import nullcontext
+
 import numpy as np
 import warp as wp
 
@@ -41,7 +43,7 @@ class Coupled:
             raise UnknownName("coupling scheme", scheme, SCHEMES)
         if abs(fluid.lattice.dt - body.dt) > 1e-12:
             raise ConfigError(f"coupled: the fluid steps {fluid.lattice.dt} s and the body {body.dt} s; give both the same dt")
-        self.fluid, self.body, self.scheme, self.interior = fluid, body, scheme, interior
+        self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
         self.steps = 0
         self.gain = np.zeros((body.links, 6))  # momentum of the inside water handed to the links since `take_wrench`
@@ -63,6 +65,10 @@ class Coupled:
         """
         self.begin(fixed, value)
         return self.finish()
+
+    def scope(self):
+        """The stream of this tank: whatever else looks at its arrays or moves them does so inside."""
+        return nullcontext() if self._graphs is None else wp.ScopedStream(self._graphs.stream)
 
     def begin(self, fixed=None, value=None) -> None:
         """The host's half: the body's equation, and the launches of the whole step. Several tanks begin before one finishes."""
@@ -103,7 +109,8 @@ class Coupled:
         World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
         momentum of the inside water added: the force of the real water on a hull that holds none.
         """
-        raw = self.boundary.take_wrench() / seconds
+        with self.scope():
+            raw = self.boundary.take_wrench() / seconds
         gain, self.gain = self.gain / seconds, np.zeros_like(self.gain)
         arm = self.body.centre - self.body.data.xpos[1:]
         gain[:, 3:] += np.cross(arm, gain[:, :3])

@@ -1,0 +1,194 @@
+"""One fish in the flow solver, by bus ticks of 20 ms: what `swim`, data generation and the judge have in common.
+
+    command -> clamp, quantise -> bus (latency) -> [ coupled step ] x n -> window follows -> record
+
+    run = Run(coupled, robot)
+    for n in range(500):
+        run.tick(gait(run.time))
+    trial = run.trial()
+
+Driven by the servos, joints lag behind their commands as on the robot. `prescribed` joints follow a function of time to the
+letter, `tethered` holds the root; the torques that this takes are the servo's and the tether's reaction.
+"""
+
+from collections.abc import Callable
+from importlib.metadata import version
+
+import numpy as np
+
+from fishmj import __version__
+from fishmj.errors import ConfigError, FishmjError, LogError
+from fishmj.lbm_oracle.coupling import Coupled
+from fishmj.lbm_oracle.guard import Watch
+from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.mjcf import load_robot
+from fishmj.mjcf.model import reference_pose
+
+
+class LeftDomain(FishmjError, RuntimeError):
+    """The fish reached the edge of its box of water; everything before is kept."""
+
+
+class Run:
+    """A coupled fish with its command path and its log.
+
+    Args:
+        coupled: fish and water. robot: description, path or name.
+        tethered: the root does not move over ground.
+        prescribed: joint angles as a function of time [s] -> (J,) rad, in place of the servos.
+        latency: of commands, s; the robot's nominal one by default.
+        follow: called with the coupled fish after every step: a window moves, a tank looks after its walls.
+
+    Raises:
+        ConfigError: the fluid's step does not divide the bus tick.
+    """
+
+    def __init__(
+        self,
+        coupled: Coupled,
+        robot="fish",
+        *,
+        tethered: bool = False,
+        prescribed: Callable[[float], np.ndarray] | None = None,
+        latency: float | None = None,
+        follow: Callable[[Coupled], None] | None = None,
+    ):
+        self.coupled, self.robot = coupled, load_robot(robot)
+        self.tethered, self.prescribed, self.follow = tethered, prescribed, follow
+        timing, dt = self.robot.timing, coupled.body.dt
+        self.steps = round(timing.bus_dt / dt)
+        if self.steps < 1 or abs(self.steps * dt - timing.bus_dt) > 1e-9:
+            near = timing.bus_dt / max(1, round(timing.bus_dt / dt))
+            raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:g} s")
+        self.delay = round((timing.command_latency if latency is None else latency) / dt)
+        self.joints = self.robot.n_joints
+        self.begin()
+
+    def begin(self) -> None:
+        """From the state as it is: no ticks, no rows, the present joint angles on the bus."""
+        self.ticks = 0
+        self.commands = [self.angles()]  # on the bus; number 0 was there before t = 0
+        self.start = self.coupled.time
+        self.rows: list[tuple] = []
+        self.stopped = ""  # why the run ended early
+        self.watch = Watch()
+
+    @property
+    def time(self) -> float:
+        """s since the run began."""
+        return self.coupled.time - self.start
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(x, y, yaw, x', y', yaw') of the reference point, tank frame, m and rad."""
+        return reference_pose(self.coupled.body.model, self.coupled.body.data)
+
+    def angles(self) -> np.ndarray:
+        """(J,) rad."""
+        return self.coupled.body.data.qpos[-self.joints :].copy()
+
+    def rates(self) -> np.ndarray:
+        """(J,) rad/s."""
+        return self.coupled.body.data.qvel[-self.joints :].copy()
+
+    def tick(self, command=None) -> None:
+        """Advance one bus tick after sending `command`, (J,) rad; prescribed joints take none.
+
+        Raises:
+            SimDiverged, OracleUnstable: fish or water left the finite numbers. LeftDomain: from `follow`.
+            What was recorded before stays.
+        """
+        body, dt, servo = self.coupled.body, self.coupled.body.dt, self.robot.servo
+        wanted = self.prescribed(self.time) if self.prescribed else command
+        sent = np.clip(np.asarray(wanted, float), -servo.range, servo.range)
+        if sent.shape != (self.joints,) or not np.isfinite(sent).all():
+            raise ConfigError(f"run: command {np.asarray(wanted).tolist()}; expected {self.joints} finite joint angles in rad")
+        sent = np.round(sent / servo.resolution) * servo.resolution
+        self.commands.append(sent)
+        power, began = 0.0, self.time
+        for i in range(self.steps):
+            if self.prescribed is None:
+                body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i)
+            rates = self.rates()
+            self.coupled.step(*self._held(dt))
+            drive = body.data.actuator_force
+            power += float(np.maximum(drive * (drive - servo.kb * rates) / servo.kb, 0.0).sum()) / self.steps
+            with self.coupled.scope():
+                self.watch.after_step(self.coupled.fluid)
+                if self.follow is not None:
+                    self.follow(self.coupled)
+        self.ticks += 1
+        raw, whole = self.coupled.take_wrench(self.steps * dt)
+        self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
+
+    def arrived(self, step: int) -> np.ndarray:
+        """What the servos aim at in step `step`, (J,) rad: the newest command that is old enough."""
+        whole, part = divmod(step - self.delay, self.steps)
+        newest = self.commands[max(whole + 1, 0)]
+        if self.robot.timing.command_path != "move_time":
+            return newest
+        before = self.commands[max(whole, 0)]
+        return before + (part + 1) / self.steps * (newest - before)
+
+    def _held(self, dt: float):
+        """Prescribed velocities of this step, or nothing."""
+        if not (self.tethered or self.prescribed):
+            return None, None
+        n = self.coupled.body.dofs
+        fixed, value = np.zeros(n), np.zeros(n)
+        if self.tethered:
+            fixed[: n - self.joints] = 1.0
+        if self.prescribed:
+            fixed[-self.joints :] = 1.0
+            value[-self.joints :] = (self.prescribed(self.time + dt) - self.angles()) / dt
+        return fixed, value
+
+    def trial(self) -> Trial:
+        """Everything so far in the log's schema: commands at the start of each tick, the rest at its end, wrenches as means.
+
+        Raises:
+            LogError: nothing was recorded yet.
+        """
+        if not self.rows:
+            raise LogError("oracle run: no tick was finished, nothing to write")
+        began, t, cmd, pose, joint, rate, power, raw, whole = (np.array(column) for column in zip(*self.rows, strict=True))
+        servo = self.robot.servo
+        truth = dict(zip(("x", "y", "yaw", "vx", "vy", "wz"), pose.T, strict=True))
+        tables = {
+            "cmd": {"t": began, **numbered("c#", cmd)},
+            "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
+            "pose": {"t": t, "x": pose[:, 0], "y": pose[:, 1], "yaw": pose[:, 2]},
+            "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": (power + servo.idle_power) / servo.voltage},
+            "truth": {"t": t, **truth, **numbered("j#", joint), **numbered("k#", rate)},
+            "wrench": {"t": t, **_wrench(whole, "f#x", "f#y", "m#"), **_wrench(raw, "r#x", "r#y", "n#")},
+        }
+        return Trial(self.meta(tables), tables)
+
+    def meta(self, tables) -> dict:
+        """What a reader must know about the run."""
+        fluid, edge = self.coupled.fluid, self.coupled.boundary
+        flow, lattice = fluid.flow, fluid.lattice
+        water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.shape), "slip": self.coupled.slip}
+        water |= {"subgrid": fluid.subgrid, "kernel": edge.width, "passes": edge.passes, "markers": edge.count}
+        return {
+            "schema": SCHEMA,
+            "origin": "synthetic",
+            "robot": self.robot.name,
+            "medium": "water",
+            "flow": {"speed": flow.speed, "direction": flow.direction, "turbulence": flow.turbulence}
+            | {"intensity": flow.intensity, "seed": flow.seed, "known": True},
+            "excitation": "prescribed joints" if self.prescribed else "servos",
+            "water": "lbm",
+            "oracle": {**water, "device": str(fluid.device), "tethered": self.tethered, "stopped": self.stopped},
+            "seed": flow.seed,
+            "clock": {name: "simulation" for name in tables},
+            "versions": {"fishmj": __version__} | {name: version(name) for name in ("mujoco", "numpy", "warp-lang")},
+            "source": "fishmj.lbm_oracle",
+            "licence": "Apache-2.0",
+            "notes": "simulated; joint and pose are exact. wrench: means over a tick; r and n are the raw exchange",
+        }
+
+
+def _wrench(values: np.ndarray, x: str, y: str, turn: str) -> dict:
+    """(T, L, 6) -> planar columns."""
+    return {**numbered(x, values[:, :, 0]), **numbered(y, values[:, :, 1]), **numbered(turn, values[:, :, 5])}

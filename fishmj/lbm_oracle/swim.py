@@ -1,0 +1,170 @@
+"""`fishmj lbm_oracle swim`: a gait in the flow solver, free or tethered; writes a trial folder.
+
+python -m fishmj.lbm_oracle swim --preset laptop --beats 5
+python -m fishmj.lbm_oracle swim --tethered --prescribed --speed 0.3 --direction 180 --seconds 4 --out thrust
+"""
+
+import time
+from dataclasses import replace
+from math import degrees, radians
+
+import numpy as np
+
+from fishmj import console
+from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
+from fishmj.flow import PRESETS, Flow
+from fishmj.lbm_oracle import state
+from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.lbm_oracle.gait import Gait
+from fishmj.lbm_oracle.run import LeftDomain, Run
+from fishmj.lbm_oracle.stage import Stage
+from fishmj.log import write_trial
+from fishmj.mjcf import load_robot
+
+
+def main(argv: list[str]) -> int:
+    args = _parser().parse_args(argv)
+    robot, gait = load_robot(args.robot), _gait(args)
+    seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
+    if not seconds > 0:
+        raise ConfigError(f"swim: {seconds} s; expected a positive time or number of beats")
+    run = _stage(args).run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
+    if args.start is not None:
+        state.load(args.start, run.coupled)
+        run.begin()
+    if args.preset in PREVIEWS:
+        console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
+    wall = drive(run, gait, seconds, quiet=args.json)
+    found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
+    if args.out:
+        found["out"] = str(write_trial(args.out, run.trial(), overwrite=args.overwrite))
+    if args.save:
+        found["state"] = str(state.save(args.save, run.coupled, robot=robot.name))
+    console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
+    if args.json:
+        console.emit_json(found)
+    return console.FAILED_CHECK if run.stopped and not run.stopped.startswith("left_domain") else console.OK
+
+
+def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False) -> float:
+    """Swim with progress; returns seconds of wall time. A run that stops early says why in `run.stopped`."""
+    start, ticks = time.perf_counter(), round(seconds / run.robot.timing.bus_dt)
+    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar:
+        for _ in range(ticks):
+            try:
+                run.tick(gait(run.time))
+            except LeftDomain as error:
+                run.stopped = f"{error}"
+            except (SimDiverged, OracleUnstable) as error:
+                run.stopped = f"diverged: {error}"
+            except KeyboardInterrupt:
+                run.stopped = "interrupted"
+            if run.stopped:
+                console.warn(f"stopped after {run.time:.2f} s, everything before is kept: {run.stopped}")
+                break
+            bar.update(run.time, speed=float(np.hypot(*run.pose[3:5])))
+    return time.perf_counter() - start
+
+
+def figures(run: Run, frequency: float) -> dict:
+    """Speed over ground, direction, yaw and power over the last two beats (or what there is), and the mean force on the fish.
+
+    `course` is the direction of the path; `thrust` the mean force along the heading, of interest for a tethered fish.
+    """
+    table = run.trial().tables
+    truth, wrench, power = table["truth"], table["wrench"], table["power"]
+    beats = 2 / frequency
+    last = truth["t"] > truth["t"][-1] - min(beats, truth["t"][-1] / 2) - 1e-9
+    x, y, t = truth["x"][last], truth["y"][last], truth["t"][last]
+    yaw, span = truth["yaw"][last], max(t[-1] - t[0], 1e-9)
+    mean_yaw = float(np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean()))
+    fx, fy = (sum(wrench[name][last] for name in wrench if name[0] == "f" and name.endswith(axis)) for axis in "xy")
+    return {
+        "seconds": float(truth["t"][-1]),
+        "speed_m_s": float(np.hypot(x[-1] - x[0], y[-1] - y[0]) / span),
+        "course_deg": degrees(float(np.arctan2(y[-1] - y[0], x[-1] - x[0]))),
+        "heading_deg": degrees(mean_yaw),
+        "yaw_amplitude_deg": degrees(float(np.ptp(yaw)) / 2),
+        "yaw_rate_deg_s": degrees(float((yaw[-1] - yaw[0]) / span)),
+        "thrust_N": float((fx * np.cos(mean_yaw) + fy * np.sin(mean_yaw)).mean()),
+        "power_W": float((power["V"] * power["I"])[last].mean()),
+        "fastest_water_m_s": run.watch.fastest,
+    }
+
+
+def _gait(args) -> Gait:
+    joints = load_robot(args.robot).n_joints
+    one = lambda values: tuple(radians(v) for v in values) if len(values) > 1 else radians(values[0])  # noqa: E731
+    return Gait(
+        joints=joints,
+        frequency=args.frequency,
+        amplitude=one(args.amplitude),
+        lag=radians(args.lag),
+        bias=one(args.bias),
+        ramp=args.ramp,
+    )
+
+
+def _stage(args) -> Stage:
+    domain = preset(args.preset)
+    if args.depth is not None or args.dx is not None or args.dt is not None:
+        domain = domain.changed(depth=args.depth, dx=args.dx, dt=args.dt)
+    if args.bottom != domain.bottom:
+        domain = replace(domain, bottom=args.bottom)
+    flow = Flow(
+        speed=args.speed,
+        direction=radians(args.direction),
+        turbulence=args.turbulence,
+        intensity=args.intensity,
+        seed=args.seed,
+    )
+    x, y, yaw = args.pose
+    return Stage(
+        domain=domain,
+        robot=args.robot,
+        flow=flow,
+        slip=args.slip,
+        root=args.root,
+        pose=(x, y, radians(yaw)),
+        device=args.device,
+        width=args.kernel,
+        passes=args.passes,
+        hydro_offset=args.hydro_offset,
+    )
+
+
+def _parser():
+    p = console.parser("lbm_oracle swim", "A gait in the flow solver; writes a trial folder.")
+    p.add_argument("--preset", default="window", help="domain: window, laptop, paper, flow_tank, forcemap, window_fine")
+    p.add_argument("--robot", default="fish")
+    p.add_argument("--device", default="auto", help="auto, cpu or cuda")
+    p.add_argument("--frequency", type=float, default=1.0, metavar="HZ")
+    p.add_argument("--amplitude", type=float, nargs="+", default=[30.0], metavar="DEG", help="one, or one a joint")
+    p.add_argument("--lag", type=float, default=60.0, metavar="DEG", help="from joint to joint")
+    p.add_argument("--bias", type=float, nargs="+", default=[0.0], metavar="DEG")
+    p.add_argument("--ramp", type=float, default=1.0, metavar="S", help="smooth start")
+    p.add_argument("--beats", type=float, default=5.0)
+    p.add_argument("--seconds", type=float, help="instead of beats")
+    p.add_argument("--prescribed", action="store_true", help="joints follow the gait to the letter, without servos")
+    p.add_argument("--tethered", action="store_true", help="the root does not move")
+    p.add_argument("--root", default="planar", help="planar or free")
+    p.add_argument("--slip", type=float, default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    p.add_argument("--speed", type=float, default=0.0, help="of the current, m/s")
+    p.add_argument("--direction", type=float, default=180.0, metavar="DEG", help="where the water moves to")
+    p.add_argument("--turbulence", default="none", help=", ".join(PRESETS))
+    p.add_argument("--intensity", type=float, default=0.05)
+    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--pose", type=float, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"))
+    p.add_argument("--depth", type=float, metavar="M")
+    p.add_argument("--bottom", default="slip", help="slip or wall")
+    p.add_argument("--dx", type=float, metavar="M")
+    p.add_argument("--dt", type=float, metavar="S")
+    p.add_argument("--latency", type=float, metavar="S", help="of commands; the robot's by default")
+    p.add_argument("--kernel", type=int, default=3, help="points of the immersed boundary's kernel: 3 or 4")
+    p.add_argument("--passes", type=int, default=2, help="of the direct forcing")
+    p.add_argument("--hydro-offset", type=float, metavar="CELLS", help="retraction of the markers; the measured one by default")
+    p.add_argument("--start", metavar="FILE", help="continue from a saved state")
+    p.add_argument("--save", metavar="FILE", help="save the state at the end")
+    p.add_argument("--out", metavar="FOLDER", help="trial folder to write")
+    p.add_argument("--overwrite", action="store_true")
+    return p
