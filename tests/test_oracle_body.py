@@ -379,7 +379,7 @@ def test_water_that_is_not_finite_stops_the_run():
     values = run.coupled.fluid.f.numpy()
     values[0, 5, 5, 5] = np.nan
     run.coupled.fluid.f.assign(values)
-    with pytest.raises(OracleUnstable, match="not finite"):
+    with pytest.raises((SimDiverged, OracleUnstable), match="not finite|is nan"):  # the fish or the watch, who meets it first
         for _ in range(20):
             run.tick(np.zeros(3))
     assert len(run.trial().table("pose")["t"]) < 20
