@@ -15,10 +15,10 @@ from fishmj.evaluate.driver import Result
 from fishmj.evaluate.logs import write_logs
 from fishmj.store import write_text
 
-STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
+STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1320px;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
 h1{font-size:1.6rem;margin:0 0 .3rem}h2{font-size:1.15rem;margin:2.2rem 0 .5rem}p{margin:.4rem 0}.quiet{color:#5a6270}
 table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
-th,td{padding:.28rem .7rem;border-bottom:1px solid #e4e7ec;text-align:right;white-space:nowrap}
+th,td{padding:.28rem .55rem;border-bottom:1px solid #e4e7ec;text-align:right;white-space:nowrap}
 th{background:#f5f7fa;font-weight:600}
 th:first-child,td:first-child{text-align:left}img{max-width:100%;height:auto;display:block;margin:.5rem 0}
 figure{margin:1.2rem 0}figcaption{color:#5a6270}dt{font-weight:600}dd{margin:0 0 .4rem 1.2rem}"""

@@ -1,5 +1,7 @@
 """Tables for the terminal and the report: aligned, with units and intervals, every condition named."""
 
+from math import isfinite
+
 from fishmj import console
 from fishmj.evaluate.driver import Result
 from fishmj.evaluate.statistics import compare
@@ -55,6 +57,11 @@ def cell(key: str, e: dict, interval: bool = True) -> str:
     return f"{text} n={e['n']}" if key == "approach_time" else text
 
 
+def number(x: float, form: str) -> str:
+    """A number, or `-` where there is none."""
+    return format(x, form) if isfinite(x) else "-"
+
+
 def by_condition(summary: dict, which: str, keys=MAIN) -> str:
     """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
     head = {"by_speed": "flow [m/s]", "by_los": "los [deg]"}[which]
@@ -77,6 +84,6 @@ def paired(first: Result, second: Result, keys=MAIN) -> str:
             f"{second.controller} - {first.controller}": f"{d.value:+.{digits}f}" if d.n else "-",
         }
         row["95 % interval"] = f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if clear else ''}" if d.n else "-"
-        row |= {"pairs": d.n, "Welch t": f"{d.welch_t:.2f}" if d.n else "-", "Welch p": f"{d.welch_p:.2g}" if d.n else "-"}
+        row |= {"pairs": d.n, "Welch t": number(d.welch_t, ".2f"), "Welch p": number(d.welch_p, ".2g")}
         rows.append(row)
     return console.table(rows)
