@@ -42,6 +42,7 @@ def test_the_packages_that_run_this_test_are_right():
         "robot",
         "sysid",
         "bench",
+        "tensorboard",
         "dev",
     }
 
