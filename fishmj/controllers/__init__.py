@@ -22,7 +22,7 @@ import numpy as np
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.policy import shipped
+from fishmj.policy import shipped as shipped_policies
 
 NAMES = ("drift", "pd", "pi", "dob", "adrc-c1", "adrc-c2", "adrc-c3")
 
@@ -49,9 +49,9 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", **options: Any) -> C
         UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for.
     """
     robot, name = load_robot(robot), str(name)
-    learned = name.endswith(".safetensors") or name in shipped()
+    learned = name.endswith(".safetensors") or name in shipped_policies()
     if not learned and name not in NAMES:
-        raise UnknownName("controller", name, (*NAMES, *shipped()))
+        raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
     if not learned and name != "drift":
         return _classical(robot, name, options)
     if options:
@@ -92,4 +92,4 @@ def _classical(robot: Robot, name: str, options: dict) -> Controller:
     return Pursuit(name, helm, navigator, k)
 
 
-__all__ = ["NAMES", "Controller", "make"]
+__all__ = ["NAMES", "Controller", "make", "shipped_policies"]
