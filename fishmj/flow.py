@@ -17,12 +17,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 
 PRESETS = ("default", "fine", "gust", "vortex_street", "shear", "none")
-LENGTH = {"default": 0.3, "fine": 0.1, "vortex_street": 0.3, "shear": 0.5}  # m
-GUST_TAU = 1.5  # s
-TICK = 0.02  # s, time step of gust tables and of flow sampling in the batched engines
+_LENGTHS = {"default": "length", "fine": "length_fine", "vortex_street": "length_street", "shear": "length_shear"}
+LENGTH: dict[str, float] = {preset: constant("turbulence", key) for preset, key in _LENGTHS.items()}  # m
+GUST_TAU: float = constant("turbulence", "gust_time")  # s
+TICK: float = constant("timing", "bus_dt")  # s, time step of gust tables and of flow sampling in the batched engines
+_FLOOR: float = constant("turbulence", "speed_floor")  # m/s
 _CELLS = 64  # grid points along each side of the box; box side = 8 L
 _GUST_ROWS, _GUST_TICKS = 64, 4096
 BOXES = {"train": 0, "tune": 1, "judge": 2}
@@ -75,15 +78,15 @@ def gust_table(box: int) -> np.ndarray:
 
 
 def _street(length: float) -> np.ndarray:
-    """Staggered vortex street (Kochin spacing h/l = 0.281) of Gaussian vortices, periodic, (1, n, n, 2)."""
-    n, side = _CELLS, 8 * length
+    """Staggered vortex street (Kochin's stable spacing) of Gaussian vortices, periodic, (1, n, n, 2)."""
+    n, side, ratio = _CELLS, 8 * length, constant("turbulence", "street_spacing")
     grid = np.arange(n) / n * side
     x, y = np.meshgrid(grid, grid, indexing="ij")
     spacing = side / 4
     core = 0.25 * length
     u, v = np.zeros((n, n)), np.zeros((n, n))
     for i in range(4):
-        for sign, lead, height in ((1, 0.0, 0.5 * 0.281), (-1, 0.5, -0.5 * 0.281)):
+        for sign, lead, height in ((1, 0.0, 0.5 * ratio), (-1, 0.5, -0.5 * ratio)):
             dx = (x - (i + lead) * spacing + side / 2) % side - side / 2
             dy = (y - side / 2 - height * spacing + side / 2) % side - side / 2
             swirl = sign * np.exp(-(dx**2 + dy**2) / (2 * core**2))
@@ -126,7 +129,7 @@ def draw(xp, preset: str, table, cell, speed, direction, intensity, uniforms) ->
     angle = direction if aligned else 2 * pi * uniforms[:, 3]
     return Current(
         mean=xp.stack([speed * xp.cos(direction), speed * xp.sin(direction)], -1),
-        rms=intensity * xp.maximum(speed, 0.1),
+        rms=intensity * xp.maximum(speed, _FLOOR),
         row=xp.minimum(xp.floor(uniforms[:, 0] * rows), rows - 1).astype("int32"),
         offset=xp.floor(uniforms[:, 1:3] * cells) if table.ndim == 3 else uniforms[:, 1:3] * cells,
         turn=xp.stack([xp.cos(angle), xp.sin(angle)], -1),
@@ -178,7 +181,7 @@ class Flow:
     speed: float = 0.0
     direction: float = 0.0
     turbulence: str = "none"
-    intensity: float = 0.05
+    intensity: float = constant("turbulence", "intensity")
     seed: int = 0
     box: int = 0
 
@@ -186,7 +189,13 @@ class Flow:
         if self.turbulence not in PRESETS:
             raise UnknownName("turbulence", self.turbulence, PRESETS)
         if not (0 <= self.speed < 5 and 0 <= self.intensity < 1):
-            raise ConfigError(f"flow: speed = {self.speed} m/s (0 to 5) and intensity = {self.intensity} (0 to 1) are out of range")
+            raise ConfigError(
+                f"flow: speed = {self.speed} m/s (0 to 5) and intensity = {self.intensity} (0 to 1) are out of range"
+            )
+        if not np.isfinite(self.direction):
+            raise ConfigError(f"flow: direction = {self.direction}; expected a finite angle in rad, where the water moves to")
+        if self.seed < 0 or self.box < 0:
+            raise ConfigError(f"flow: seed = {self.seed} and box = {self.box} must be 0 or more")
 
     @property
     def mean(self) -> np.ndarray:
@@ -196,7 +205,7 @@ class Flow:
     @property
     def rms(self) -> float:
         """u_rms of each component, m/s."""
-        return 0.0 if self.turbulence == "none" else self.intensity * max(self.speed, 0.1)
+        return 0.0 if self.turbulence == "none" else self.intensity * max(self.speed, _FLOOR)
 
     def current(self) -> Current:
         """This flow as a batch of one for the batched engines."""
@@ -253,7 +262,5 @@ def stack(flows: list[Flow]) -> Current:
         raise ConfigError(f"a batch of flows shares one turbulence preset and box, got {sorted(kinds)}")
     preset, box = kinds.pop()
     table, cell = table_of(preset, box)
-    column = lambda name: np.array([getattr(f, name) for f in flows], float)  # noqa: E731
-    return draw(
-        np, preset, table, cell, column("speed"), column("direction"), column("intensity"), np.array([f.uniforms() for f in flows])
-    )
+    speed, direction, intensity = (np.array([getattr(f, k) for f in flows], float) for k in ("speed", "direction", "intensity"))
+    return draw(np, preset, table, cell, speed, direction, intensity, np.array([f.uniforms() for f in flows]))
