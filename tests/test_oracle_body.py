@@ -396,3 +396,25 @@ def test_clocks_that_do_not_nest_are_refused():
         Coupled(Fluid(lattice, (16, 16, 16)), ball(4.0, Lattice(dx=1.0, dt=0.5)), sphere_markers(4.0, 1.0))
     with pytest.raises(ConfigError, match="nearest dt: 0.00285714"):
         Run(pond("cpu", dt=0.003))
+
+
+def test_a_tick_too_fast_for_the_step_is_done_again_with_finer_ones(monkeypatch):
+    """The trial is not lost, and it is the swim of a run that had the finer step throughout."""
+    gait, ends = Gait(ramp=0.2), []
+    for dt, limit in ((0.002, 10.0), (0.004, 0.3)):
+        monkeypatch.setattr(Run, "limit", limit)
+        run = Run(pond("cpu", dt=dt), prescribed=gait)
+        for _ in range(15):
+            run.tick()
+        ends.append(run.pose)
+        assert run.time == pytest.approx(0.3)
+        assert (run.refined >= 5) == (limit < 1)
+    np.testing.assert_allclose(ends[1][:3], ends[0][:3], atol=3e-3)
+    np.testing.assert_allclose(ends[1][3:], ends[0][3:], atol=0.02)
+
+
+def test_a_tick_that_no_sub_step_can_hold_stops_with_the_numbers():
+    run = Run(pond("cpu"), prescribed=Gait(frequency=6.0, ramp=0.05))
+    with pytest.raises(OracleUnstable, match="sub-steps take 3.46 m/s"):
+        for _ in range(20):
+            run.tick()

@@ -56,11 +56,11 @@ class Body:
     """
 
     def __init__(self, model: mujoco.MjModel, water: Water, dt: float):
-        self.model, self.data, self.water, self.dt = model, mujoco.MjData(model), water, float(dt)
+        self.model, self.data, self.water = model, mujoco.MjData(model), water
         self.links, self.dofs = model.nbody - 1, model.nv
         if len(water.mass) != self.links:
             raise ConfigError(f"body: {self.links} moving bodies in the model, displaced water for {len(water.mass)}")
-        model.opt.timestep = self.dt
+        self.set_step(dt)
         self.reach = np.array([[_moves(model, i + 1, d) for d in range(model.nv)] for i in range(self.links)], float)
         self.slides = np.array([_slides(model, d) for d in range(model.nv)], np.int32)
         self.hinge = [_hinge_address(model, i + 1) for i in range(self.links)]
@@ -74,6 +74,10 @@ class Body:
         """The fish of a description, at rest and straight at the origin."""
         robot = load_robot(robot)
         return cls(build(robot, root, bare=True), Water.of(robot), dt)
+
+    def set_step(self, dt: float) -> None:
+        """Change the time step, s."""
+        self.dt = self.model.opt.timestep = float(dt)
 
     def place(self, qpos, qvel=None) -> None:
         """Put the body into a state; its water moves with it, so that nothing is accelerated at once."""

@@ -17,12 +17,15 @@ from importlib.metadata import version
 import numpy as np
 
 from fishmj import __version__
-from fishmj.errors import ConfigError, FishmjError, LogError
+from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable
 from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.guard import Watch
+from fishmj.lbm_oracle.guard import MACH, Watch
+from fishmj.lbm_oracle.substep import FACTORS, Checkpoint, checkpoint, finer, hand_over, restore
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.model import reference_pose
+
+CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
 
 
 class LeftDomain(FishmjError, RuntimeError):
@@ -62,6 +65,7 @@ class Run:
             raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:g} s")
         self.delay = round((timing.command_latency if latency is None else latency) / dt)
         self.joints = self.robot.n_joints
+        self._finer: dict[int, Coupled] = {}
         self.begin()
 
     def begin(self) -> None:
@@ -72,6 +76,8 @@ class Run:
         self.rows: list[tuple] = []
         self.stopped = ""  # why the run ended early
         self.watch = Watch()
+        self.fastest = 0.0  # marker in the last tick, m/s
+        self.refined = 0  # ticks that were done again with finer steps
 
     @property
     def time(self) -> float:
@@ -98,28 +104,66 @@ class Run:
             SimDiverged, OracleUnstable: fish or water left the finite numbers. LeftDomain: from `follow`.
             What was recorded before stays.
         """
-        body, dt, servo = self.coupled.body, self.coupled.body.dt, self.robot.servo
+        servo = self.robot.servo
         wanted = self.prescribed(self.time) if self.prescribed else command
         sent = np.clip(np.asarray(wanted, float), -servo.range, servo.range)
         if sent.shape != (self.joints,) or not np.isfinite(sent).all():
             raise ConfigError(f"run: command {np.asarray(wanted).tolist()}; expected {self.joints} finite joint angles in rad")
         sent = np.round(sent / servo.resolution) * servo.resolution
         self.commands.append(sent)
-        power, began = 0.0, self.time
-        for i in range(self.steps):
-            if self.prescribed is None:
-                body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i)
-            rates = self.rates()
-            self.coupled.step(*self._held(dt))
-            drive = body.data.actuator_force
-            power += float(np.maximum(drive * (drive - servo.kb * rates) / servo.kb, 0.0).sum()) / self.steps
-            with self.coupled.scope():
-                self.watch.after_step(self.coupled.fluid)
-                if self.follow is not None:
-                    self.follow(self.coupled)
+        began, kept = self.time, None
+        if self.fastest > CAUTION * self.limit:
+            kept = checkpoint(self.coupled)
+        power, raw, whole = self._steps(1)
+        if self.fastest > self.limit and kept is not None:
+            power, raw, whole = self._again(kept)
         self.ticks += 1
-        raw, whole = self.coupled.take_wrench(self.steps * dt)
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
+
+    @property
+    def limit(self) -> float:
+        """Greatest speed of a marker that the grid's own time step takes, m/s."""
+        return MACH * self.coupled.fluid.lattice.sound
+
+    def _steps(self, factor: int) -> tuple[float, np.ndarray, np.ndarray]:
+        """The steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole; notes the fastest marker."""
+        coupled = self.coupled if factor == 1 else self._finer[factor]
+        body, servo, dt = coupled.body, self.robot.servo, coupled.body.dt
+        power, self.fastest, count = 0.0, 0.0, self.steps * factor
+        for i in range(count):
+            if self.prescribed is None:
+                body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i // factor)
+            rates = self.rates()
+            coupled.step(*self._held(dt))
+            drive = body.data.actuator_force
+            power += float(np.maximum(drive * (drive - servo.kb * rates) / servo.kb, 0.0).sum()) / count
+            self.fastest = max(self.fastest, body.fastest(coupled.boundary.corners))
+            with coupled.scope():
+                self.watch.after_step(coupled.fluid)
+                if self.follow is not None:
+                    self.follow(coupled)
+        return power, *coupled.take_wrench(count * dt)
+
+    def _again(self, kept: Checkpoint) -> tuple[float, np.ndarray, np.ndarray]:
+        """The tick from its checkpoint with finer steps; counted in `refined`.
+
+        Raises:
+            OracleUnstable: too fast for the finest one, too.
+        """
+        for factor in FACTORS:
+            if self.fastest > factor * self.limit and factor != FACTORS[-1]:
+                continue
+            restore(self.coupled, kept)
+            if factor not in self._finer:
+                self._finer[factor] = finer(self.coupled, factor)
+            hand_over(self.coupled, self._finer[factor])
+            done = self._steps(factor)
+            hand_over(self._finer[factor], self.coupled)
+            if self.fastest <= factor * self.limit:
+                self.refined += 1
+                return done
+        message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
+        raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")
 
     def arrived(self, step: int) -> np.ndarray:
         """What the servos aim at in step `step`, (J,) rad: the newest command that is old enough."""
@@ -179,7 +223,8 @@ class Run:
             | {"intensity": flow.intensity, "seed": flow.seed, "known": True},
             "excitation": "prescribed joints" if self.prescribed else "servos",
             "water": "lbm",
-            "oracle": {**water, "device": str(fluid.device), "tethered": self.tethered, "stopped": self.stopped},
+            "oracle": {**water, "device": str(fluid.device), "tethered": self.tethered}
+            | {"refined_ticks": self.refined, "stopped": self.stopped},
             "seed": flow.seed,
             "clock": {name: "simulation" for name in tables},
             "versions": {"fishmj": __version__} | {name: version(name) for name in ("mujoco", "numpy", "warp-lang")},

@@ -1,0 +1,113 @@
+"""A tick that is too fast for the grid's time step is done again from its start with a finer one; the trial goes on.
+
+    dt' = r dt, r = 1/2 or 1/4:   rho' - 1 = r^2 (rho - 1),   u' = r u,   P' = r P
+
+Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay what they are; the departure P from equilibrium is a rate of strain
+and scales like u where the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r.
+The finer water has the same cells, and takes its memory when it is first needed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from fishmj.lbm_oracle.collide import density, departure, momentum, populations
+from fishmj.lbm_oracle.coupling import Coupled
+from fishmj.lbm_oracle.fluid import Fluid
+from fishmj.lbm_oracle.lattice import Q, vec19
+from fishmj.lbm_oracle.units import Lattice
+
+FACTORS = (2, 4)  # finer steps in one
+
+
+@wp.kernel(module="unique", module_options={"max_unroll": 32, "enable_backward": False})
+def rescale(
+    f: wp.array2d(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    r: float,
+    f_out: wp.array2d(dtype=float),
+    u_out: wp.array(dtype=wp.vec3),
+):
+    """Moments of every cell for another time step."""
+    cell = wp.tid()
+    q = vec19()
+    for i in range(wp.static(Q)):
+        q[i] = f[i, cell]
+    drho = density(q)
+    v = momentum(q) / (1.0 + drho)
+    q = populations(r * r * drho, r * v, r * v, r * departure(q, drho, v))
+    for i in range(wp.static(Q)):
+        f_out[i, cell] = q[i]
+    u_out[cell] = r * u[cell]
+
+
+class Checkpoint(NamedTuple):
+    """A coupled fish at the start of a tick, the water still on its device."""
+
+    f: wp.array
+    u: wp.array
+    origin: np.ndarray
+    steps: int
+    body: tuple  # qpos, qvel, ctrl, time, momentum
+    gain: np.ndarray
+    wrench: wp.array
+    done: int
+
+
+def checkpoint(coupled: Coupled) -> Checkpoint:
+    """Copy what the next step depends on."""
+    fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
+    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy()
+    with coupled.scope():
+        water = wp.clone(fluid.f), wp.clone(fluid.u), fluid.origin_lu.copy(), fluid.steps
+        return Checkpoint(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
+
+
+def restore(coupled: Coupled, kept: Checkpoint) -> None:
+    """Back to a checkpoint."""
+    fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
+    with coupled.scope():
+        wp.copy(fluid.f, kept.f)
+        wp.copy(fluid.u, kept.u)
+        wp.copy(coupled.boundary.wrench, kept.wrench)
+        _set_clock(fluid, kept.origin, kept.steps)
+    qpos, qvel, data.ctrl[:], data.time, momentum_before = kept.body
+    body.place(qpos, qvel)
+    body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
+
+
+def finer(coupled: Coupled, factor: int) -> Coupled:
+    """The same body in water of the same cells with a step `factor` times finer; its arrays are new, its state is not set."""
+    old, edge = coupled.fluid, coupled.boundary
+    lattice = old.lattice
+    fine = Lattice(dx=lattice.dx, dt=lattice.dt / factor, rho=lattice.rho, nu=lattice.nu, corner=lattice.corner)
+    water = Fluid(fine, old.shape, old.device, boundaries=old.boundaries, subgrid=old.subgrid, flow=old.flow, threads=old.threads)
+    coupled.body.set_step(fine.dt)
+    options = {"slip": coupled.slip, "width": edge.width, "passes": edge.passes}
+    return Coupled(water, coupled.body, edge.markers, interior=coupled.interior, **options)
+
+
+def hand_over(giver: Coupled, taker: Coupled) -> None:
+    """Move fish and water from one time step to the other; wrenches stay where they were summed."""
+    r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
+    a, b = giver.fluid, taker.fluid
+    if a.device.is_cuda:
+        wp.synchronize_device(a.device)  # each has its own stream
+    flat = lambda x: x.reshape((Q, -1))  # noqa: E731
+    with taker.scope():
+        inputs = [flat(a.f), a.u.flatten(), r, flat(b.f), b.u.flatten()]
+        wp.launch(rescale, dim=a.cells, inputs=inputs, device=a.device)
+        _set_clock(b, a.origin_lu, round(a.steps / r))
+    if a.device.is_cuda:
+        wp.synchronize_device(a.device)
+    body = taker.body
+    now = body.water_momentum()
+    body.momentum = now - r * (now - body.momentum)  # the inside water's gain is one of the new, other step
+    body.set_step(b.lattice.dt)
+
+
+def _set_clock(fluid: Fluid, origin: np.ndarray, steps: int) -> None:
+    fluid.origin_lu, fluid.steps = np.array(origin, int), int(steps)
+    fluid.origin.assign(fluid.origin_lu.astype(np.int32))
+    fluid.clock.fill_(fluid.steps)
