@@ -29,7 +29,7 @@ NOWHERE = ((0, 0, 0), (0, 0, 0))
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
 _POOL = ThreadPoolExecutor(max_workers=8, thread_name_prefix="slab")
 
-Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # world nodes, low inclusive, high exclusive
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
 
 
 class Survey(NamedTuple):
@@ -50,7 +50,7 @@ class Fluid:
         u: (nx, ny, nz) vec3, velocity of the last step.
         force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
-        origin: (3,) int32, world node of the low corner, on the device (`origin_lu` on the host).
+        origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
         clock: (1,) int32, steps done.
 
     Arrays are indexed by world node modulo shape. Raises ConfigError and UnknownName for what cannot be.
@@ -89,7 +89,7 @@ class Fluid:
             self._u = [wp.zeros(shape, dtype=wp.vec3) for _ in range(2)]
             self._clock = [wp.zeros(1, dtype=int) for _ in range(2)]
             self.force = wp.zeros(shape, dtype=wp.vec3)
-            self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(3, dtype=int)
+            self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
         self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
         self._launches: list[list[Any]] | None = None
         self._graph = None
@@ -230,14 +230,17 @@ class Fluid:
             raise ConfigError(
                 f"fluid: shift by {tuple(by)} cells in a window of {self.shape}; a shift is smaller than the window"
             )
-        self.origin_lu = self.origin_lu + by
-        self.origin.assign(self.origin_lu.astype(np.int32))
+        self._place(self.origin_lu + by)
         for axis in np.flatnonzero(by):
             low, size = self.origin_lu.copy(), np.array(self.shape)
             size[axis] = abs(by[axis])
             if by[axis] > 0:
                 low[axis] += self.shape[axis] - by[axis]
             self._settle(low, size)
+
+    def _place(self, origin: np.ndarray) -> None:
+        self.origin_lu = origin
+        self.origin.assign(np.concatenate([origin, origin % self.shape]).astype(np.int32))
 
     def velocity(self) -> np.ndarray:
         """(nx, ny, nz, 3) m/s, low corner first."""
@@ -264,7 +267,12 @@ class Fluid:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
-        return {"f": self.f.numpy(), "u": self.u.numpy(), "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
+        return {
+            "f": self.f.numpy().copy(),
+            "u": self.u.numpy().copy(),
+            "origin": self.origin_lu.copy(),
+            "steps": np.array(self.steps),
+        }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue from a snapshot, bit for bit.
@@ -276,8 +284,8 @@ class Fluid:
             raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
         self.f.assign(state["f"])
         self.u.assign(state["u"])
-        self.origin_lu, self.steps = np.array(state["origin"], int), int(state["steps"])
-        self.origin.assign(self.origin_lu.astype(np.int32))
+        self.steps = int(state["steps"])
+        self._place(np.array(state["origin"], int))
         self.clock.fill_(self.steps)
 
 

@@ -9,7 +9,7 @@ A refusal names the nearest set-up that would pass.
 """
 
 from dataclasses import dataclass
-from math import ceil, floor, isnan, sqrt
+from math import ceil, isnan, sqrt
 from typing import NamedTuple
 
 from fishmj.errors import ConfigError, OracleUnstable
@@ -192,7 +192,7 @@ class Watch:
 
 def _said(limit: str, fluid, found, speed: float, mean: float) -> str:
     lat = fluid.lattice
-    slower = BUS / (floor(BUS / lat.dt + 0.5) * 2)
+    slower = lat.dt / 2
     what = {
         "lost": f"{found.lost} of {fluid.cells} nodes are not finite",
         "speed": f"{speed:.2f} m/s is Mach {lat.mach(speed):.2f}; the hard stop is {SPEED_LU * lat.velocity:.2f} m/s",

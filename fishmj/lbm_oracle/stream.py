@@ -71,6 +71,16 @@ def folded(i: int, n: int):
     return r
 
 
+@wp.func
+def within(i: int, n: int):
+    """An index less than one size out of range, brought back; cheaper than a division."""
+    if i < 0:
+        return i + n
+    if i >= n:
+        return i - n
+    return i
+
+
 @cache
 def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
     """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity."""
@@ -89,6 +99,9 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
     def turned(i: int, *axes: int) -> int:
         return mirrored(i, *axes)
 
+    # a module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop
+    module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none"]))
+    wp.set_module_options(OPTIONS, module)
     bounded = [axis.low != "periodic" for axis in faces]
     opened = ["open" in axis for axis in faces]
 
@@ -159,7 +172,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
             s.cw2,
         )
 
-    @wp.kernel(module="unique", module_options=OPTIONS)
+    @wp.kernel(module=module)
     def advance(
         start: int,
         s: Numbers,
@@ -182,9 +195,8 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         step = clock[0]
         if here == 0:
             clock_next[0] = step + 1
-        ox, oy, oz = origin[0], origin[1], origin[2]
-        lx, ly, lz = folded(x - ox, s.nx), folded(y - oy, s.ny), folded(z - oz, s.nz)
-        wx, wy, wz = lx + ox, ly + oy, lz + oz
+        lx, ly, lz = within(x - origin[3], s.nx), within(y - origin[4], s.ny), within(z - origin[5], s.nz)
+        wx, wy, wz = lx + origin[0], ly + origin[1], lz + origin[2]
 
         if wp.static(any(opened)):
             inner_x, inner_y = int(lx), int(ly)
@@ -192,7 +204,8 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
                 inner_x = wp.clamp(lx, 1, s.nx - 2)
             if wp.static(opened[1]):
                 inner_y = wp.clamp(ly, 1, s.ny - 2)
-            q = pull(f, s, inner_x, inner_y, lz, folded(inner_x + ox, s.nx), folded(inner_y + oy, s.ny), z)
+            inner_mx, inner_my = within(x + inner_x - lx, s.nx), within(y + inner_y - ly, s.ny)
+            q = pull(f, s, inner_x, inner_y, lz, inner_mx, inner_my, z)
         else:
             q = pull(f, s, lx, ly, lz, x, y, z)
         drho = density(q)
@@ -235,10 +248,11 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         q = populations(drho, u, v, p)
         n_cells = s.nx * s.ny * s.nz
         for i in range(wp.static(Q)):
-            f_next[i * n_cells + here] = q[i]
+            # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
+            f_next[wp.static(i) * n_cells + here] = q[i]
         u_next[x, y, z] = 0.5 * (u + v)
 
-    @wp.kernel(module="unique", module_options=OPTIONS)
+    @wp.kernel(module=module)
     def predict(
         s: Numbers,
         origin: wp.array(dtype=int),

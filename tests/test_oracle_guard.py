@@ -1,0 +1,101 @@
+"""The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/reliability.md)."""
+
+import numpy as np
+import pytest
+
+wp = pytest.importorskip("warp")
+
+from fishmj import console  # noqa: E402
+from fishmj.errors import ConfigError, OracleUnstable, UnknownName  # noqa: E402
+from fishmj.lbm_oracle import __main__ as verbs  # noqa: E402
+from fishmj.lbm_oracle import cases, converge, guard, ladder  # noqa: E402
+from fishmj.lbm_oracle.boundaries import PERIODIC, Axis, Boundaries  # noqa: E402
+from fishmj.lbm_oracle.device import device_of  # noqa: E402
+from fishmj.lbm_oracle.domain import preset  # noqa: E402
+from fishmj.lbm_oracle.fluid import Fluid  # noqa: E402
+from fishmj.lbm_oracle.units import Lattice  # noqa: E402
+
+pytestmark = pytest.mark.oracle
+ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
+
+
+def test_fault_8_an_unstable_oracle_is_refused_with_the_set_up_that_would_pass():
+    domain = preset("paper")
+    with pytest.raises(OracleUnstable, match=r"Mach 0.35 at 1 m/s .* dt = 0.003333 s") as error:
+        guard.check(domain, speed=1.0)
+    assert error.value.limit == "mach" and {line.what for line in error.value.figures} >= {"tau", "cells", "memory"}
+    guard.check(domain.changed(dx=0.02, dt=0.02 / 6), speed=1.0)
+    with pytest.raises(OracleUnstable, match="tau = 0.50003"):
+        guard.check(domain, speed=0.3, subgrid="none")
+    with pytest.raises(OracleUnstable, match="Space them by 0.02 m"):
+        guard.check(domain, speed=0.3, spacing=0.05)
+    with pytest.raises(OracleUnstable, match="2.0 cells from a face"):
+        guard.check(domain, speed=0.3, clearance=2.0)
+    assert guard.check(domain, speed=0.3) == [] and "Mach 0.17" in guard.check(domain, speed=0.5)[0]
+
+
+@pytest.mark.parametrize("spoil, limit", [(np.nan, "lost"), (0.5, "speed")])
+def test_fault_9_the_watch_stops_a_fluid_that_blows_up(spoil, limit):
+    water, watch = Fluid(ONE, (12, 10, 8), subgrid="none"), guard.Watch()
+    water.impose(np.full((12, 10, 8, 3), 0.01))
+    water.run(50)
+    assert watch.after_step(water) and watch.fastest > 0
+    u = water.velocity()
+    u[3, 3, 3] = spoil
+    water.impose(u)
+    with pytest.raises(OracleUnstable, match="at step 50") as error:
+        for _ in range(50):
+            watch.look(water)
+            water.run(1)
+            watch.after_step(water)
+    assert error.value.limit == limit
+
+
+def test_fault_11_without_an_accelerator_auto_falls_back_and_cuda_says_why():
+    if wp.get_cuda_devices():
+        with pytest.raises(ConfigError, match="MB free"):
+            device_of("cuda", 2**60)
+        return
+    assert device_of("auto").is_cpu
+    with pytest.raises(ConfigError, match="no usable accelerator"):
+        device_of("cuda")
+
+
+def test_wrong_settings_say_what_they_expected():
+    with pytest.raises(UnknownName, match="slip"):
+        Boundaries(x=Axis("slop", "slip"))
+    with pytest.raises(ConfigError, match="both faces are periodic or none"):
+        Boundaries(x=Axis("periodic", "slip"))
+    with pytest.raises(ConfigError, match="dx = -1"):
+        Lattice(dx=-1.0, dt=1.0)
+    with pytest.raises(UnknownName, match="wale"):
+        Fluid(ONE, (4, 4, 4), subgrid="smago")
+    with pytest.raises(ConfigError, match="shape"):
+        Fluid(ONE, (0, 4, 4), boundaries=PERIODIC)
+    with pytest.raises(UnknownName, match="laptop"):
+        preset("labtop")
+
+
+@pytest.mark.parametrize("name", ["taylor_green", "poiseuille", "pulse"])
+def test_known_answers_of_the_fluid(name):
+    outcome = cases.solve(cases.known()[name], "cpu")
+    assert outcome.ok, [check for check in outcome.checks if not check.ok]
+
+
+def test_a_missed_check_exits_with_one(monkeypatch, capsys):
+    wrong = cases.Case("wrong", 0, "none", "none", True, lambda device: [cases.below("nan", float("nan"), 1.0)])
+    monkeypatch.setattr(cases, "known", lambda: {"wrong": wrong})
+    assert ladder.main(["wrong", "--json"]) == console.FAILED_CHECK
+    assert '"verdict": "MISS"' in capsys.readouterr().out
+
+
+def test_the_convergence_command_finds_second_order(capsys):
+    assert converge.main([]) == console.OK
+    assert "ok" in capsys.readouterr().out
+
+
+def test_unknown_cases_and_verbs_are_named():
+    with pytest.raises(UnknownName, match="poiseuille"):
+        ladder.main(["poisseuille"])
+    with pytest.raises(UnknownName, match="cases"):
+        verbs.main(["case"])
