@@ -18,6 +18,7 @@ from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.gait import Gait
 from fishmj.lbm_oracle.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
 from fishmj.lbm_oracle.run import LeftDomain, Run
+from fishmj.lbm_oracle.tanks import Tanks
 from fishmj.lbm_oracle.units import Lattice
 from fishmj.log import read_trial, write_trial
 from fishmj.mjcf.skin import posed, skin
@@ -418,3 +419,37 @@ def test_a_tick_that_no_sub_step_can_hold_stops_with_the_numbers():
     with pytest.raises(OracleUnstable, match="sub-steps take 3.46 m/s"):
         for _ in range(20):
             run.tick()
+
+
+def test_tanks_side_by_side_swim_as_they_would_alone():
+    gait = Gait(ramp=0.2)
+    alone, *together = (Run(pond("cpu", slip=slip), latency=0.0) for slip in (1.0, 1.0, 0.0))
+    tanks = Tanks(together)
+    for _ in range(5):
+        command = gait(alone.time)
+        alone.tick(command)
+        assert tanks.tick([command, command]) == [0, 1]
+    np.testing.assert_array_equal(together[0].pose, alone.pose)
+    assert not np.array_equal(together[1].pose, alone.pose)
+
+
+def test_a_tank_that_stops_leaves_the_others_swimming():
+    def fence(coupled):
+        raise LeftDomain("left_domain: test")
+
+    tanks = Tanks([Run(pond("cpu"), follow=fence), Run(pond("cpu"))])
+    assert tanks.tick(np.zeros((2, 3))) == [1]
+    assert tanks.tick(np.zeros((2, 3))) == [1]
+    assert tanks.runs[0].stopped.startswith("left_domain") and tanks.runs[1].ticks == 2
+    with pytest.raises(ConfigError, match="1 commands for 2 tanks"):
+        tanks.tick(np.zeros((1, 3)))
+
+
+@pytest.mark.gpu
+def test_both_devices_swim_the_same_swim():
+    ends = []
+    for device in ("cpu", "cuda"):
+        coupled = pond(device, slip=0.97)
+        beat(coupled, 0.4, every=1000)
+        ends.append(np.concatenate([coupled.body.data.qpos, coupled.body.data.qvel]))
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)

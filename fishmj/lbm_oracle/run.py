@@ -11,7 +11,7 @@ Driven by the servos, joints lag behind their commands as on the robot. `prescri
 letter, `tethered` holds the root; the torques that this takes are the servo's and the tether's reaction.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from importlib.metadata import version
 
 import numpy as np
@@ -26,6 +26,8 @@ from fishmj.mjcf import load_robot
 from fishmj.mjcf.model import reference_pose
 
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
+
+Doing = Generator[None, None, tuple[float, np.ndarray, np.ndarray]]
 
 
 class LeftDomain(FishmjError, RuntimeError):
@@ -104,6 +106,11 @@ class Run:
             SimDiverged, OracleUnstable: fish or water left the finite numbers. LeftDomain: from `follow`.
             What was recorded before stays.
         """
+        for _ in self.ticking(command):
+            pass
+
+    def ticking(self, command=None) -> Iterator[None]:
+        """The same, pausing whenever the device has work and the host could look after another tank (see `tanks`)."""
         servo = self.robot.servo
         wanted = self.prescribed(self.time) if self.prescribed else command
         sent = np.clip(np.asarray(wanted, float), -servo.range, servo.range)
@@ -114,9 +121,9 @@ class Run:
         began, kept = self.time, None
         if self.fastest > CAUTION * self.limit:
             kept = checkpoint(self.coupled)
-        power, raw, whole = self._steps(1)
+        power, raw, whole = yield from self._steps(1)
         if self.fastest > self.limit and kept is not None:
-            power, raw, whole = self._again(kept)
+            power, raw, whole = yield from self._again(kept)
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -125,7 +132,7 @@ class Run:
         """Greatest speed of a marker that the grid's own time step takes, m/s."""
         return MACH * self.coupled.fluid.lattice.sound
 
-    def _steps(self, factor: int) -> tuple[float, np.ndarray, np.ndarray]:
+    def _steps(self, factor: int) -> Doing:
         """The steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole; notes the fastest marker."""
         coupled = self.coupled if factor == 1 else self._finer[factor]
         body, servo, dt = coupled.body, self.robot.servo, coupled.body.dt
@@ -134,7 +141,9 @@ class Run:
             if self.prescribed is None:
                 body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i // factor)
             rates = self.rates()
-            coupled.step(*self._held(dt))
+            coupled.begin(*self._held(dt))
+            yield
+            coupled.finish()
             drive = body.data.actuator_force
             power += float(np.maximum(drive * (drive - servo.kb * rates) / servo.kb, 0.0).sum()) / count
             self.fastest = max(self.fastest, body.fastest(coupled.boundary.corners))
@@ -144,7 +153,7 @@ class Run:
                     self.follow(coupled)
         return power, *coupled.take_wrench(count * dt)
 
-    def _again(self, kept: Checkpoint) -> tuple[float, np.ndarray, np.ndarray]:
+    def _again(self, kept: Checkpoint) -> Doing:
         """The tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises:
@@ -157,7 +166,7 @@ class Run:
             if factor not in self._finer:
                 self._finer[factor] = finer(self.coupled, factor)
             hand_over(self.coupled, self._finer[factor])
-            done = self._steps(factor)
+            done = yield from self._steps(factor)
             hand_over(self._finer[factor], self.coupled)
             if self.fastest <= factor * self.limit:
                 self.refined += 1
