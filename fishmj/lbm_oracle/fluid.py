@@ -4,9 +4,7 @@ Two copies of the populations and of the velocity take turns; `f`, `u` and `cloc
 n % 2 and writes the other, so a captured graph holds an even number of steps.
 """
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +12,7 @@ import warp as wp
 
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow
-from fishmj.lbm_oracle import fields
+from fishmj.lbm_oracle import fields, slabs
 from fishmj.lbm_oracle.boundaries import PERIODIC, Boundaries
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.inflow import inflow_of
@@ -27,7 +25,6 @@ CW = 0.325  # WALE constant
 OMEGA_BULK = 1.0
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
-_POOL = ThreadPoolExecutor(max_workers=8, thread_name_prefix="slab")
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
 
@@ -82,8 +79,7 @@ class Fluid:
         self.flow = flow or Flow()
         self._kernels = kernels(boundaries.axes, subgrid == "wale")
         self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk)
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self.threads = 1 if self.device.is_cuda else max(1, min(threads or cores, shape[0] // 4 or 1))
+        self.threads = slabs.slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
             self._f = [wp.zeros((Q, *shape), dtype=float) for _ in range(2)]
             self._u = [wp.zeros(shape, dtype=wp.vec3) for _ in range(2)]
@@ -158,27 +154,16 @@ class Fluid:
         """One time step with the force in `self.box`; no host transfer, so that a graph can capture it."""
         if self._launches is None:
             self._launches = [self._recorded(parity) for parity in range(2)]
-        launches = self._launches[self.parity]
-        if len(launches) == 1:
-            launches[0].launch()
-        else:
-            waiting = [_POOL.submit(launch.launch) for launch in launches[1:]]
-            launches[0].launch()
-            for slab in waiting:
-                slab.result()
+        slabs.launch(self._launches[self.parity])
         self.parity, self.steps = 1 - self.parity, self.steps + 1
 
     def _recorded(self, parity: int) -> list[Any]:
-        """The launches of one step, one a slab of x."""
+        """The launches of a step that starts from this parity."""
         a, b = parity, 1 - parity
-        plane = self.shape[1] * self.shape[2]
-        edges = np.linspace(0, self.shape[0], self.threads + 1).astype(int) * plane
         args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), self._u[a], self.force]
         args += [_flat(self._f[b]), self._u[b], self._clock[b]]
-        return [
-            wp.launch(self._kernels.advance, dim=int(high - low), inputs=[int(low), *args], device=self.device, record_cmd=True)
-            for low, high in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        planes, plane = self.shape[0], self.shape[1] * self.shape[2]
+        return slabs.record(self._kernels.advance, planes, plane, args, self.device, self.threads)
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
         """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
@@ -198,15 +183,13 @@ class Fluid:
             self.advance()
 
     def _captured(self) -> None:
-        """A graph of two steps from even parity."""
+        """A graph of two steps from even parity; capturing does not run them."""
         if self._graph is None:
-            wp.load_module(device=self.device)
+            self._kernels.advance.module.load(self.device)
             steps = self.steps
-            self.advance(), self.advance()  # loads the kernels
             with wp.ScopedCapture(self.device) as capture:
                 self.advance(), self.advance()
-            self._graph = capture.graph
-            self.steps = steps + 2
+            self._graph, self.steps = capture.graph, steps
 
     def predict(self, box: Box, out_u: wp.array, out_rho: wp.array) -> None:
         """Velocity [lu] and density that the next step would find without a body, at the nodes of a box.

@@ -172,7 +172,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
             s.cw2,
         )
 
-    @wp.kernel(module=module)
+    @wp.kernel(module=module, grid_stride=False)
     def advance(
         start: int,
         s: Numbers,
