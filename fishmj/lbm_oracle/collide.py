@@ -22,7 +22,7 @@ import warp as wp
 
 from fishmj.lbm_oracle.lattice import vec6, vec19
 
-_W1, _W2 = wp.constant(1.0 / 18.0), wp.constant(1.0 / 36.0)
+_CS2, _W1, _W2 = wp.constant(1.0 / 3.0), wp.constant(1.0 / 18.0), wp.constant(1.0 / 36.0)
 
 
 @wp.func
@@ -51,7 +51,7 @@ def departure(f: vec19, drho: float, u: wp.vec3):
     c, d = f[11] + f[12], f[13] + f[14]
     e, g = f[15] + f[16], f[17] + f[18]
     rho = 1.0 + drho
-    p = drho / 3.0
+    p = _CS2 * drho
     return vec6(
         f[1] + f[2] + a + b + c + d - p - rho * u[0] * u[0],
         f[3] + f[4] + a + b + e + g - p - rho * u[1] * u[1],
@@ -65,7 +65,7 @@ def departure(f: vec19, drho: float, u: wp.vec3):
 @wp.func
 def relaxed(p: vec6, omega: float, omega_bulk: float):
     """P' of the docstring."""
-    mean = (p[0] + p[1] + p[2]) / 3.0
+    mean = _CS2 * (p[0] + p[1] + p[2])
     keep = 1.0 - omega
     bulk = (1.0 - omega_bulk) * mean
     return vec6(
@@ -142,7 +142,7 @@ def wale(dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, cw2: float):
     # rows of g g, g_ab = d u_a / d x_b
     row_x, row_y, row_z = wp.vec3(dx[0], dy[0], dz[0]), wp.vec3(dx[1], dy[1], dz[1]), wp.vec3(dx[2], dy[2], dz[2])
     qxx, qyy, qzz = wp.dot(row_x, dx), wp.dot(row_y, dy), wp.dot(row_z, dz)
-    third = (qxx + qyy + qzz) / 3.0
+    third = _CS2 * (qxx + qyy + qzz)
     qxx, qyy, qzz = qxx - third, qyy - third, qzz - third
     qxy = 0.5 * (wp.dot(row_x, dy) + wp.dot(row_y, dx))
     qxz = 0.5 * (wp.dot(row_x, dz) + wp.dot(row_z, dx))

@@ -160,8 +160,8 @@ class Fluid:
     def _recorded(self, parity: int) -> list[Any]:
         """The launches of a step that starts from this parity."""
         a, b = parity, 1 - parity
-        args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), self._u[a], self.force]
-        args += [_flat(self._f[b]), self._u[b], self._clock[b]]
+        args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
+        args += [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
         planes, plane = self.shape[0], self.shape[1] * self.shape[2]
         return slabs.record(self._kernels.advance, planes, plane, args, self.device, self.threads)
 

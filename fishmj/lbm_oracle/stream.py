@@ -21,6 +21,7 @@ from fishmj.lbm_oracle.boundaries import Axis, ramp, through
 from fishmj.lbm_oracle.collide import density, departure, momentum, populations, relaxed, wale
 from fishmj.lbm_oracle.inflow import Inflow, background
 from fishmj.lbm_oracle.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
+from fishmj.lbm_oracle.memory import peek, peek3, poke, poke3
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}
 
@@ -117,7 +118,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         lowx, lowy, lowz = lx == 0, ly == 0, lz == 0
         highx, highy, highz = lx == s.nx - 1, ly == ny - 1, lz == nz - 1
         out = vec19()
-        out[0] = f[x0 + y0 + z0]
+        out[0] = peek(f, x0 + y0 + z0)
         for i in range(1, wp.static(Q)):
             sx = pick(wp.static(C[i][0]), xm, x0, xp)
             sy = pick(wp.static(C[i][1]), ym, y0, yp)
@@ -150,11 +151,14 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
                         if by and not bx and not bz:  # in the corner the side wall holds: a moving corner is first order
                             c = wp.vec3(wp.static(float(C[i][0])), wp.static(float(C[i][1])), wp.static(float(C[i][2])))
                             lift = wp.static(6.0 * W[i]) * wp.dot(c, s.slide)
-            out[i] = f[j * n + sx + sy + sz] + lift
+            arrived = peek(f, j * n + sx + sy + sz)
+            if wp.static(bounces(i)):
+                arrived += lift
+            out[i] = arrived
         return out
 
     @wp.func
-    def eddy(u: wp.array3d(dtype=wp.vec3), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+    def eddy(u: wp.array(dtype=wp.vec3), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
         """WALE viscosity from the velocity of the last step; at a face the node stands in for its missing neighbour."""
         xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
         ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
@@ -165,10 +169,12 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
             ym, yp = wp.where(ly == 0, y, ym), wp.where(ly == s.ny - 1, y, yp)
         if wp.static(bounded[2]):
             zm, zp = wp.where(lz == 0, z, zm), wp.where(lz == s.nz - 1, z, zp)
+        plane, row = s.ny * s.nz, s.nz
+        over_y_z, over_x_z, over_x_y = y * row + z, x * plane + z, x * plane + y * row
         return wale(
-            0.5 * (u[xp, y, z] - u[xm, y, z]),
-            0.5 * (u[x, yp, z] - u[x, ym, z]),
-            0.5 * (u[x, y, zp] - u[x, y, zm]),
+            0.5 * (peek3(u, xp * plane + over_y_z) - peek3(u, xm * plane + over_y_z)),
+            0.5 * (peek3(u, yp * row + over_x_z) - peek3(u, ym * row + over_x_z)),
+            0.5 * (peek3(u, zp + over_x_y) - peek3(u, zm + over_x_y)),
             s.cw2,
         )
 
@@ -181,10 +187,10 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         box: wp.array(dtype=int),
         clock: wp.array(dtype=int),
         f: wp.array(dtype=float),
-        u_old: wp.array3d(dtype=wp.vec3),
-        force: wp.array3d(dtype=wp.vec3),
+        u_old: wp.array(dtype=wp.vec3),
+        force: wp.array(dtype=wp.vec3),
         f_next: wp.array(dtype=float),
-        u_next: wp.array3d(dtype=wp.vec3),
+        u_next: wp.array(dtype=wp.vec3),
         clock_next: wp.array(dtype=int),
     ):
         here = start + wp.tid()
@@ -209,7 +215,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         else:
             q = pull(f, s, lx, ly, lz, x, y, z)
         drho = density(q)
-        u = momentum(q) / (1.0 + drho)
+        u = (1.0 / (1.0 + drho)) * momentum(q)
         p = departure(q, drho, u)
 
         sigma = float(0.0)  # noqa: UP018
@@ -231,7 +237,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         nu = s.nu
         bare = True
         if wx >= box[0] and wx < box[3] and wy >= box[1] and wy < box[4] and wz >= box[2] and wz < box[5]:
-            push = force[x, y, z]
+            push = peek3(force, here)
             g += push
             bare = wp.length_sq(push) == 0.0
         if wp.static(subgrid):
@@ -249,8 +255,8 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         n_cells = s.nx * s.ny * s.nz
         for i in range(wp.static(Q)):
             # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
-            f_next[wp.static(i) * n_cells + here] = q[i]
-        u_next[x, y, z] = 0.5 * (u + v)
+            poke(f_next, wp.static(i) * n_cells + here, q[i])
+        poke3(u_next, here, 0.5 * (u + v))
 
     @wp.kernel(module=module)
     def predict(
