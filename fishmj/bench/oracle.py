@@ -65,3 +65,9 @@ def oracle_fluid_faces(quick: bool) -> Work:
     from fishmj.lbm_oracle.boundaries import channel
 
     return _updates(quick, boundaries=channel(), flow=Flow(speed=0.2, direction=0.5))
+
+
+@benchmark("oracle_fluid_half", "MLUPS", baseline=copied_bytes)
+def oracle_fluid_half(quick: bool) -> Work:
+    """Populations stored in sixteen bits: 76 bytes an update, so that the ratio may pass one."""
+    return _updates(quick, subgrid="none", dtype="float16")

@@ -1,21 +1,24 @@
 """Kernels that set and read whole fields: undisturbed water, a given velocity, density, the watch's sums."""
 
+from typing import Any
+
 import warp as wp
 
 from fishmj.lbm_oracle.collide import density, populations, relaxed
 from fishmj.lbm_oracle.inflow import Inflow, background
 from fishmj.lbm_oracle.lattice import Q, vec6, vec19
+from fishmj.lbm_oracle.memory import peek, poke
 from fishmj.lbm_oracle.stream import OPTIONS, Numbers, folded
 
 wp.set_module_options(OPTIONS)
 
 
 @wp.func
-def _store(f: wp.array(dtype=float), q: vec19, s: Numbers, x: int, y: int, z: int):
+def _store(f: wp.array(dtype=Any), q: vec19, s: Numbers, x: int, y: int, z: int):
     cells = s.nx * s.ny * s.nz
     here = (x * s.ny + y) * s.nz + z
     for i in range(wp.static(Q)):
-        f[i * cells + here] = q[i]
+        poke(f, i * cells + here, q[i])
 
 
 @wp.kernel
@@ -24,7 +27,7 @@ def settle(
     flow: Inflow,
     low: wp.vec3i,
     clock: wp.array(dtype=int),
-    f: wp.array(dtype=float),
+    f: wp.array(dtype=Any),
     u: wp.array3d(dtype=wp.vec3),
 ):
     """Equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
@@ -37,7 +40,7 @@ def settle(
 
 
 @wp.kernel
-def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=float)):
+def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=Any)):
     """A given field with its viscous stress, P = -2 rho c_s^2 tau S, derivatives across the periodic box."""
     x, y, z = wp.tid()
     xm, xp = folded(x - 1, s.nx), folded(x + 1, s.nx)
@@ -54,17 +57,17 @@ def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec
 
 
 @wp.func
-def _loaded(f: wp.array(dtype=float), s: Numbers, x: int, y: int, z: int):
+def _loaded(f: wp.array(dtype=Any), s: Numbers, x: int, y: int, z: int):
     cells = s.nx * s.ny * s.nz
     here = (x * s.ny + y) * s.nz + z
     q = vec19()
     for i in range(wp.static(Q)):
-        q[i] = f[i * cells + here]
+        q[i] = peek(f, i * cells + here)
     return q
 
 
 @wp.kernel
-def weigh(s: Numbers, f: wp.array(dtype=float), drho: wp.array3d(dtype=float)):
+def weigh(s: Numbers, f: wp.array(dtype=Any), drho: wp.array3d(dtype=float)):
     """Density minus one at every memory node."""
     x, y, z = wp.tid()
     drho[x, y, z] = density(_loaded(f, s, x, y, z))
@@ -73,7 +76,7 @@ def weigh(s: Numbers, f: wp.array(dtype=float), drho: wp.array3d(dtype=float)):
 @wp.kernel
 def survey(
     s: Numbers,
-    f: wp.array(dtype=float),
+    f: wp.array(dtype=Any),
     u: wp.array3d(dtype=wp.vec3),
     extremes: wp.array(dtype=float),
     mass: wp.array(dtype=wp.float64),

@@ -17,6 +17,7 @@ from fishmj.lbm_oracle.boundaries import PERIODIC, Boundaries
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.inflow import inflow_of
 from fishmj.lbm_oracle.lattice import Q
+from fishmj.lbm_oracle.memory import STORAGE
 from fishmj.lbm_oracle.stream import Numbers, box_array, kernels
 from fishmj.lbm_oracle.units import Lattice
 
@@ -43,7 +44,8 @@ class Fluid:
     """A box of water, still or in the background flow, on `cpu` or `cuda`.
 
     Attributes:
-        f: (19, nx, ny, nz) float32, populations after collision, minus their weights; the next step pulls them.
+        f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
+            scaled (`memory`), which no body may touch yet.
         u: (nx, ny, nz) vec3, velocity of the last step.
         force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
@@ -65,10 +67,13 @@ class Fluid:
         drive: tuple[float, float, float] = (0.0, 0.0, 0.0),
         cw: float = CW,
         omega_bulk: float = OMEGA_BULK,
+        dtype: str = "float32",
         threads: int | None = None,
     ):
         if subgrid not in SUBGRID:
             raise UnknownName("subgrid model", subgrid, SUBGRID)
+        if dtype not in STORAGE:
+            raise UnknownName("storage", dtype, STORAGE)
         shape = tuple(int(n) for n in shape)
         if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
             raise ConfigError(
@@ -77,11 +82,11 @@ class Fluid:
         self.lattice, self.shape, self.boundaries, self.subgrid = lattice, shape, boundaries, subgrid
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
-        self._kernels = kernels(boundaries.axes, subgrid == "wale")
+        self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype)
         self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk)
         self.threads = slabs.slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
-            self._f = [wp.zeros((Q, *shape), dtype=float) for _ in range(2)]
+            self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
             self._u = [wp.zeros(shape, dtype=wp.vec3) for _ in range(2)]
             self._clock = [wp.zeros(1, dtype=int) for _ in range(2)]
             self.force = wp.zeros(shape, dtype=wp.vec3)

@@ -21,7 +21,7 @@ from fishmj.lbm_oracle.boundaries import Axis, ramp, through
 from fishmj.lbm_oracle.collide import density, departure, momentum, populations, relaxed, wale
 from fishmj.lbm_oracle.inflow import Inflow, background
 from fishmj.lbm_oracle.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
-from fishmj.lbm_oracle.memory import peek, peek3, poke, poke3
+from fishmj.lbm_oracle.memory import STORAGE, peek, peek3, poke, poke3
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}
 
@@ -83,8 +83,9 @@ def within(i: int, n: int):
 
 
 @cache
-def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
-    """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity."""
+def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32") -> Kernels:
+    """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity, `dtype` is how populations are stored."""
+    number = STORAGE[dtype]
 
     def meets(i: int, axis: int, kind: str) -> bool:
         """Can population i come through a face of this kind?"""
@@ -101,13 +102,13 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         return mirrored(i, *axes)
 
     # a module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop
-    module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none"]))
+    module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none", dtype]))
     wp.set_module_options(OPTIONS, module)
     bounded = [axis.low != "periodic" for axis in faces]
     opened = ["open" in axis for axis in faces]
 
     @wp.func
-    def pull(f: wp.array(dtype=float), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+    def pull(f: wp.array(dtype=number), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
         """Populations that arrive at memory node (x, y, z), logical node (lx, ly, lz)."""
         ny, nz = s.ny, s.nz
         n = s.nx * ny * nz
@@ -186,10 +187,10 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         origin: wp.array(dtype=int),
         box: wp.array(dtype=int),
         clock: wp.array(dtype=int),
-        f: wp.array(dtype=float),
+        f: wp.array(dtype=number),
         u_old: wp.array(dtype=wp.vec3),
         force: wp.array(dtype=wp.vec3),
-        f_next: wp.array(dtype=float),
+        f_next: wp.array(dtype=number),
         u_next: wp.array(dtype=wp.vec3),
         clock_next: wp.array(dtype=int),
     ):
@@ -263,7 +264,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool) -> Kernels:
         s: Numbers,
         origin: wp.array(dtype=int),
         box: wp.array(dtype=int),
-        f: wp.array(dtype=float),
+        f: wp.array(dtype=number),
         u: wp.array3d(dtype=wp.vec3),
         rho: wp.array3d(dtype=float),
     ):
