@@ -45,12 +45,14 @@ def judge(args, policy: str):
     from fishmj.mjcf import load_robot
 
     robot = load_robot("fish")
+    brain = controllers.make(policy, robot)
+    brain.name = "just trained"
     subset = {"speeds": [SPEED], "los_deg": [0, 180], "duration": 60.0} if args.smoke else {}
     plan = trials(repeats=1, turbulence="gust", intensity=INTENSITY, **subset)
     total = plan.duration * len(plan)
     with console.Progress(total, "judge", "sim s") as bar:
         step = robot.timing.control_dt * len(plan)
-        return run(controllers.make(policy, robot), robot, plan, "batch", progress=lambda k: bar.update(k * step))
+        return run(brain, robot, plan, "batch", progress=lambda k: bar.update(k * step))
 
 
 def show(args, result) -> dict:
