@@ -206,9 +206,8 @@ def test_mujoco_takes_exactly_the_velocity_that_was_found(root):
 def test_the_device_solves_the_equation_that_the_docstring_states(bent):
     coupled, _ = bent
     matrix, at_rest = coupled.boundary.answer_matrix
-    at, block = coupled.boundary.layout, coupled.boundary.block
-    right = block[at.momentum : at.momentum + 6] - at_rest
-    system = block[at.system : at.system + 36].reshape(6, 6) + matrix
+    sent = coupled.boundary.view
+    right, system = sent["momentum"] - at_rest, sent["system"] + matrix
     np.testing.assert_allclose(coupled.boundary.outbox.numpy(), np.linalg.solve(system, right), rtol=1e-9, atol=1e-12)
 
 

@@ -50,7 +50,7 @@ def exchange(coupled: Coupled) -> tuple[np.ndarray, np.ndarray]:
     field = wp.zeros(edge.shape, dtype=wp.vec3, device=edge.device)
     inputs = [edge.cell, edge.store, edge.volume, edge.final, edge.width, wp.vec3i(*edge.shape), edge.box_rho]
     wp.launch(immersed.push, dim=edge.count, inputs=inputs, outputs=[field], device=edge.device)
-    low = edge.block[edge.layout.box : edge.layout.box + 3].astype(int)
+    low = edge.view["box"].astype(int)
     nodes = np.ix_(*((low[a] + np.arange(edge.box_shape[a])) % edge.shape[a] for a in range(3)))
     pushed = field.numpy().astype(float)[nodes]
     given = edge.volume.numpy().astype(float) @ edge.final.numpy().astype(float)

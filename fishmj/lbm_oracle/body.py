@@ -22,6 +22,7 @@ from fishmj.errors import ConfigError, SimDiverged
 from fishmj.mjcf import build, geometry_of, load_robot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
+CROSS = np.array([[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]], float)  # r S = w x r
 EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
 
 
@@ -63,8 +64,10 @@ class Body:
         self.set_step(dt)
         self.reach = np.array([[_moves(model, i + 1, d) for d in range(model.nv)] for i in range(self.links)], float)
         self.slides = np.array([_slides(model, d) for d in range(model.nv)], np.int32)
-        self.hinge = [_hinge_address(model, i + 1) for i in range(self.links)]
         self.applied = np.zeros(model.nv)  # a push from outside, generalised, N or N m
+        self._hinge = np.array([_hinge_address(model, i + 1) for i in range(self.links)])
+        self._root = next((j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE), None)
+        self._diagonal = np.diag_indices(model.nv)
         self._jac = np.zeros((self.links, 6, model.nv))
         self.forward()
         self.momentum = self.water_momentum()  # (L, 6) at the end of the last step
@@ -87,8 +90,12 @@ class Body:
         self.momentum = self.water_momentum()
 
     def forward(self) -> None:
-        """Everything that the next step's equation needs from qpos and qvel."""
-        mujoco.mj_step1(self.model, self.data)
+        """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the inside water."""
+        d = self.data
+        mujoco.mj_step1(self.model, d)
+        self.turn = d.xmat[1:].reshape(-1, 3, 3)
+        self.centre, self.twist = self._motion(self.water.centre, self._jac)
+        self._posed = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
@@ -96,7 +103,7 @@ class Body:
         mujoco.mj_fwdActuation(self.model, d)  # ctrl may be newer than the state
         self.system = np.zeros((self.dofs, self.dofs))
         mujoco.mj_fullM(self.model, d, self.system)
-        self.system[np.diag_indices(self.dofs)] += self.dt * self.model.dof_damping
+        self.system[self._diagonal] += self.dt * self.model.dof_damping
         self.smooth = d.qfrc_passive + d.qfrc_actuator - d.qfrc_bias
         inside = self.interior_impulse(1.0 if interior else 0.0)
         return self.system, self.system @ d.qvel + self.dt * (self.smooth + self.applied) + inside
@@ -108,35 +115,34 @@ class Body:
         self.momentum = now
         push = share * self.gain
         push[:, :3] -= self.dt * self.water.mass[:, None] * self.model.opt.gravity
-        return np.einsum("lan,la->n", self._jac, push)
+        return push.ravel() @ self._jac.reshape(-1, self.dofs)
 
     def water_momentum(self) -> np.ndarray:
         """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
-        return self._momentum(self.water.mass, self.water.centre, self.water.inertia)
+        return self._momentum(self.water.mass, self.water.inertia, self.twist)
 
     def solid_momentum(self) -> np.ndarray:
         """The same of the links themselves, (L, 6) kg m/s and kg m2/s."""
         m = self.model
-        turn = np.zeros((self.links, 9))
+        axes = np.zeros((self.links, 9))
         for i in range(self.links):
-            mujoco.mju_quat2Mat(turn[i], m.body_iquat[i + 1])
-        axes = turn.reshape(-1, 3, 3)
+            mujoco.mju_quat2Mat(axes[i], m.body_iquat[i + 1])
+        axes = axes.reshape(-1, 3, 3)
         inertia = np.einsum("lab,lb,lcb->lac", axes, m.body_inertia[1:], axes)
-        keep = self._jac.copy()
-        out = self._momentum(m.body_mass[1:], m.body_ipos[1:], inertia)
-        self._jac = keep
-        return out
+        _, twist = self._motion(m.body_ipos[1:], np.zeros_like(self._jac))
+        return self._momentum(m.body_mass[1:], inertia, twist)
 
-    def _momentum(self, mass, centre, inertia) -> np.ndarray:
+    def _motion(self, point: np.ndarray, jac: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World positions (L, 3) and twists (L, 6) of points in the links' frames; fills `jac` (L, 6, n)."""
         d = self.data
-        turn = d.xmat[1:].reshape(-1, 3, 3)
-        self.centre = d.xpos[1:] + np.einsum("lab,lb->la", turn, centre)
+        where = d.xpos[1:] + (self.turn @ point[:, :, None])[:, :, 0]
         for i in range(self.links):
-            mujoco.mj_jac(self.model, d, self._jac[i, :3], self._jac[i, 3:], self.centre[i], i + 1)
-        twist = self._jac @ d.qvel
-        spin = np.einsum("lba,lb->la", turn, twist[:, 3:])
-        spin = np.einsum("lab,lb->la", turn, np.einsum("lab,lb->la", inertia, spin))
-        return np.concatenate([mass[:, None] * twist[:, :3], spin], -1)
+            mujoco.mj_jac(self.model, d, jac[i, :3], jac[i, 3:], where[i], i + 1)
+        return where, jac @ d.qvel
+
+    def _momentum(self, mass, inertia, twist) -> np.ndarray:
+        world = self.turn @ inertia @ self.turn.transpose(0, 2, 1)
+        return np.concatenate([mass[:, None] * twist[:, :3], (world @ twist[:, 3:, None])[:, :, 0]], -1)
 
     def advance(self, velocity: np.ndarray) -> None:
         """MuJoCo's step to the velocity found, (n,); afterwards `forward` has been called on the new state.
@@ -158,18 +164,23 @@ class Body:
             raise SimDiverged(message, time=float(d.time), term="mj_step")
         self.forward()
 
+    def posed(self, corners: np.ndarray) -> np.ndarray:
+        """World positions (L, K, 3) m of points in the links' frames; kept until the body moves."""
+        if self._posed is None:
+            self._posed = self.data.xpos[1:, None] + corners @ self.turn.transpose(0, 2, 1)
+        return self._posed
+
     def bounds(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Low and high corner (3,) m of the upright box round `corners` (L, K, 3), points in the links' frames."""
-        d = self.data
-        where = d.xpos[1:, None] + np.einsum("lab,lkb->lka", d.xmat[1:].reshape(-1, 3, 3), corners)
-        return where.min((0, 1)), where.max((0, 1))
+        where = self.posed(corners).reshape(-1, 3)
+        return where.min(0), where.max(0)
 
     def fastest(self, corners: np.ndarray) -> float:
         """Greatest speed of those points, m/s: no marker inside the boxes that they span is faster."""
-        d = self.data
-        arm = d.xpos[1:, None] + np.einsum("lab,lkb->lka", d.xmat[1:].reshape(-1, 3, 3), corners) - self.centre[:, None]
-        twist = self._jac @ d.qvel
-        return float(np.linalg.norm(twist[:, None, :3] + np.cross(twist[:, None, 3:], arm), axis=-1).max())
+        arm = self.posed(corners) - self.centre[:, None]
+        spin = (self.twist[:, 3:] @ CROSS).reshape(-1, 3, 3)
+        speed = self.twist[:, None, :3] + arm @ spin
+        return float((speed * speed).sum(-1).max()) ** 0.5
 
     def largest_extent(self, corners: np.ndarray) -> np.ndarray:
         """Size (3,) m that such a box cannot exceed, whatever the pose: the stretched chain from end to end."""
@@ -183,25 +194,16 @@ class Body:
         height = np.abs(corners[..., 2]).max() * 2 if upright else length
         return np.array([length, length, height])
 
-    def pack(self, out: np.ndarray, at) -> None:
+    def pack(self, view: dict[str, np.ndarray]) -> None:
         """Frames, hinge angles and motion axes into the host block (see immersed.Layout)."""
         m, d = self.model, self.data
-        frames = np.concatenate([d.xpos[1:], d.xmat[1:]], axis=1)
-        out[at.frame : at.frame + frames.size] = frames.ravel()
-        for i, address in enumerate(self.hinge):
-            out[at.angle + i] = d.qpos[address] if address >= 0 else 0.0
-        axis, anchor = np.zeros((self.dofs, 3)), np.zeros((self.dofs, 3))
-        for j in range(m.njnt):
-            first = m.jnt_dofadr[j]
-            if m.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE:
-                body = m.jnt_bodyid[j]
-                axis[first : first + 3] = np.eye(3)
-                axis[first + 3 : first + 6] = d.xmat[body].reshape(3, 3).T  # a free joint spins about its body's axes
-                anchor[first + 3 : first + 6] = d.xpos[body]
-            else:
-                axis[first], anchor[first] = d.xaxis[j], d.xanchor[j]
-        out[at.axis : at.axis + axis.size] = axis.ravel()
-        out[at.anchor : at.anchor + anchor.size] = anchor.ravel()
+        frame, axis, anchor = view["frame"], view["axis"], view["anchor"]
+        frame[:, :3], frame[:, 3:] = d.xpos[1:], d.xmat[1:]
+        view["angle"][:] = np.where(self._hinge >= 0, d.qpos[self._hinge], 0.0)
+        axis[:], anchor[:] = d.xaxis[m.dof_jntid], d.xanchor[m.dof_jntid]
+        if self._root is not None:
+            first, turn = m.jnt_dofadr[self._root], d.xmat[m.jnt_bodyid[self._root]].reshape(3, 3)
+            axis[first : first + 3], axis[first + 3 : first + 6] = np.eye(3), turn.T  # a free joint spins about its body's axes
 
 
 def _moves(model, body: int, dof: int) -> bool:

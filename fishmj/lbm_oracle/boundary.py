@@ -84,20 +84,18 @@ class Boundary:
         self.velocity, self.target = empty(self.dofs, wp.float64), empty(self.dofs, wp.float64)
         self.wrench_part = empty((chunks, self.links), wp.spatial_vectord)
         self.wrench = empty(self.links, wp.spatial_vectord)  # impulse of the water since the last `take_wrench`, N s and N m s
-        self.block = self.staging.numpy()  # the host's view of what is sent
+        self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
 
     def fill(self, body, system, right, fixed=None, value=None) -> None:
         """Write this step's numbers into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
-        at, out, lat = self.layout, self.block, self.lattice
-        body.pack(out, at)
-        corner = np.asarray(lat.corner, float)
-        low = np.round((sum(body.bounds(self.corners)) / 2 - corner) / lat.dx - np.array(self.box_shape) / 2)
-        n = self.dofs
-        out[at.origin : at.origin + 3], out[at.box : at.box + 3] = corner, low
-        out[at.system : at.system + n * n], out[at.momentum : at.momentum + n] = system.ravel(), right
-        out[at.before : at.before + n] = body.data.qvel
-        out[at.fixed : at.fixed + n] = 0.0 if fixed is None else fixed
-        out[at.value : at.value + n] = 0.0 if value is None else value
+        view, lat = self.view, self.lattice
+        body.pack(view)
+        low, high = body.bounds(self.corners)
+        view["origin"][:] = lat.corner
+        view["box"][:] = np.round((0.5 * (low + high) - lat.corner) / lat.dx - 0.5 * np.array(self.box_shape))
+        view["system"][:], view["momentum"][:], view["before"][:] = system, right, body.data.qvel
+        view["fixed"][:] = 0.0 if fixed is None else fixed
+        view["value"][:] = 0.0 if value is None else value
 
     def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
         """Queue everything up to K and b0.
@@ -172,17 +170,30 @@ class Boundary:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
 
+def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
+    """Fields of the host block in their order."""
+    shapes: dict[str, tuple[int, ...]] = {"frame": (links, 12), "angle": (links,), "axis": (dofs, 3), "anchor": (dofs, 3)}
+    shapes |= {"origin": (3,), "box": (3,), "system": (dofs, dofs), "momentum": (dofs,)}
+    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")}
+
+
 def _layout(links: int, dofs: int) -> immersed.Layout:
-    sizes = {"frame": 12 * links, "angle": links, "axis": 3 * dofs, "anchor": 3 * dofs, "origin": 3, "box": 3}
-    sizes |= {"system": dofs**2, "momentum": dofs, "before": dofs, "fixed": dofs, "value": dofs}
-    at = immersed.Layout()
+    at, place = immersed.Layout(), 0
     at.links, at.dofs = links, dofs
-    place = 0
-    for name, size in sizes.items():
+    for name, shape in _shapes(links, dofs).items():
         setattr(at, name, place)
-        place += size
+        place += int(np.prod(shape))
     at.size = place
     return at
+
+
+def _views(block: np.ndarray, links: int, dofs: int) -> dict[str, np.ndarray]:
+    views, place = {}, 0
+    for name, shape in _shapes(links, dofs).items():
+        size = int(np.prod(shape))
+        views[name] = block[place : place + size].reshape(shape)
+        place += size
+    return views
 
 
 def _corners(markers: Markers, links: int) -> np.ndarray:

@@ -16,6 +16,8 @@ from fishmj.lbm_oracle.run import LeftDomain, Run
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
 
+LOOK = 4  # steps between two looks at the faces; a fish moves less than a cell meanwhile
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
@@ -82,6 +84,8 @@ class Edge:
         if self.domain.follows:
             heading = reference_pose(body.model, body.data)[2]
             self.follower.follow(fluid, body.data.xpos[1], float(heading))
+        if coupled.steps % LOOK:
+            return
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
         if room < guard.CLEARANCE:
             at = ", ".join(f"{value:.3f}" for value in body.data.xpos[1])
