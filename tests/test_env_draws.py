@@ -1,0 +1,153 @@
+"""The functional environment: every draw fills its range and no more, and the policy sees what the task says."""
+
+from functools import partial
+from math import pi, radians
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from raft import KEY, ROBOT, environment, push, raft
+
+from fishmj import engines
+from fishmj.calib import constant
+from fishmj.tasks import station_hold as task
+
+LIMIT = constant("task", "episode_steps")
+ROUGH = dict(noise=1.0, turbulence="default", intensity=(0.02, 0.08))
+
+
+# ---- what is drawn ----
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """20 000 first states, fully randomised, with noise."""
+    return environment(**ROUGH).reset(KEY, 20000)
+
+
+def uniform(values, low, high):
+    """Ten equal bins hold a tenth each, within 4.5 sigma, and nothing lies outside."""
+    values = np.asarray(values, float).ravel()
+    slack = 1e-6 * max(abs(low), abs(high))
+    assert low - slack <= values.min() and values.max() <= high + slack
+    share = len(values) / 10
+    np.testing.assert_allclose(np.histogram(values, 10, (low, high))[0], share, atol=4.5 * np.sqrt(0.9 * share))
+
+
+def test_starts_fill_the_papers_ranges(crowd):
+    arena = constant("task", "arena")
+    for values in (crowd.fish.q[:, 0], crowd.fish.q[:, 1], crowd.target[:, 0], crowd.target[:, 1]):
+        uniform(values, -arena, arena)
+    uniform(crowd.fish.q[:, 2], -pi, pi)
+    uniform(np.arctan2(crowd.current.mean[:, 1], crowd.current.mean[:, 0]), -pi, pi)
+    speed = np.linalg.norm(crowd.current.mean, axis=1)
+    uniform(speed, *constant("task", "flow_speed"))
+    uniform(crowd.current.rms / speed, 0.02, 0.08)
+    assert not np.any(crowd.fish.v) and not np.any(crowd.fish.buffer)
+    np.testing.assert_allclose(crowd.distance, np.linalg.norm(crowd.fish.q[:, :2] - crowd.target, axis=1), atol=1e-6)
+
+
+def test_randomised_fish_fill_the_papers_ranges(crowd):
+    get, servo = partial(constant, "randomisation"), engines.nominal_params(ROBOT, 1)
+    for j in range(ROBOT.n_joints):
+        uniform(crowd.params.kp[:, j] / servo.kp[0, j], 1 - get("kp"), 1 + get("kp"))
+        uniform(crowd.params.kb[:, j] / servo.kb[0, j], 1 - get("kd"), 1 + get("kd"))
+        uniform(crowd.params.zero[:, j], -radians(get("zero_deg")), radians(get("zero_deg")))
+    for i in range(len(ROBOT.links)):
+        uniform(crowd.params.mass[:, i], 1 - get("mass"), 1 + get("mass"))
+    np.testing.assert_array_equal(crowd.fish.q[:, 3:], crowd.params.zero)  # encoders read zero at the start
+    correlation = np.corrcoef(np.concatenate([crowd.params.mass, crowd.params.kp, crowd.params.zero], 1).T)
+    assert np.abs(correlation - np.eye(len(correlation))).max() < 0.04
+
+
+def test_latencies_are_uniform_on_their_grids(crowd):
+    """Commands: 20 to 120 ms in 4 ms steps, half a share at both ends. Camera: 30 to 100 ms, rounded up to bus ticks."""
+    delay = np.bincount(np.asarray(crowd.params.delay), minlength=32) / 20000
+    expected = np.zeros(32)
+    expected[5:31], expected[[5, 30]] = 1 / 25, 1 / 50
+    np.testing.assert_allclose(delay, expected, atol=0.007)
+    camera = np.bincount(np.asarray(crowd.camera), minlength=7) / 20000
+    np.testing.assert_allclose(camera, [0, 0, 1 / 7, 2 / 7, 2 / 7, 2 / 7, 0], atol=0.015)
+
+
+def test_strength_zero_is_the_nominal_fish():
+    _, state = raft(50, noise=0.0, turbulence="none", randomisation=0.0)
+    for got, want in zip(state.params, engines.nominal_params(ROBOT, 50), strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-6)
+    assert set(np.asarray(state.camera).tolist()) == {4}  # 65 ms, rounded up
+
+
+def test_noise_has_the_scale_of_each_sensor(crowd):
+    clean = environment(**{**ROUGH, "noise": 0.0}).reset(KEY, 20000)
+    np.testing.assert_array_equal(clean.fish.q, crowd.fish.q)
+    scale, error = task.noise_scale(ROBOT), np.asarray(crowd.obs - clean.obs)
+    np.testing.assert_allclose(error.std(0), scale, rtol=0.025)
+    assert (np.abs(error.mean(0)) < 0.04 * scale).all()
+
+
+# ---- what the policy sees ----
+
+
+def test_the_observation_is_task_observe_by_hand():
+    """Same numbers as the NumPy function on the recorded poses, with the noise of the step's own key."""
+    env, state = raft(**ROUGH)
+    poses = [np.repeat(np.asarray(state.fish.q)[:, None, :3], env.length, 1)]
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        action = jnp.asarray(rng.uniform(-0.02, 0.02, (6, 3)).astype(np.float32))
+        noise = jax.random.normal(jax.random.split(state.key, 3)[1], (6, 11))
+        commands = task.chunk(np, ROBOT, np.asarray(state.command), np.asarray(action))
+        _, trace = env.engine.advance(state.fish, jnp.asarray(commands), state.params, state.current, state.tick)
+        poses.append(np.asarray(trace.pose))
+        state = env.step(state, action)
+        history = np.concatenate(poses, 1)[:, -env.length :]
+        seen = task.observe(
+            np, ROBOT, history, np.asarray(state.camera), commands[:, -1], 0.5 * commands[:, -1],
+            np.asarray(state.target), np.asarray(noise),
+        )  # fmt: skip
+        np.testing.assert_allclose(state.obs, seen, atol=2e-4)
+        np.testing.assert_allclose(state.reward, task.reward(np, np.asarray(state.distance), np.asarray(trace.rate)), rtol=1e-5)
+    assert not np.any(state.terminated)
+
+
+def test_the_privileged_view_is_the_truth_of_this_moment():
+    """Target, velocity, yaw rate, joints, rates, flow, time left and target, in the true body frame, without noise."""
+    env, state = raft(**ROUGH)
+    state = env.step(state, push(f0=(0.01, 0.02, 0.1)))
+    q, v = np.asarray(state.fish.q, float), np.asarray(state.fish.v, float)
+    c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
+    body = lambda a: np.stack([c * a[:, 0] + s * a[:, 1], c * a[:, 1] - s * a[:, 0]], -1)  # noqa: E731
+    goal = body(np.asarray(state.target) - q[:, :2])
+    left = np.full((6, 1), (LIMIT - 1) / LIMIT)
+    expected = [goal, body(v[:, :2]), v[:, 2:3], q[:, 3:], v[:, 3:], body(np.asarray(state.current.mean)), left, goal]
+    np.testing.assert_allclose(state.privileged, np.concatenate(expected, -1), atol=1e-5)
+    assert state.privileged.shape == (6, env.n_privileged)
+
+
+def test_memory_is_newest_first_with_the_actions_between():
+    """[o_t, a_t-1, o_t-1, a_t-2, o_t-2]; a fresh episode repeats its first look, with no action before it."""
+    env, state = raft(memory=3, noise=0.0, turbulence="none")
+    assert env.n_input == 3 * 11 + 2 * 3 == state.obs.shape[1]
+    looks, actions = [np.asarray(state.obs)[:, :11]], []
+    np.testing.assert_array_equal(
+        state.obs, np.concatenate([looks[0], 0 * looks[0][:, :3], looks[0]] + [0 * looks[0][:, :3], looks[0]], -1)
+    )
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        actions.append(rng.uniform(-0.02, 0.02, (6, 3)).astype(np.float32))
+        state = env.step(state, jnp.asarray(actions[-1]))
+        looks.append(np.asarray(state.obs)[:, :11])
+    assert not np.any(state.terminated)
+    np.testing.assert_array_equal(state.obs, np.concatenate([looks[4], actions[3], looks[3], actions[2], looks[2]], -1))
+    after = env.step(state, push(f2=(1, 0, 0)))
+    first = np.asarray(after.obs)[2, :11]
+    np.testing.assert_array_equal(after.obs[2], np.concatenate([first, np.zeros(3), first, np.zeros(3), first]))
+    np.testing.assert_array_equal(after.final_obs[2, 11:14], [1, 0, 0])
+    np.testing.assert_array_equal(after.final_obs[2, 14:25], looks[4][2])
+
+
+@pytest.mark.parametrize(("hidden", "blank"), [(("velocity",), [2, 3]), (("yaw_rate", "joint_rate"), [4, 8, 9, 10])])
+def test_hidden_groups_are_zero_and_the_others_are_not(hidden, blank):
+    _, state = raft(hide=hidden, turbulence="none")
+    assert np.flatnonzero(~np.asarray(state.obs).any(0)).tolist() == blank
