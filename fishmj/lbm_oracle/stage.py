@@ -1,6 +1,6 @@
 """A fish in a box of water, put together: domain, flow, markers, coupling and what happens at the edge."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from fishmj.lbm_oracle.run import LeftDomain, Run
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
 
-LOOK = 4  # steps between two looks at the faces; a fish moves less than a cell meanwhile
+LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,16 +76,16 @@ class Edge:
     """What happens after every step: a window follows the fish, and a fish that comes too close to a face ends the run."""
 
     def __init__(self, domain: Domain, heading: float = 0.0):
-        self.domain, self.follower = domain, Follower(domain, heading)
+        self.domain, self.follower = domain, Follower(replace(domain, dt=LOOK * domain.dt), heading)
 
     def __call__(self, coupled: Coupled) -> None:
         """Raises LeftDomain when a marker is nearer than the margin."""
+        if coupled.steps % LOOK:
+            return
         body, fluid = coupled.body, coupled.fluid
         if self.domain.follows:
             heading = reference_pose(body.model, body.data)[2]
             self.follower.follow(fluid, body.data.xpos[1], float(heading))
-        if coupled.steps % LOOK:
-            return
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
         if room < guard.CLEARANCE:
             at = ", ".join(f"{value:.3f}" for value in body.data.xpos[1])
