@@ -18,9 +18,11 @@ from typing import NamedTuple
 
 import warp as wp
 
+from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.lattice import CS
 
+SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
 KINDS = ("periodic", "slip", "wall", "open")
 
 
@@ -45,7 +47,7 @@ class Boundaries:
     z: Axis = Axis("periodic", "periodic")
     slide_lu: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sponge: int = 0
-    sponge_rate: float = 0.1
+    sponge_rate: float = RATE
 
     def __post_init__(self):
         for name in "xyz":
@@ -74,7 +76,7 @@ class Boundaries:
 PERIODIC = Boundaries()
 
 
-def channel(*, bottom: str = "slip", sponge: int = 10) -> Boundaries:
+def channel(*, bottom: str = "slip", sponge: int = SPONGE) -> Boundaries:
     """Open sides, free surface without waves on top, free slip or a no-slip wall below: the tank's and the window's faces."""
     side = Axis("open", "open")
     return Boundaries(x=side, y=side, z=Axis(bottom, "slip"), sponge=sponge)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries, channel
+from fishmj.lbm_oracle.boundaries import SPONGE, Axis, Boundaries, channel
 from fishmj.lbm_oracle.units import Lattice
 from fishmj.units import wrap
 
@@ -37,7 +37,7 @@ class Domain:
     follows: bool = False
     bottom: str = "slip"
     sides: str = "open"
-    sponge: int = 10
+    sponge: int = SPONGE
 
     def __post_init__(self):
         if self.bottom not in BOTTOMS:

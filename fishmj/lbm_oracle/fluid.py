@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow
 from fishmj.lbm_oracle import fields, slabs
@@ -22,8 +23,7 @@ from fishmj.lbm_oracle.stream import Numbers, box_array, kernels
 from fishmj.lbm_oracle.units import Lattice
 
 SUBGRID = ("wale", "none")
-CW = 0.325  # WALE constant
-OMEGA_BULK = 1.0
+CW, OMEGA_BULK = constant("oracle", "wale"), constant("oracle", "omega_bulk")
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
 

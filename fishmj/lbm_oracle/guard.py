@@ -12,21 +12,22 @@ from dataclasses import dataclass
 from math import ceil, isnan, sqrt
 from typing import NamedTuple
 
+from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.flow import TICK
 from fishmj.lbm_oracle.domain import PREVIEWS, Domain
 from fishmj.lbm_oracle.units import Lattice
 from fishmj.mjcf.description import Robot
 
-MACH, MACH_WARN = 0.3, 0.15
-TAU = 0.5005
-SPACING = (0.5, 1.4)  # of dx
-CLEARANCE = 4.0  # cells
-EVERY = 50  # steps between two looks
-RHO = (0.7, 1.3)  # drho ~ Ma^2 stays far inside
-SPEED_LU = 0.3  # hard stop: Ma 0.52
-MEAN_DRHO = 0.05  # a box that gains or loses this share of its mass has lost its boundary
+MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
+TAU = constant("oracle", "tau_least")
+SPACING = constant("oracle", "spacing")  # of dx
+CLEARANCE = constant("oracle", "clearance")  # cells
+EVERY = constant("oracle", "watch")  # steps between two looks
+RHO = constant("oracle", "density_stop")
+SPEED_LU = constant("oracle", "speed_stop")
+MEAN_DRHO = constant("oracle", "mass_stop")
 QUICK, SLOW = 1.0, 0.3  # m/s, tail tip and stream, the speeds of the table
-BUS = 0.02  # s, a step divides the bus tick
 
 
 class Line(NamedTuple):
@@ -121,7 +122,7 @@ def check(
 def step_for(lattice: Lattice, speed: float) -> float:
     """The longest time step [s] that keeps `speed` within the Mach limit and divides a bus tick."""
     longest = MACH * lattice.dx / (speed * sqrt(3))
-    return BUS / ceil(BUS / longest)
+    return TICK / ceil(TICK / longest)
 
 
 def resolved(domain: Domain, robot: Robot) -> list[dict]:
