@@ -1,5 +1,7 @@
 """The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/reliability.md)."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,17 @@ def test_fault_9_the_watch_stops_a_fluid_that_blows_up(spoil, limit):
             water.run(1)
             watch.after_step(water)
     assert error.value.limit == limit
+
+
+def test_fault_11_an_accelerator_that_is_too_small_is_named_with_both_figures(monkeypatch, capsys):
+    monkeypatch.setattr(wp, "get_cuda_devices", lambda: [SimpleNamespace(free_memory=300 * 2**20)])
+    with pytest.raises(ConfigError, match="300 MB free, the fluid needs 359 MB"):
+        device_of("cuda", 359 * 2**20)
+    with pytest.raises(ConfigError, match="cuda:3"):
+        device_of("cuda:3")
+    assert device_of("auto", 359 * 2**20).is_cpu and "running on the CPU" in capsys.readouterr().err
+    with pytest.raises(UnknownName, match="cuda"):
+        device_of("gpu")
 
 
 def test_fault_11_without_an_accelerator_auto_falls_back_and_cuda_says_why():

@@ -5,6 +5,7 @@ from math import log2
 from fishmj import console
 from fishmj.lbm_oracle.cases.poiseuille import profile_error
 from fishmj.lbm_oracle.cases.taylor_green import decay
+from fishmj.lbm_oracle.device import device_of
 
 ORDER, ROOM = 2.0, 0.2
 
@@ -27,7 +28,8 @@ def main(argv: list[str]) -> int:
     parser = console.parser("lbm_oracle converge", "Order of convergence on closed solutions; exit 1 off order.")
     parser.add_argument("--device", default="cpu", help="cpu, cuda or auto")
     args = parser.parse_args(argv)
-    table = [row for name in ("taylor_green", "poiseuille") for row in study(name, args.device)]
+    device = str(device_of(args.device))
+    table = [row for name in ("taylor_green", "poiseuille") for row in study(name, device)]
     orders = [row["order"] for row in table if row["order"] is not None]
     ok = all(order >= ORDER - ROOM for order in orders)
     console.say(console.table(table), f"expected order {ORDER:g}, at least {ORDER - ROOM:g}: {'ok' if ok else 'MISS'}")

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+from fishmj import console
 from fishmj.errors import ConfigError, UnknownName
 
 KINDS = ("auto", "cpu", "cuda")
@@ -29,7 +30,15 @@ def device_of(name: str = "auto", need: int = 0):
     if kind not in KINDS:
         raise UnknownName("device", str(name), KINDS)
     found = wp.get_cuda_devices()
-    if kind == "cpu" or (kind == "auto" and (not found or found[0].free_memory < need)):
+    if kind == "auto" and (not found or found[0].free_memory < need):
+        why = (
+            f"{found[0].free_memory // 2**20} MB free on {found[0]}, {need // 2**20} MB needed"
+            if found
+            else "no accelerator found"
+        )
+        console.warn(f"device: {why}; running on the CPU")
+        kind = "cpu"
+    if kind == "cpu":
         return wp.get_device("cpu")
     if not found:
         raise ConfigError("device: cuda was asked for and no usable accelerator was found; use --device cpu, or auto")

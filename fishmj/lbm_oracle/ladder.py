@@ -2,6 +2,7 @@
 
 from fishmj import console
 from fishmj.lbm_oracle import cases
+from fishmj.lbm_oracle.device import device_of
 
 
 def main(argv: list[str]) -> int:
@@ -14,9 +15,10 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if args.list:
         return _list(args.json)
+    device = str(device_of(args.device))
     outcomes, table = [], []
     for case in cases.pick(args.names, quick=not args.all, everything=args.all):
-        done = cases.solve(case, args.device)
+        done = cases.solve(case, device)
         outcomes.append(done)
         table += cases.rows(done)
         console.say(
@@ -25,10 +27,10 @@ def main(argv: list[str]) -> int:
     missed = [row for row in table if row["verdict"] == "MISS"]
     total = sum(done.seconds for done in outcomes)
     gated = sum(row["verdict"] != "reported" for row in table)
-    console.say(f"{gated - len(missed)} of {gated} checks hold, {console.duration(total)} on {args.device}")
+    console.say(f"{gated - len(missed)} of {gated} checks hold, {console.duration(total)} on {device}")
     if args.json:
         seconds = {done.case.name: done.seconds for done in outcomes}
-        console.emit_json({"cases": table, "seconds": seconds, "device": args.device, "ok": not missed})
+        console.emit_json({"cases": table, "seconds": seconds, "device": device, "ok": not missed})
     return console.FAILED_CHECK if missed else console.OK
 
 
