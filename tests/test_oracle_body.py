@@ -14,10 +14,12 @@ from fishmj.lbm_oracle.boundary import slip_here
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import added_mass, virtual_mass
 from fishmj.lbm_oracle.coupling import Coupled
+from fishmj.lbm_oracle.domain import Domain
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.gait import Gait
 from fishmj.lbm_oracle.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
 from fishmj.lbm_oracle.run import LeftDomain, Run
+from fishmj.lbm_oracle.stage import Stage
 from fishmj.lbm_oracle.tanks import Tanks
 from fishmj.lbm_oracle.units import Lattice
 from fishmj.log import read_trial, write_trial
@@ -411,6 +413,28 @@ def test_a_tick_too_fast_for_the_step_is_done_again_with_finer_ones(monkeypatch)
         assert (run.refined >= 5) == (limit < 1)
     np.testing.assert_allclose(ends[1][:3], ends[0][:3], atol=3e-3)
     np.testing.assert_allclose(ends[1][3:], ends[0][3:], atol=0.02)
+
+
+def test_a_window_keeps_its_place_when_a_tick_is_done_again(monkeypatch):
+    monkeypatch.setattr(Run, "limit", 0.2)
+    small = Domain(name="small", shape=(60, 60, 20), dx=0.02, dt=0.004, follows=True, sponge=4)
+    run = Stage(domain=small, pose=(3.21, -1.07, 2.0)).run(prescribed=Gait(ramp=0.2))
+    before = run.coupled.fluid.origin_lu.copy()
+    for _ in range(12):
+        run.tick()
+    assert run.refined >= 3
+    assert np.abs(run.coupled.fluid.origin_lu - before).max() <= 8
+    np.testing.assert_array_equal(run.coupled.fluid.origin.numpy()[:3], run.coupled.fluid.origin_lu)
+    assert np.hypot(*(run.pose[:2] - [3.21, -1.07])) < 0.1
+
+
+def test_half_precision_populations_carry_the_same_start():
+    ends = []
+    for dtype in ("float32", "float16"):
+        coupled = pond("cpu", dtype=dtype)
+        beat(coupled, 0.3, every=1000)
+        ends.append(coupled.body.data.qpos.copy())
+    np.testing.assert_allclose(ends[1], ends[0], atol=5e-3)
 
 
 def test_a_tick_that_no_sub_step_can_hold_stops_with_the_numbers():

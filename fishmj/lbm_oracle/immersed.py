@@ -16,9 +16,12 @@ Departures from the textbook (Wang, Fan, Luo 2008; Kang, Hassan 2011):
 The kernels below run one marker (and right-hand side) a thread, on CPU and GPU alike.
 """
 
+from typing import Any
+
 import warp as wp
 
 from fishmj.lbm_oracle.delta import first, phi, weight, wrap
+from fishmj.lbm_oracle.memory import peek
 
 wp.set_module_options({"enable_backward": False})
 
@@ -113,7 +116,7 @@ def pose(
 
 @wp.kernel
 def read_cells(
-    f: wp.array(dtype=float),
+    f: wp.array(dtype=Any),
     directions: wp.array(dtype=wp.vec3i),
     drive: wp.vec3,
     cell: wp.array(dtype=wp.vec3),
@@ -132,7 +135,7 @@ def read_cells(
     for q in range(directions.shape[0]):
         c = directions[q]
         px, py, pz = wrap(x - c[0], shape[0]), wrap(y - c[1], shape[1]), wrap(z - c[2], shape[2])
-        value = f[((q * shape[0] + px) * shape[1] + py) * shape[2] + pz]
+        value = peek(f, ((q * shape[0] + px) * shape[1] + py) * shape[2] + pz)
         rho += value
         m += value * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
     p = cell[k]

@@ -7,6 +7,7 @@ and scales like u where the collision relaxes fully (tau near 1/2, as in water).
 The finer water has the same cells, and takes its memory when it is first needed.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,30 +17,38 @@ from fishmj.lbm_oracle.collide import density, departure, momentum, populations
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.lattice import Q, vec19
+from fishmj.lbm_oracle.memory import peek, poke
 from fishmj.lbm_oracle.units import Lattice
 
 FACTORS = (2, 4)  # finer steps in one
 
 
-@wp.kernel(module="unique", module_options={"max_unroll": 32, "enable_backward": False})
-def rescale(
-    f: wp.array2d(dtype=float),
-    u: wp.array(dtype=wp.vec3),
-    r: float,
-    f_out: wp.array2d(dtype=float),
-    u_out: wp.array(dtype=wp.vec3),
-):
-    """Moments of every cell for another time step."""
-    cell = wp.tid()
-    q = vec19()
-    for i in range(wp.static(Q)):
-        q[i] = f[i, cell]
-    drho = density(q)
-    v = momentum(q) / (1.0 + drho)
-    q = populations(r * r * drho, r * v, r * v, r * departure(q, drho, v))
-    for i in range(wp.static(Q)):
-        f_out[i, cell] = q[i]
-    u_out[cell] = r * u[cell]
+@cache
+def _rescale(dtype: type) -> wp.Kernel:
+    """The kernel for populations stored as `dtype`."""
+
+    @wp.kernel(module="unique", module_options={"max_unroll": 32, "enable_backward": False})
+    def rescale(
+        f: wp.array(dtype=dtype),
+        u: wp.array(dtype=wp.vec3),
+        r: float,
+        f_out: wp.array(dtype=dtype),
+        u_out: wp.array(dtype=wp.vec3),
+    ):
+        """Moments of every cell for another time step."""
+        cell = wp.tid()
+        cells = u.shape[0]
+        q = vec19()
+        for i in range(wp.static(Q)):
+            q[i] = peek(f, i * cells + cell)
+        drho = density(q)
+        v = momentum(q) / (1.0 + drho)
+        q = populations(r * r * drho, r * v, r * v, r * departure(q, drho, v))
+        for i in range(wp.static(Q)):
+            poke(f_out, i * cells + cell, q[i])
+        u_out[cell] = r * u[cell]
+
+    return rescale
 
 
 class Checkpoint(NamedTuple):
@@ -47,7 +56,8 @@ class Checkpoint(NamedTuple):
 
     f: wp.array
     u: wp.array
-    origin: np.ndarray
+    origin: wp.array
+    origin_lu: np.ndarray
     steps: int
     body: tuple  # qpos, qvel, ctrl, time, momentum
     gain: np.ndarray
@@ -60,7 +70,7 @@ def checkpoint(coupled: Coupled) -> Checkpoint:
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy()
     with coupled.scope():
-        water = wp.clone(fluid.f), wp.clone(fluid.u), fluid.origin_lu.copy(), fluid.steps
+        water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
         return Checkpoint(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
 
 
@@ -71,7 +81,7 @@ def restore(coupled: Coupled, kept: Checkpoint) -> None:
         wp.copy(fluid.f, kept.f)
         wp.copy(fluid.u, kept.u)
         wp.copy(coupled.boundary.wrench, kept.wrench)
-        _set_clock(fluid, kept.origin, kept.steps)
+        _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
     qpos, qvel, data.ctrl[:], data.time, momentum_before = kept.body
     body.place(qpos, qvel)
     body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
@@ -94,11 +104,10 @@ def hand_over(giver: Coupled, taker: Coupled) -> None:
     a, b = giver.fluid, taker.fluid
     if a.device.is_cuda:
         wp.synchronize_device(a.device)  # each has its own stream
-    flat = lambda x: x.reshape((Q, -1))  # noqa: E731
     with taker.scope():
-        inputs = [flat(a.f), a.u.flatten(), r, flat(b.f), b.u.flatten()]
-        wp.launch(rescale, dim=a.cells, inputs=inputs, device=a.device)
-        _set_clock(b, a.origin_lu, round(a.steps / r))
+        inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
+        wp.launch(_rescale(a.f.dtype), dim=a.cells, inputs=inputs, device=a.device)
+        _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
     if a.device.is_cuda:
         wp.synchronize_device(a.device)
     body = taker.body
@@ -107,7 +116,7 @@ def hand_over(giver: Coupled, taker: Coupled) -> None:
     body.set_step(b.lattice.dt)
 
 
-def _set_clock(fluid: Fluid, origin: np.ndarray, steps: int) -> None:
-    fluid.origin_lu, fluid.steps = np.array(origin, int), int(steps)
-    fluid.origin.assign(fluid.origin_lu.astype(np.int32))
+def _set_clock(fluid: Fluid, origin: wp.array, origin_lu: np.ndarray, steps: int) -> None:
+    wp.copy(fluid.origin, origin)
+    fluid.origin_lu, fluid.steps = origin_lu.copy(), int(steps)
     fluid.clock.fill_(fluid.steps)

@@ -20,11 +20,11 @@ SHAPE = (56, 32, 20)
 LAG = np.radians(60.0) * np.arange(3)
 
 
-def pond(device: str, *, slip: float = 1.0, root: str = "planar", dx: float = 0.02, dt: float = 0.004, **options) -> Coupled:
+def pond(device: str, *, slip: float = 1.0, root: str = "planar", dx=0.02, dt=0.004, dtype="float32", **options) -> Coupled:
     """The default fish in the middle of a periodic box, at rest."""
     lattice = Lattice(dx=dx, dt=dt, corner=(0.0, 0.0, -SHAPE[2] * 0.01))
     body = Body.of("fish", root, dt)
-    water = Fluid(lattice, tuple(round(n * 0.02 / dx) for n in SHAPE), device)
+    water = Fluid(lattice, tuple(round(n * 0.02 / dx) for n in SHAPE), device, dtype=dtype)
     body.place(np.concatenate([[0.6, 0.32], body.data.qpos[2:]]))
     return Coupled(water, body, fish_markers("fish", dx, slip=slip), slip=slip, **options)
 
