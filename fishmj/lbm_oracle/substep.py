@@ -17,7 +17,7 @@ from fishmj.lbm_oracle.collide import density, departure, momentum, populations
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.lattice import Q, vec19
-from fishmj.lbm_oracle.memory import peek, poke
+from fishmj.lbm_oracle.memory import STORAGE, peek, poke
 from fishmj.lbm_oracle.units import Lattice
 
 FACTORS = (2, 4)  # finer steps in one
@@ -92,7 +92,9 @@ def finer(coupled: Coupled, factor: int) -> Coupled:
     old, edge = coupled.fluid, coupled.boundary
     lattice = old.lattice
     fine = Lattice(dx=lattice.dx, dt=lattice.dt / factor, rho=lattice.rho, nu=lattice.nu, corner=lattice.corner)
-    water = Fluid(fine, old.shape, old.device, boundaries=old.boundaries, subgrid=old.subgrid, flow=old.flow, threads=old.threads)
+    water_options = {"boundaries": old.boundaries, "subgrid": old.subgrid, "flow": old.flow, "threads": old.threads}
+    dtype = next(name for name, kind in STORAGE.items() if kind is old.f.dtype)
+    water = Fluid(fine, old.shape, old.device, dtype=dtype, **water_options)
     coupled.body.set_step(fine.dt)
     options = {"slip": coupled.slip, "width": edge.width, "passes": edge.passes}
     return Coupled(water, coupled.body, edge.markers, interior=coupled.interior, **options)
