@@ -222,6 +222,34 @@ def test_the_window_follows_a_fish_and_a_tank_does_not():
     assert not Follower(preset("paper")).follow(water, (5.0, 0.0, 0.0), 0.0)
 
 
+def test_a_velocity_that_is_not_kept_is_derived():
+    u = smooth((12, 10, 8), 1, 0.05)
+    keeps, derives = Fluid(ONE, (12, 10, 8), subgrid="none"), Fluid(ONE, (12, 10, 8), subgrid="none", keep_velocity=False)
+    keeps.impose(u), derives.impose(u)
+    keeps.run(11), derives.run(11)
+    assert derives.velocity() == pytest.approx(keeps.velocity(), abs=1e-6)
+    with pytest.raises(ConfigError, match="keep_velocity"):
+        Fluid(ONE, (8, 8, 8), keep_velocity=False)
+
+
+@pytest.mark.gpu
+def test_both_backends_compute_the_same_flow():
+    """Two hundred steps of a turbulent stream through open faces, with a push that comes and goes."""
+    flow = Flow(speed=0.3, direction=0.5, turbulence="default", intensity=0.1, seed=2)
+    found = []
+    for device in ("cpu", "cuda"):
+        water = Fluid(WATER, (32, 28, 12), device, boundaries=channel(sponge=5), flow=flow)
+        push = np.zeros((*water.shape, 3), np.float32)
+        push[14:18, 12:16, 4:8] = (0.002, -0.001, 0.0005)
+        water.force.assign(push)
+        for _ in range(50):
+            water.step(((14, 12, 4), (18, 16, 8)))
+        water.run(150)
+        found.append((water.velocity(), water.pressure()))
+    assert found[1][0] == pytest.approx(found[0][0], abs=2e-4)
+    assert found[1][1] == pytest.approx(found[0][1], abs=1.0)
+
+
 def test_half_precision_storage_keeps_the_flow():
     """Populations in sixteen bits: the velocity stays within a hundredth of its scale, mass within round-off of the storage."""
     u = smooth((12, 10, 8), 1, 0.05)

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from fishmj.lbm_oracle.collide import density, populations, relaxed
+from fishmj.lbm_oracle.collide import density, momentum, populations, relaxed
 from fishmj.lbm_oracle.inflow import Inflow, background
 from fishmj.lbm_oracle.lattice import Q, vec6, vec19
 from fishmj.lbm_oracle.memory import peek, poke
@@ -71,6 +71,14 @@ def weigh(s: Numbers, f: wp.array(dtype=Any), drho: wp.array3d(dtype=float)):
     """Density minus one at every memory node."""
     x, y, z = wp.tid()
     drho[x, y, z] = density(_loaded(f, s, x, y, z))
+
+
+@wp.kernel
+def derive(s: Numbers, f: wp.array(dtype=Any), u: wp.array3d(dtype=wp.vec3)):
+    """Velocity from the populations, where the step does not keep it: u + G, the force's second half included."""
+    x, y, z = wp.tid()
+    q = _loaded(f, s, x, y, z)
+    u[x, y, z] = momentum(q) / (1.0 + density(q))
 
 
 @wp.kernel

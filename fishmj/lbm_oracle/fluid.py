@@ -46,7 +46,7 @@ class Fluid:
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
             scaled (`memory`), which no body may touch yet.
-        u: (nx, ny, nz) vec3, velocity of the last step.
+        u: (nx, ny, nz) vec3, velocity of the last step; without `keep_velocity` it is derived when asked for.
         force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
@@ -68,12 +68,15 @@ class Fluid:
         cw: float = CW,
         omega_bulk: float = OMEGA_BULK,
         dtype: str = "float32",
+        keep_velocity: bool = True,
         threads: int | None = None,
     ):
         if subgrid not in SUBGRID:
             raise UnknownName("subgrid model", subgrid, SUBGRID)
         if dtype not in STORAGE:
             raise UnknownName("storage", dtype, STORAGE)
+        if subgrid != "none" and not keep_velocity:
+            raise ConfigError("fluid: the eddy viscosity reads the velocity of the last step; keep_velocity must be True with it")
         shape = tuple(int(n) for n in shape)
         if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
             raise ConfigError(
@@ -82,7 +85,8 @@ class Fluid:
         self.lattice, self.shape, self.boundaries, self.subgrid = lattice, shape, boundaries, subgrid
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
-        self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype)
+        self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
+        self._keeps = keep_velocity
         self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk)
         self.threads = slabs.slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
@@ -103,6 +107,9 @@ class Fluid:
 
     @property
     def u(self) -> wp.array:
+        if not self._keeps:
+            args = [self._numbers, _flat(self.f), self._u[self.parity]]
+            wp.launch(fields.derive, dim=self.shape, inputs=args, device=self.device)
         return self._u[self.parity]
 
     @property
@@ -140,9 +147,10 @@ class Fluid:
         """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them."""
         u_lu = np.asarray(u, np.float32) / self.lattice.velocity
         drho = np.zeros(self.shape, np.float32) if pressure is None else np.asarray(pressure) * 3 / self.lattice.pressure
-        self.u.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
+        u = self.u
+        u.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
         rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
-        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, self.u, _flat(self.f)], device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, u, _flat(self.f)], device=self.device)
 
     def step(self, box: Box | None = None) -> None:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""

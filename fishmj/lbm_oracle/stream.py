@@ -83,8 +83,11 @@ def within(i: int, n: int):
 
 
 @cache
-def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32") -> Kernels:
-    """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity, `dtype` is how populations are stored."""
+def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32", keeps: bool = True) -> Kernels:
+    """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity, `dtype` is how populations are stored.
+
+    `keeps` stores the velocity of each step, which the eddy viscosity of the next one needs.
+    """
     number = STORAGE[dtype]
 
     def meets(i: int, axis: int, kind: str) -> bool:
@@ -102,7 +105,9 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
         return mirrored(i, *axes)
 
     # a module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop
-    module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none", dtype]))
+    module = wp.get_module(
+        ".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none", dtype, "u" if keeps else "f"])
+    )
     wp.set_module_options(OPTIONS, module)
     bounded = [axis.low != "periodic" for axis in faces]
     opened = ["open" in axis for axis in faces]
@@ -257,7 +262,8 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
         for i in range(wp.static(Q)):
             # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
             poke(f_next, wp.static(i) * n_cells + here, q[i])
-        poke3(u_next, here, 0.5 * (u + v))
+        if wp.static(keeps):
+            poke3(u_next, here, 0.5 * (u + v))
 
     @wp.kernel(module=module)
     def predict(
