@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from fishmj import engines, flow
 from fishmj.calib import constant
 from fishmj.engines import FishParams, FishState
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
@@ -32,7 +32,20 @@ class Options:
     noise: float = 1.0
     memory: int = 1  # observations (with the actions between them) that the policy sees
     box: str = "train"
-    hide: tuple[str, ...] = ()  # observation groups set to zero (ablations)
+    hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
+
+    def __post_init__(self):
+        low, high = self.intensity
+        if not 0 <= low <= high <= 1:
+            raise ConfigError(f"task: intensity = {self.intensity}; expected two bounds, 0 <= low <= high <= 1")
+        if not (self.memory >= 1 and self.noise >= 0 and self.randomisation >= 0):
+            raise ConfigError(
+                f"task: memory = {self.memory}, noise = {self.noise}, randomisation = {self.randomisation}; "
+                "memory counts observations, 1 at least; the others are not negative"
+            )
+        for kind, name, known in (("turbulence", self.turbulence, flow.PRESETS), ("box", self.box, flow.BOXES)):
+            if name not in known:
+                raise UnknownName(kind, name, known)
 
 
 class EnvState(NamedTuple):
@@ -71,8 +84,7 @@ class StationHold:
         self.table = jnp.asarray(table)
         self.length = task.history_length(robot)
         self.limit = constant("task", "episode_steps")
-        groups = np.repeat(task.OBSERVATIONS, [1, 1, 1, 1, 1, robot.n_joints, robot.n_joints])
-        self.mask = jnp.asarray([not any(str(g).startswith(h) for h in options.hide) for g in groups], jnp.float32)
+        self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
 
     @property
     def n_input(self) -> int:
@@ -110,7 +122,12 @@ class StationHold:
         terminated = task.outside(jnp, trace.pose[:, -1]) & ~bad
         truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
         moved = state._replace(
-            fish=fish, history=history, command=commands[:, -1], tick=state.tick + commands.shape[1], count=state.count + 1, key=key
+            fish=fish,
+            history=history,
+            command=commands[:, -1],
+            tick=state.tick + commands.shape[1],
+            count=state.count + 1,
+            key=key,
         )
         sight = self._look(moved, trace.joint[:, -1], trace.rate[:, -1], k_noise)
         obs = self._remember(state.obs, action, sight)
@@ -137,7 +154,14 @@ class StationHold:
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity
         current = flow.draw(
-            jnp, self.options.turbulence, self.table, jnp.float32(self.cell), start.speed, start.direction, low + (high - low) * u[:, 4], u
+            jnp,
+            self.options.turbulence,
+            self.table,
+            jnp.float32(self.cell),
+            start.speed,
+            start.direction,
+            low + (high - low) * u[:, 4],
+            u,
         )
         draws = jax.random.uniform(keys[2], (n, task.n_fish(self.robot)))
         params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation)

@@ -12,12 +12,14 @@ from typing import Any, NamedTuple
 
 from fishmj.calib import constant
 from fishmj.engines import FishParams, nominal_params, ticks_per
+from fishmj.errors import UnknownName
 from fishmj.flow import TICK
 from fishmj.mjcf.description import Robot
 from fishmj.tracker import delayed, estimate
 
 JOINTS = 3
 OBSERVATIONS = ("target_x", "target_y", "velocity_x", "velocity_y", "yaw_rate", "joint", "joint_rate")
+GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
 MAX_CAMERA_TICKS = 5  # 100 ms
 N_START, N_FLOW = 7, 4
 
@@ -88,8 +90,24 @@ def noise_scale(robot: Robot):
 
     get, j = (lambda key: constant("noise", key)), robot.n_joints
     return np.array(
-        [get("position")] * 2 + [get("velocity")] * 2 + [get("yaw_rate")] + [radians(get("joint_deg"))] * j + [get("joint_rate")] * j
+        [get("position")] * 2
+        + [get("velocity")] * 2
+        + [get("yaw_rate")]
+        + [radians(get("joint_deg"))] * j
+        + [get("joint_rate")] * j
     )
+
+
+def visible(joints: int, hide=()) -> list[bool]:
+    """For each of the 5 + 2 J observations, whether it is left when the groups `hide` are set to zero.
+
+    Raises:
+        UnknownName: a group that does not exist.
+    """
+    for name in hide:
+        if name not in GROUPS:
+            raise UnknownName("observation group", name, GROUPS)
+    return [group not in hide for group, width in zip(GROUPS, (2, 2, 1, joints, joints), strict=True) for _ in range(width)]
 
 
 def history_length(robot: Robot) -> int:

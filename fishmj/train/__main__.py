@@ -3,10 +3,13 @@
 import argparse
 import shutil
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console
+from fishmj.errors import ConfigError, UnknownName
 
+CRITICS = ("plain", "privileged")
 EXAMPLES = """
 examples
   fishmj train                                   a policy for your laptop in a minute or two
@@ -23,28 +26,36 @@ def options() -> argparse.ArgumentParser:
     from fishmj.engines import NAMES
     from fishmj.flow import PRESETS as FLOWS
     from fishmj.mjcf.description import COMMAND_PATHS
+    from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
+    one_of = lambda names: "{" + ",".join(names) + "}"  # noqa: E731  (checked later: then a slip gets the closest name)
     p = console.parser("train", "Learn to hold station in a current that the fish cannot sense.")
     p.formatter_class = argparse.RawDescriptionHelpFormatter
     p.epilog = textwrap.dedent(EXAMPLES)
-    p.add_argument("--preset", choices=PRESETS, help="quick for a CPU, paper for a GPU, paper-sac for the paper's own budget (default: by device)")
-    p.add_argument("--algo", choices=ALGORITHMS, help="learning algorithm (default: the preset's)")
-    p.add_argument("--engine", choices=("auto", *NAMES), help="auto: mjx on a GPU, compiled or planar on a CPU")
+    p.add_argument(
+        "--preset", metavar=one_of(PRESETS), help="quick: CPU, paper: GPU, paper-sac: the paper's budget (default: by device)"
+    )
+    p.add_argument("--algo", metavar=one_of(ALGORITHMS), help="learning algorithm (default: the preset's)")
+    p.add_argument("--engine", metavar=one_of(("auto", *NAMES)), help="auto: mjx on a GPU, compiled or planar on a CPU")
     p.add_argument("--steps", type=float, help="control steps of 0.2 s, all fish together")
     p.add_argument("--envs", type=int, help="fish that swim at once")
     p.add_argument("--seed", type=int, default=0, help="seed of the run (default 0)")
     p.add_argument("--seeds", help="several runs, for example 0,1,2")
-    p.add_argument("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
+    p.add_argument(
+        "--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)"
+    )
     p.add_argument("--memory", type=int, help="observations that the policy sees (default 1: memoryless, as the paper's)")
-    p.add_argument("--critic", choices=("plain", "privileged"), help="privileged: the critic sees the flow, the policy does not (PPO)")
+    p.add_argument("--critic", metavar=one_of(CRITICS), help="privileged: the critic sees the flow, the policy does not (PPO)")
     p.add_argument("--hidden", help="layer widths, for example 256,256")
     p.add_argument("--learning-rate", type=float)
-    p.add_argument("--turbulence", choices=FLOWS, help="turbulence to train in")
+    p.add_argument("--turbulence", metavar=one_of(FLOWS), help="turbulence to train in")
     p.add_argument("--intensity", type=float, help="largest turbulence intensity; each episode draws from 0 to it")
-    p.add_argument("--command-path", choices=COMMAND_PATHS, help="how commands travel between policy steps (default linear)")
+    p.add_argument(
+        "--command-path", metavar=one_of(COMMAND_PATHS), help="how commands travel between policy steps (default linear)"
+    )
     p.add_argument("--robot", help="fish, tendon_fish, or a TOML file")
-    p.add_argument("--hide", help="observation groups set to zero, for ablations: target, velocity, yaw_rate, joint, joint_rate")
+    p.add_argument("--hide", help=f"observation groups set to zero, for ablations: {', '.join(GROUPS)}")
     p.add_argument("--reward", nargs="*", default=[], metavar="KEY=VALUE", help="weights of the reward: wG, wD, wS")
     p.add_argument("--out", type=Path, help="folder of the run (default runs/<preset>-<seed>)")
     p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
@@ -53,31 +64,29 @@ def options() -> argparse.ArgumentParser:
 
 
 def settings_from(args):
-    """The preset with everything that was asked for on the command line."""
-    from fishmj.errors import ConfigError
-    from fishmj.train.settings import change, preset
+    """The preset with everything that was asked for on the command line. Raises ConfigError, UnknownName."""
+    from fishmj.train.settings import REWARD, change, preset
 
     s = preset(args.preset or _by_device())
-    algorithm, task, reward, top = {}, {}, {}, {}
-    if args.algo and args.algo != s.algo:
-        keep = {k: v for k, v in s.algorithm.items() if k == "hidden"}
-        s = change(s, algo=args.algo, algorithm={})
-        object.__setattr__(s, "algorithm", keep)  # hyperparameters do not carry over from one algorithm to another
-    for name in ("engine", "robot", "seed", "command_path"):
-        if getattr(args, name) is not None:
-            top[name] = getattr(args, name)
-    if args.steps:
-        top["steps"] = int(args.steps)
-        top["assess_every"] = min(s.assess_every, max(1, int(args.steps) // 4))
-    if args.envs:
+    algorithm, task, reward = {}, {}, {}
+    top = {name: value for name in ("engine", "robot", "seed", "command_path") if (value := getattr(args, name)) is not None}
+    if args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
+        s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
+    if args.steps is not None:
+        if not 1 <= args.steps < float("inf"):
+            raise ConfigError(f"--steps {args.steps:g}: expected a number of control steps, 1 or more")
+        top |= {"steps": int(args.steps), "assess_every": min(s.assess_every, max(1, int(args.steps) // 4))}
+    if args.envs is not None:
         algorithm["envs"] = args.envs
-    if args.learning_rate:
+    if args.learning_rate is not None:
         algorithm["learning_rate"] = args.learning_rate
     if args.hidden:
-        algorithm["hidden"] = tuple(int(v) for v in args.hidden.split(","))
+        algorithm["hidden"] = tuple(whole("--hidden", args.hidden))
     if args.critic:
+        if args.critic not in CRITICS:
+            raise UnknownName("critic", args.critic, CRITICS)
         algorithm["privileged"] = args.critic == "privileged"
-    if args.memory:
+    if args.memory is not None:
         task["memory"] = args.memory
     if args.turbulence:
         task["turbulence"] = args.turbulence
@@ -87,10 +96,19 @@ def settings_from(args):
         task["hide"] = tuple(args.hide.split(","))
     for item in args.reward:
         key, _, value = item.partition("=")
-        if key not in ("wG", "wD", "wS") or not value:
-            raise ConfigError(f"--reward {item!r}: expected wG=, wD= or wS= and a number")
-        reward[key] = float(value)
+        try:
+            reward[key] = float(value)
+        except ValueError as error:
+            raise ConfigError(f"--reward {item!r}: expected {'=, '.join(REWARD)}= and a number") from error
     return change(s, algorithm=algorithm, task=task, reward=reward, **top)
+
+
+def whole(option: str, text: str) -> list[int]:
+    """`0,1,2` as integers. Raises ConfigError."""
+    try:
+        return [int(v) for v in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"{option} {text!r}: expected whole numbers with commas between them, for example 0,1,2") from error
 
 
 def _by_device() -> str:
@@ -117,7 +135,7 @@ def main(argv: list[str] | None = None) -> int:
     from fishmj.train.settings import change
 
     settings = settings_from(args)
-    seeds = [int(v) for v in args.seeds.split(",")] if args.seeds else [settings.seed]
+    seeds = whole("--seeds", args.seeds) if args.seeds else [settings.seed]
     results = []
     learner = None
     if args.together:
@@ -131,7 +149,9 @@ def main(argv: list[str] | None = None) -> int:
         if one.algo == "sb3-sac":
             from fishmj.train.sb3 import train_sb3
 
-            results.append(train_sb3(one, folder))
+            results.append(train_sb3(one, folder, resume=args.resume))
+            if results[-1]["stopped"]:
+                break
             continue
         from fishmj.train.run import Run, learner_of
 
@@ -140,9 +160,11 @@ def main(argv: list[str] | None = None) -> int:
         if results[-1]["stopped"]:
             break
     for r in results:
+        arrival, rmse = (r.get(f"tune_{k}", float("nan")) for k in ("arrival", "rmse_last10"))
+        took = console.duration(r["seconds"])
         console.say(
-            f"{r['algorithm']} seed {r['seed']}: {r['steps']:,} control steps in {console.duration(r['seconds'])} on {r['engine']}; "
-            f"tuning flows: arrival {r.get('tune_arrival', float('nan')):.1%}, RMSE of the last 10 s {r.get('tune_rmse_last10', float('nan')):.3f} m",
+            f"{r['algorithm']} seed {r['seed']}: {r['steps']:,} control steps in {took} on {r['engine']}; "
+            f"tuning flows: arrival {arrival:.1%}, RMSE of the last 10 s {rmse:.3f} m",
             f"policy: {r['policy']}",
         )
     if args.json:

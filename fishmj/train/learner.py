@@ -1,12 +1,13 @@
 """From settings to the pieces of a run: robot, engine, environment, algorithm, and the policy that comes out."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
-from fishmj.errors import ConfigError, MissingExtra, UnknownName
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.policy import Policy
+from fishmj.tasks.station_hold import visible
 from fishmj.train.networks import scale
 from fishmj.train.settings import Settings
 
@@ -27,7 +28,7 @@ def pick_engine(name: str) -> str:
 
 
 def robot_for(settings: Settings):
-    """The robot with the run's command path."""
+    """The robot with the run's command path. Raises UnknownName."""
     if settings.command_path not in COMMAND_PATHS:
         raise UnknownName("command path", settings.command_path, COMMAND_PATHS)
     robot = load_robot(settings.robot)
@@ -36,38 +37,48 @@ def robot_for(settings: Settings):
 
 def environment(settings: Settings, box: str = "train"):
     """The training environment, or with box="tune" the one that picks the best policy."""
+    from fishmj.engines import make
     from fishmj.tasks.env import Options, StationHold
 
-    return StationHold(robot_for(settings), pick_engine(settings.engine), _made(Options, {**settings.task, "box": box}), **settings.reward)
+    robot, name = robot_for(settings), pick_engine(settings.engine)
+    engine = make(name, robot)
+    if not engine.jittable:
+        raise ConfigError(
+            f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-sac"
+        )
+    return StationHold(robot, engine, made("task option", Options, {**settings.task, "box": box}), **settings.reward)
 
 
 def algorithm(settings: Settings, env):
-    """The learner named by settings.algo."""
+    """The learner named by settings.algo. Raises ConfigError, UnknownName."""
     if settings.algo == "ppo":
         from fishmj.train.ppo import PPO, Config
 
-        return PPO(env, _made(Config, settings.algorithm), settings.steps)
-    if settings.algo == "sac":
-        from fishmj.train.sac import SAC, Config
+        return PPO(env, made("setting of ppo", Config, settings.algorithm), settings.steps)
+    from fishmj.train.sac import SAC, Config
 
-        return SAC(env, _made(Config, settings.algorithm), settings.steps)
-    raise MissingExtra("stable-baselines3", "sb3", f"--algo {settings.algo}")
+    return SAC(env, made("setting of sac", Config, settings.algorithm), settings.steps)
 
 
-def _made(kind, table: dict):
-    try:
-        return kind(**table)
-    except TypeError as error:
-        raise ConfigError(f"{kind.__module__}.{kind.__name__}: {error}") from error
+def made(what: str, kind, table: dict):
+    """A frozen dataclass from a table. Raises UnknownName for a key that it does not have."""
+    known = [f.name for f in fields(kind)]
+    for key in table:
+        if key not in known:
+            raise UnknownName(what, key, known)
+    return kind(**table)
 
 
 def policy_of(actor, settings: Settings, meta: dict) -> Policy:
     """The NumPy policy for a trained actor: list of (weights (in, out), bias)."""
     robot = robot_for(settings)
-    joints = robot.n_joints
+    joints, memory = robot.n_joints, settings.task.get("memory", 1)
     layers = [(np.asarray(w, np.float32).T, np.asarray(b, np.float32)) for w, b in actor]
     w, b = layers[-1]
     layers[-1] = (w[:joints], b[:joints])  # SAC's actor also gives log sigma
+    seen = visible(joints, settings.task.get("hide", ()))
+    seen = seen + ([True] * joints + seen) * (memory - 1)
+    layers[0] = (layers[0][0] * np.asarray(seen, np.float32), layers[0][1])  # what training hid stays hidden on the robot
     header = {
         "robot": robot.name,
         "joints": joints,
@@ -75,7 +86,7 @@ def policy_of(actor, settings: Settings, meta: dict) -> Policy:
         "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": scale(joints).tolist(),
         "activation": settings.algorithm.get("activation", {"ppo": "tanh"}.get(settings.algo, "relu")),
-        "memory": settings.task.get("memory", 1),
+        "memory": memory,
         "control_dt": robot.timing.control_dt,
         "command_path": settings.command_path,
         "algorithm": settings.algo,

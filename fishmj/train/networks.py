@@ -4,6 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fishmj.errors import ConfigError, UnknownName
+
+ACTIVATIONS = {"relu": jax.nn.relu, "tanh": jnp.tanh}
 # target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
 SCALE = {"target": 1.0, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
 
@@ -11,7 +14,9 @@ SCALE = {"target": 1.0, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_r
 def scale(joints: int) -> np.ndarray:
     """(5 + 2 J,) divisors of one observation."""
     s = SCALE
-    return np.array([s["target"]] * 2 + [s["velocity"]] * 2 + [s["yaw_rate"]] + [s["joint"]] * joints + [s["joint_rate"]] * joints)
+    return np.array(
+        [s["target"]] * 2 + [s["velocity"]] * 2 + [s["yaw_rate"]] + [s["joint"]] * joints + [s["joint_rate"]] * joints
+    )
 
 
 def input_scale(joints: int, memory: int) -> np.ndarray:
@@ -32,8 +37,21 @@ def mlp(key, sizes, last: float = 0.01):
 
 def forward(layers, x, activation: str = "relu"):
     """Apply the layers; no activation after the last."""
-    f = {"relu": jax.nn.relu, "tanh": jnp.tanh}[activation]
+    f = ACTIVATIONS[activation]
     for w, b in layers[:-1]:
         x = f(x @ w + b)
     w, b = layers[-1]
     return x @ w + b
+
+
+def check_config(name: str, config, positive: tuple[str, ...]) -> None:
+    """What the hyperparameters of every algorithm have in common. Raises ConfigError, UnknownName."""
+    if config.activation not in ACTIVATIONS:
+        raise UnknownName("activation", config.activation, ACTIVATIONS)
+    for key in positive:
+        if not 0 < getattr(config, key) < float("inf"):
+            raise ConfigError(f"{name}: {key} = {getattr(config, key)}; it must be positive")
+    if not 0 <= config.gamma <= 1:
+        raise ConfigError(f"{name}: gamma = {config.gamma}; expected 0 to 1")
+    if not config.hidden or any(not isinstance(width, int) or width < 1 for width in config.hidden):
+        raise ConfigError(f"{name}: hidden = {config.hidden}; expected layer widths, for example (256, 256)")

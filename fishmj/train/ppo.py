@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fishmj.train.networks import forward, input_scale, mlp
+from fishmj.errors import ConfigError
+from fishmj.train.networks import check_config, forward, input_scale, mlp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,13 @@ class Config:
     sigma: float = 0.5  # initial standard deviation of u
     privileged: bool = True  # the critic sees the flow; the actor never does
     reward_scale: float = 0.1
+
+    def __post_init__(self):
+        check_config("ppo", self, positive=("envs", "horizon", "epochs", "minibatches", "learning_rate", "final_rate", "sigma"))
+        if self.envs * self.horizon % self.minibatches:
+            raise ConfigError(
+                f"ppo: envs x horizon = {self.envs * self.horizon} does not split into {self.minibatches} minibatches"
+            )
 
 
 class Training(NamedTuple):
@@ -111,13 +119,15 @@ class PPO:
             u = mu + sigma * jax.random.normal(key, mu.shape)
             after = self.env.step(env_state, jnp.tanh(u))
             ahead = self.value(t.critic, after.final_obs / self.scale, after.final_privileged / self.seen_scale)
-            ahead = jnp.where(after.terminated | after.diverged, 0.0, ahead)
+            ahead = jnp.where(after.terminated, 0.0, ahead)
             done = after.terminated | after.truncated | after.diverged
             logp = gaussian(u, mu, t.log_sigma)
             value = self.value(t.critic, obs, seen)
+            backup = c.reward_scale * after.reward + c.gamma * ahead
+            backup = jnp.where(after.diverged, value, backup)  # no advantage: a dropped end teaches nothing
             late = (after.count > 75) & ~done
             figures = (after.reward, after.distance, late, done, after.terminated, after.diverged)
-            return after, (obs, seen, u, logp, value, c.reward_scale * after.reward + c.gamma * ahead, done, figures)
+            return after, (obs, seen, u, logp, value, backup, done, figures)
 
         keys = jax.random.split(jax.random.fold_in(t.key, t.updates), c.horizon)
         env_state, (obs, seen, u, logp, value, backup, done, figures) = jax.lax.scan(one, t.env, keys)
@@ -167,7 +177,8 @@ class PPO:
             "late_distance": jnp.sum(distance * late) / jnp.maximum(late.sum(), 1),
             "late_arrived": jnp.sum((distance < 0.1) & late) / jnp.maximum(late.sum(), 1),
             "left_tank": left.sum() / jnp.maximum(done.sum(), 1),
-            "diverged": diverged.mean(),
+            "episodes": done.sum(),
+            "diverged": diverged.sum(),  # episodes dropped
             "sigma": jnp.exp(log_sigma).mean(),
             "kl": kl.mean(),
             "loss": loss.mean(),

@@ -1,13 +1,11 @@
 """One training run: the loop, its checkpoints, and everything that can go wrong with it.
 
 A run is a folder: settings.json, metrics.jsonl (one line an iteration), checkpoints/, best.safetensors and last.safetensors.
-Killed at any point it goes on from the newest complete checkpoint, on the CPU to the same bits.
+Killed at any point it goes on from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
 """
 
-import json
-import signal
 import time
-from contextlib import contextmanager
+import warnings
 from pathlib import Path
 
 import jax
@@ -16,10 +14,13 @@ import numpy as np
 from fishmj import console, store
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.train.assess import Assessment
+from fishmj.train.board import Board
+from fishmj.train.endure import stop_on_signal, when_there_is_room
 from fishmj.train.learner import algorithm, environment, pick_engine, policy_of
 from fishmj.train.settings import Settings, as_dict
 
-MAX_DIVERGED = 1e-3  # share of dropped episodes above which a run stops
+PROGRESS = ("done", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
+MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
@@ -48,23 +49,6 @@ def tree_of(arrays: dict[str, np.ndarray], like):
     return jax.tree_util.tree_unflatten(shape, leaves)
 
 
-@contextmanager
-def stop_on_signal():
-    """A list that fills on Ctrl-C or SIGTERM instead of an exception in the middle of an update."""
-    asked: list[int] = []
-    old = {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            old[number] = signal.signal(number, lambda n, _: asked.append(n))
-    except ValueError:  # not the main thread: the caller keeps its own handlers
-        pass
-    try:
-        yield asked
-    finally:
-        for number, handler in old.items():
-            signal.signal(number, handler)
-
-
 class Run:
     """Train one policy. `Run(settings, folder).go()` returns the summary dict."""
 
@@ -72,7 +56,9 @@ class Run:
         self.settings, self.folder, self.quiet = settings, Path(folder), quiet
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
         self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
-        self.done, self.seconds, self.best = 0, 0.0, None
+        self.done, self.seconds = 0, 0.0
+        self.best: dict | None = None
+        self.episodes, self.dropped = 0, 0
         self.training = self.algorithm.init(jax.random.key(settings.seed))
         if resume:
             self._restore()
@@ -85,33 +71,37 @@ class Run:
         s, step = self.settings, self.algorithm.steps_per_iteration
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         next_look = (self.done // s.assess_every + 1) * s.assess_every
-        board = Board(self.folder)
+        board = Board(self.folder, after=self.done)
         with stop_on_signal() as asked, console.Progress(s.steps, "train", "steps") as bar:
+            write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)  # noqa: E731
             while self.done < s.steps and not asked:
                 self.training, figures = self.algorithm.iterate(self.training)
                 figures = {k: float(v) for k, v in figures.items()}
                 self.done += step
                 self.seconds = time.monotonic() - start
                 self._check(figures)
-                board.write(self.done, {**figures, "seconds": round(self.seconds, 3)})
+                write(board.write, self.done, {**figures, "seconds": round(self.seconds, 3)})
                 if not self.quiet:
                     bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
                 if self.done >= next_look or self.done >= s.steps:
                     next_look += s.assess_every
-                    board.write(self.done, self._look())
+                    figures, better = self._look()
+                    write(board.write, self.done, figures)
+                    if better:
+                        write(self._export, "best", self.best)
                 if time.monotonic() - saved > s.checkpoint_every:
-                    self._save()
+                    write(self._save)
                     saved = time.monotonic()
-        self.seconds = time.monotonic() - start
-        self._save()
-        self._export("last", {})
+            self.seconds = time.monotonic() - start
+            write(self._save) and write(self._export, "last", {})
         return self.summary(stopped=bool(asked))
 
     def summary(self, stopped: bool = False) -> dict:
         """What the command line prints last."""
+        best, last = (self.folder / f"{name}.safetensors" for name in ("best", "last"))
         return {
             "folder": str(self.folder),
-            "policy": str(self.folder / "best.safetensors"),
+            "policy": str(best if best.exists() else last),
             "algorithm": self.settings.algo,
             "engine": pick_engine(self.settings.engine),
             "seed": self.settings.seed,
@@ -122,52 +112,73 @@ class Run:
             **{f"tune_{k}": v for k, v in (self.best or {}).items()},
         }
 
-    def _look(self) -> dict:
-        """Judge the present actor on the tuning flows; keep it if it is the best so far."""
+    def _look(self) -> tuple[dict, bool]:
+        """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
         figures = self.assess(self.training.actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
-        if self.best is None or (figures["stayed"], -figures["rmse_last10"]) >= (min(0.99, self.best["stayed"]), -self.best["rmse_last10"]):
-            self.best = figures
-            self._export("best", figures)
-        return {f"tune_{k}": v for k, v in figures.items()}
+        better = is_better(figures, self.best)
+        self.best = figures if better else self.best
+        return {f"tune_{k}": v for k, v in figures.items()}, better
 
     def _export(self, name: str, figures: dict) -> None:
-        meta = {"steps": self.done, "seconds": round(self.seconds, 1), "engine": pick_engine(self.settings.engine), "preset": self.settings.preset}
-        meta |= {"task": as_dict(self.settings)["task"], **({"tune": figures} if figures else {})}
+        s = self.settings
+        meta = {"steps": self.done, "seconds": round(self.seconds, 1), "engine": pick_engine(s.engine), "preset": s.preset}
+        meta |= {"task": as_dict(s)["task"], **({"tune": figures} if figures else {})}
         policy_of(self.training.actor, self.settings, meta).save(self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
         """Stop on non-finite learning or on too many dropped episodes; what was saved stays."""
-        bad = [k for k, v in figures.items() if not np.isfinite(v)]
-        if bad:
+        self._finite(figures)
+        self.episodes += int(figures["episodes"])
+        self.dropped += int(figures["diverged"])
+        if self.dropped > max(1, MAX_DIVERGED * self.episodes):
             raise SimDiverged(
-                f"training: {', '.join(bad)} became non-finite at step {self.done:,}; the newest checkpoint in "
-                f"{self.checkpoints.folder} is intact: --resume with a smaller --learning-rate",
-                term="learner",
-            )
-        if figures.get("diverged", 0) > MAX_DIVERGED:
-            raise SimDiverged(
-                f"training: {figures['diverged']:.2%} of the steps at {self.done:,} diverged and were dropped, more than {MAX_DIVERGED:.1%}; "
-                "the physics step is too long or a parameter is out of range: python -m fishmj.doctor",
+                f"training: {self.dropped} of {self.episodes} episodes at step {self.done:,} diverged and were dropped, "
+                f"above {MAX_DIVERGED:.1%}; the physics step is too long or a parameter out of range: python -m fishmj.doctor",
                 term="physics",
             )
 
+    def _finite(self, table: dict) -> None:
+        """Raise when one of the named figures or arrays is not finite."""
+        if bad := [k for k, v in table.items() if not np.isfinite(v).all()]:
+            raise SimDiverged(
+                f"training: {', '.join(bad[:3])} became non-finite at step {self.done:,}; the newest checkpoint in "
+                f"{self.checkpoints.folder} is intact: --resume with a smaller --learning-rate",
+                term="learner",
+            )
+
     def _save(self) -> None:
-        meta = {"settings": as_dict(self.settings), "done": self.done, "seconds": self.seconds, "best": self.best}
-        self.checkpoints.save(self.done, arrays_of(self.training), meta)
+        arrays = arrays_of(self.training)
+        self._finite(arrays)  # a last update can spoil the weights after the figures were taken
+        meta = {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in PROGRESS}}
+        self.checkpoints.save(self.done, arrays, meta)
 
     def _restore(self) -> None:
-        found = self.checkpoints.latest()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said below, in one line
+            found = self.checkpoints.latest()
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
         mine, theirs = as_dict(self.settings), found.meta["settings"]
         differs = [k for k in mine if mine[k] != theirs.get(k) and k not in ("steps", "checkpoint_every")]
         if differs:
-            raise ConfigError(f"{self.folder}: the checkpoint was made with other {', '.join(differs)}; resume with the same settings")
-        if found.note and not self.quiet:
-            console.warn(found.note)
+            raise ConfigError(
+                f"{self.folder}: the checkpoint was made with other {', '.join(differs)}; resume with the same settings"
+            )
         self.training = tree_of(found.arrays, self.training)
-        self.done, self.seconds, self.best = found.meta["done"], found.meta["seconds"], found.meta["best"]
+        for name in PROGRESS:
+            setattr(self, name, found.meta[name])
+        if found.note:
+            console.warn(found.note)
+            for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
+                if path.name > found.path.name:
+                    path.rename(path.with_suffix(".damaged"))
+
+
+def is_better(figures: dict, best: dict | None) -> bool:
+    """Whether an assessment beats the best so far: staying in the tank counts first (99 % will do), then holding close."""
+    rank = lambda f: (min(0.99, f["stayed"]), -f["rmse_last10"])  # noqa: E731
+    return best is None or rank(figures) >= rank(best)
 
 
 def learner_of(settings: Settings):
@@ -175,24 +186,3 @@ def learner_of(settings: Settings):
     env = environment(settings)
     learner = algorithm(settings, env)
     return env, learner, Assessment(environment(settings, "tune"), learner.act, settings.assess_episodes)
-
-
-class Board:
-    """metrics.jsonl, and TensorBoard events where tensorboardX is installed."""
-
-    def __init__(self, folder: Path):
-        folder.mkdir(parents=True, exist_ok=True)
-        self.path = folder / "metrics.jsonl"
-        try:
-            from tensorboardX import SummaryWriter
-        except ImportError:
-            self.events = None
-        else:
-            self.events = SummaryWriter(str(folder / "events"))
-
-    def write(self, step: int, figures: dict) -> None:
-        with self.path.open("a", encoding="utf-8") as lines:
-            lines.write(json.dumps({"step": step, **figures}) + "\n")
-        if self.events is not None:
-            for name, value in figures.items():
-                self.events.add_scalar(name, value, step)

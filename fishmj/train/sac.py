@@ -17,7 +17,7 @@ import numpy as np
 import optax
 
 from fishmj.calib import constant
-from fishmj.train.networks import forward, input_scale, mlp
+from fishmj.train.networks import check_config, forward, input_scale, mlp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +36,9 @@ class Config:
     hidden: tuple[int, ...] = (256, 256)
     activation: str = "relu"
     reward_scale: float = 1.0
+
+    def __post_init__(self):
+        check_config("sac", self, positive=("envs", "utd", "block", "batch", "buffer", "learning_rate", "tau"))
 
 
 class Memory(NamedTuple):
@@ -91,7 +94,8 @@ class SAC:
             jnp.int32(0), jnp.int32(0),
         )  # fmt: skip
         optimisers = tuple(self.optimiser.init(p) for p in (actor, critics, log_alpha))
-        return Training(actor, critics, critics, log_alpha, optimisers, memory, env.reset(keys[2], c.envs, True), keys[3], jnp.int32(0))
+        start = env.reset(keys[2], c.envs, True)
+        return Training(actor, critics, critics, log_alpha, optimisers, memory, start, keys[3], jnp.int32(0))
 
     def act(self, actor, obs):
         """Deterministic action for raw observations."""
@@ -160,8 +164,10 @@ class SAC:
             warm = t.memory.size < min(self.config.warmup, self.capacity)
             action = jnp.where(warm, free, self.sample(t.actor, obs, k_act)[0])
             env = self.env.step(t.env, action)
-            ended = (env.terminated | env.diverged).astype(jnp.float32)
-            m = self.store(t.memory, obs, action, env.reward, env.final_obs / self.scale, ended)
+            # a dropped step is not remembered: the transition of a sound fish takes its place
+            rows = jnp.where(env.diverged, jnp.argmin(env.diverged), jnp.arange(self.config.envs))
+            seen = (obs, action, env.reward, env.final_obs / self.scale, env.terminated.astype(jnp.float32))
+            m = self.store(t.memory, *(a[rows] for a in seen))
             carry = (t.actor, t.critics, t.targets, t.log_alpha, t.optimisers)  # without m: a branch would copy it
             keys = jax.random.split(k_learn, self.per_step)
             learn = lambda carry: jax.lax.scan(partial(self.learn, m), carry, keys)  # noqa: E731
@@ -178,7 +184,8 @@ class SAC:
             "late_distance": jnp.sum(distance * late) / jnp.maximum(late.sum(), 1),
             "late_arrived": jnp.sum((distance < 0.1) & late) / jnp.maximum(late.sum(), 1),
             "left_tank": left.sum() / jnp.maximum(done.sum(), 1),
-            "diverged": diverged.mean(),
+            "episodes": done.sum(),
+            "diverged": diverged.sum(),  # episodes dropped
             "alpha": jnp.exp(t.log_alpha),
             "loss": loss.mean(),
         }
@@ -188,5 +195,10 @@ def paper_config() -> Config:
     """The paper's networks and budget; its silent hyperparameters are the algorithm's published defaults."""
     get = lambda key: constant("training", key)  # noqa: E731
     return Config(
-        hidden=tuple(get("actor")), batch=get("batch"), buffer=get("buffer"), learning_rate=get("learning_rate"), tau=get("tau"), gamma=get("gamma")
+        hidden=tuple(get("actor")),
+        batch=get("batch"),
+        buffer=get("buffer"),
+        learning_rate=get("learning_rate"),
+        tau=get("tau"),
+        gamma=get("gamma"),
     )

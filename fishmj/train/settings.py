@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from fishmj.errors import ConfigError, UnknownName
 
 ALGORITHMS = ("ppo", "sac", "sb3-sac")
+REWARD = ("wG", "wD", "wS")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +48,8 @@ PRESETS = {
     ),
     # the paper's algorithm, networks and budget
     "paper-sac": Settings(
-        preset="paper-sac", algo="sac", steps=1_000_000, assess_every=100_000, task={"turbulence": "gust", "intensity": (0.0, 0.12)},
+        preset="paper-sac", algo="sac", steps=1_000_000, assess_every=100_000,
+        task={"turbulence": "gust", "intensity": (0.0, 0.12)},
         algorithm={"hidden": (256, 256), "envs": 64},
     ),
 }  # fmt: skip
@@ -70,8 +72,13 @@ def change(settings: Settings, **changes) -> Settings:
     made = replace(settings, **merged, **changes)
     if made.algo not in ALGORITHMS:
         raise UnknownName("algorithm", made.algo, ALGORITHMS)
+    for key in made.reward:
+        if key not in REWARD:
+            raise UnknownName("reward weight", key, REWARD)
     if made.steps <= 0 or made.seed < 0:
         raise ConfigError(f"steps = {made.steps} and seed = {made.seed}: steps must be positive, the seed not negative")
+    if made.assess_every <= 0 or made.assess_episodes <= 0:
+        raise ConfigError(f"assess_every = {made.assess_every}, assess_episodes = {made.assess_episodes}: both must be positive")
     return made
 
 

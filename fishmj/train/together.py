@@ -12,8 +12,10 @@ import numpy as np
 
 from fishmj import console, store
 from fishmj.errors import SimDiverged
+from fishmj.train.board import Board
+from fishmj.train.endure import stop_on_signal
 from fishmj.train.learner import pick_engine, policy_of
-from fishmj.train.run import Board, learner_of, stop_on_signal
+from fishmj.train.run import MAX_DIVERGED, is_better, learner_of
 from fishmj.train.settings import Settings, as_dict, change
 
 
@@ -21,42 +23,71 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     """Train one policy a seed side by side; returns the summaries that `Run.go` would give."""
     _, learner, assess = learner_of(settings)
     start = time.monotonic()
-    keys = jnp.stack([jax.random.key(seed) for seed in seeds])
-    training = jax.vmap(learner.init)(keys)
+    training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
     look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
-    boards = [Board(folder / f"seed-{seed}") for seed in seeds]
-    done, next_look, best = 0, settings.assess_every, [None] * len(seeds)
+    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}") for seed in seeds]
+    done, next_look, episodes, dropped = 0, settings.assess_every, 0.0, 0.0
     with stop_on_signal() as asked, console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps") as bar:
         while done < settings.steps and not asked:
             training, figures = iterate(training)
             done += learner.steps_per_iteration
             table = {k: np.asarray(v, float) for k, v in figures.items()}
             if not all(np.isfinite(v).all() for v in table.values()):
-                raise SimDiverged(f"training: non-finite figures at step {done:,}; train seed by seed to find which", term="learner")
-            for i, board in enumerate(boards):
-                board.write(done, {**{k: float(v[i]) for k, v in table.items()}, "seconds": round(time.monotonic() - start, 3)})
+                message = f"training: non-finite figures at step {done:,}; train seed by seed to find which"
+                raise SimDiverged(message, term="learner")
+            episodes, dropped = episodes + table["episodes"].sum(), dropped + table["diverged"].sum()
+            if dropped > max(1, MAX_DIVERGED * episodes):
+                message = f"training: {dropped:.0f} of {episodes:.0f} episodes diverged up to step {done:,} and were dropped"
+                raise SimDiverged(f"{message}, more than {MAX_DIVERGED:.1%}: python -m fishmj.doctor", term="physics")
+            seconds = round(time.monotonic() - start, 3)
+            for i, lane in enumerate(lanes):
+                lane.board.write(done, {**{k: float(v[i]) for k, v in table.items()}, "seconds": seconds})
             bar.update(done, reward=float(table["reward"].mean()), distance=float(table["late_distance"].mean()))
             if done >= next_look or done >= settings.steps:
                 next_look += settings.assess_every
                 judged = {k: np.asarray(v, float) for k, v in look(training.actor, jax.random.key(20_000)).items()}
-                for i, seed in enumerate(seeds):
-                    one = {k: round(float(v[i]), 5) for k, v in judged.items()}
-                    boards[i].write(done, {f"tune_{k}": v for k, v in one.items()})
-                    if best[i] is None or one["rmse_last10"] <= best[i]["rmse_last10"]:
-                        best[i] = one
-                        actor = jax.tree.map(lambda a, i=i: a[i], training.actor)
-                        meta = {"steps": done, "engine": pick_engine(settings.engine), "preset": settings.preset, "tune": one}
-                        meta["task"] = as_dict(settings)["task"]
-                        policy_of(actor, change(settings, seed=seed), meta).save(folder / f"seed-{seed}" / "best.safetensors")
-    seconds = round(time.monotonic() - start, 2)
-    for seed in seeds:
-        store.write_json(folder / f"seed-{seed}" / "settings.json", as_dict(change(settings, seed=seed)))
-    return [
-        {
-            "folder": str(folder / f"seed-{seed}"), "policy": str(folder / f"seed-{seed}" / "best.safetensors"), "algorithm": settings.algo,
-            "engine": pick_engine(settings.engine), "seed": seed, "steps": done, "seconds": seconds, "stopped": bool(asked),
-            "together": len(seeds), **{f"tune_{k}": v for k, v in (best[i] or {}).items()},
+                for i, lane in enumerate(lanes):
+                    lane.judge({k: round(float(v[i]), 5) for k, v in judged.items()}, training.actor, i, done)
+    for i, lane in enumerate(lanes):
+        lane.export("last", training.actor, i, done)
+    seconds = time.monotonic() - start
+    return [{**lane.summary(done, seconds), "stopped": bool(asked), "together": len(seeds)} for lane in lanes]
+
+
+class Lane:
+    """One seed among the others: its folder, its figures, its best policy."""
+
+    def __init__(self, settings: Settings, folder: Path):
+        self.settings, self.folder = settings, folder
+        self.best: dict | None = None
+        self.board = Board(folder)
+        store.write_json(folder / "settings.json", as_dict(settings))
+
+    def judge(self, figures: dict, actors, i: int, done: int) -> None:
+        """Note an assessment; keep the actor, number i of the stacked ones, if it is the best so far."""
+        self.board.write(done, {f"tune_{k}": v for k, v in figures.items()})
+        if is_better(figures, self.best):
+            self.best = figures
+            self.export("best", actors, i, done)
+
+    def export(self, name: str, actors, i: int, done: int) -> None:
+        """Write the policy `name`."""
+        s = self.settings
+        meta = {"steps": done, "engine": pick_engine(s.engine), "preset": s.preset, "task": as_dict(s)["task"]}
+        meta |= {"tune": self.best} if name == "best" else {}
+        policy_of(jax.tree.map(lambda a: a[i], actors), s, meta).save(self.folder / f"{name}.safetensors")
+
+    def summary(self, done: int, seconds: float) -> dict:
+        """As `Run.summary`; the steps are this seed's, the seconds those of all."""
+        return {
+            "folder": str(self.folder),
+            "policy": str(self.folder / f"{'best' if self.best else 'last'}.safetensors"),
+            "algorithm": self.settings.algo,
+            "engine": pick_engine(self.settings.engine),
+            "seed": self.settings.seed,
+            "steps": done,
+            "seconds": round(seconds, 2),
+            "steps_per_second": round(done / max(seconds, 1e-9)),
+            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
         }
-        for i, seed in enumerate(seeds)
-    ]  # fmt: skip
