@@ -65,10 +65,9 @@ class Domain:
 
     def changed(self, *, depth: float | None = None, dx: float | None = None, dt: float | None = None, **more: Any) -> "Domain":
         """The same box with another depth [m], cell or time step; a new cell keeps the size and, unless dt is given, dx / dt."""
-        size, dx_new = list(self.size), dx or self.dx
-        size[2] = depth or size[2]
-        shape = tuple(max(1, round(s / dx_new)) for s in size)
-        return replace(self, shape=shape, dx=dx_new, dt=dt or self.dt * dx_new / self.dx, **more)
+        dx_new, (x, y, z) = dx or self.dx, self.size
+        nx, ny, nz = (max(1, round(s / dx_new)) for s in (x, y, depth or z))
+        return replace(self, shape=(nx, ny, nz), dx=dx_new, dt=dt or self.dt * dx_new / self.dx, **more)
 
 
 def tank(name: str, size, dx: float, dt: float, **more: Any) -> Domain:

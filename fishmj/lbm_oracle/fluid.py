@@ -77,12 +77,12 @@ class Fluid:
             raise UnknownName("storage", dtype, STORAGE)
         if subgrid != "none" and not keep_velocity:
             raise ConfigError("fluid: the eddy viscosity reads the velocity of the last step; keep_velocity must be True with it")
-        shape = tuple(int(n) for n in shape)
         if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
             raise ConfigError(
                 f"fluid: shape = {shape}; expected three sizes of at least 1 and fewer than {2**31 // Q} cells in all"
             )
-        self.lattice, self.shape, self.boundaries, self.subgrid = lattice, shape, boundaries, subgrid
+        self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
+        self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
         self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
@@ -97,7 +97,7 @@ class Fluid:
             self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
         self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
         self._launches: list[list[Any]] | None = None
-        self._graph = None
+        self._graph: Any = None
         self.set_flow(self.flow)
         self.settle()
 
@@ -147,10 +147,10 @@ class Fluid:
         """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them."""
         u_lu = np.asarray(u, np.float32) / self.lattice.velocity
         drho = np.zeros(self.shape, np.float32) if pressure is None else np.asarray(pressure) * 3 / self.lattice.pressure
-        u = self.u
-        u.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
+        now = self.u
+        now.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
         rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
-        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, u, _flat(self.f)], device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, now, _flat(self.f)], device=self.device)
 
     def step(self, box: Box | None = None) -> None:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
@@ -185,9 +185,9 @@ class Fluid:
             if self.parity:
                 self.advance()
                 steps -= 1
-            self._captured()
+            graph = self._captured()
             for _ in range(steps // 2):
-                wp.capture_launch(self._graph)
+                wp.capture_launch(graph)
             self.steps += steps // 2 * 2
             steps %= 2
         for _ in range(steps):
@@ -195,14 +195,16 @@ class Fluid:
                 before()
             self.advance()
 
-    def _captured(self) -> None:
+    def _captured(self) -> wp.Graph:
         """A graph of two steps from even parity; capturing does not run them."""
         if self._graph is None:
             self._kernels.advance.module.load(self.device)
             steps = self.steps
             with wp.ScopedCapture(self.device) as capture:
-                self.advance(), self.advance()
+                for _ in range(2):
+                    self.advance()
             self._graph, self.steps = capture.graph, steps
+        return self._graph
 
     def predict(self, box: Box, out_u: wp.array, out_rho: wp.array) -> None:
         """Velocity [lu] and density that the next step would find without a body, at the nodes of a box.
@@ -221,11 +223,8 @@ class Fluid:
 
     def shift(self, by: tuple[int, int, int]) -> None:
         """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
-        by = np.asarray(by, int)
-        if np.any(np.abs(by) >= self.shape):
-            raise ConfigError(
-                f"fluid: shift by {tuple(by)} cells in a window of {self.shape}; a shift is smaller than the window"
-            )
+        if any(abs(b) >= n for b, n in zip(by, self.shape, strict=True)):
+            raise ConfigError(f"fluid: shift by {by} cells in a window of {self.shape}; a shift is smaller than the window")
         self._place(self.origin_lu + by)
         for axis in np.flatnonzero(by):
             low, size = self.origin_lu.copy(), np.array(self.shape)

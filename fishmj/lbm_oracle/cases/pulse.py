@@ -42,7 +42,8 @@ def round_pulse(device: str, n: int = 80, width: float = 4.0) -> tuple[float, fl
         water.impose(np.zeros((*water.shape, 3)), p)
     edge, arrived, back = (big - n) // 2, 0.0, 0.0
     for _ in range(0, steps, 4):
-        small.run(4), free.run(4)
+        for water in (small, free):
+            water.run(4)
         there = free.pressure()[edge : edge + n, edge : edge + n, 0]
         arrived = max(arrived, float(there[SPONGE, n // 2]))
         difference = small.pressure()[..., 0] - there

@@ -37,10 +37,10 @@ def figures(u: np.ndarray, interval: float, speed: float) -> tuple[np.ndarray, f
 
 def record(flow: Flow, device: str) -> tuple[np.ndarray, np.ndarray]:
     """Velocities at the probes in the oracle and in the undisturbed flow, each (T, P, 3) m/s."""
-    corner = tuple(-(n - 1) / 2 * DX for n in SHAPE)
-    lattice = Lattice(dx=DX, dt=DT, corner=corner)
+    x, y, z = (-(n - 1) / 2 * DX for n in SHAPE)
+    lattice = Lattice(dx=DX, dt=DT, corner=(x, y, z))
     water = Fluid(lattice, SHAPE, device, boundaries=channel(), flow=flow)
-    nodes = np.rint(lattice.to_lu([(x, y, 0.0) for x, y in PROBES])).astype(int)
+    nodes = np.rint(lattice.to_lu([(*probe, 0.0) for probe in PROBES])).astype(int)
     points = lattice.to_si(nodes)
     through = SHAPE[0] * DX / flow.speed
     water.run(round(through / DT))
