@@ -1,6 +1,6 @@
 """The planar fish in closed form: N links, 2 + N degrees of freedom, the water's added mass in the mass matrix.
 
-    (M + M_a + h D) a = f_servo - c + Q_water          solved each step, never lagged: M_a is up to 18 times M
+    (M + M_a + h D) a = f_servo - c + Q_water          solved each step, never lagged: M_a is up to 22 times M
     v' = v + h a,   q' = q + h v'                      semi-implicit Euler with implicit joint damping D, as MuJoCo's
 
 q = (x, y, psi, j_1 .. j_{N-1}): reference point in the world [m], heading and joint angles [rad].
@@ -8,7 +8,7 @@ Worked in head axes with absolute link rates Omega_i = psi' + j_1' + .. + j_i'. 
     V_i = V + sum_{j<i} d_j Omega_j n_j,   A_i = A + sum_{j<i} d_j (alpha_j n_j - Omega_j^2 t_j),   b_j = d_j n_j
     K_i = m_i 1 + m0_i n n^T,  S_i = m_i s_i + m1_i,  J_i = I_i + m_i s_i^2 + m2_i
     M_xj = g_j = (sum_{i>j} K_i) b_j + S_j n_j,   M_jk = b_j . g_k (j < k),   M_jj = b_j . (sum_{i>j} K_i) b_j + J_j
-Featherstone 2008 gives the rigid part; it equals MuJoCo's mass matrix and bias to round-off (tests/test_chain.py).
+Featherstone 2008 gives the rigid part; it equals MuJoCo's mass matrix and bias to round-off (tests/test_mjcf.py).
 
 Components style: every quantity is a list of scalars or equal-shaped arrays, so one definition serves NumPy, JAX,
 MJX and the compiled CPU evaluator, which is generated from it.
