@@ -1,0 +1,162 @@
+"""PPO and SAC, term by term: against sums written out, densities and targets computed by hand, and a task with a known answer."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from training import EDGE, Point
+
+from fishmj.train import ppo, sac
+from fishmj.train.run import arrays_of
+
+SMALL = {"hidden": (16,), "envs": 8}
+
+
+@cache
+def ppo_learner(poisoned=None, **config):
+    return ppo.PPO(
+        Point(poisoned), ppo.Config(**{**SMALL, "horizon": 16, "minibatches": 2, "learning_rate": 3e-3, **config}), 10_000
+    )
+
+
+@cache
+def sac_learner(poisoned=None, **config):
+    return sac.SAC(
+        Point(poisoned), sac.Config(**{**SMALL, "block": 8, "batch": 16, "warmup": 64, "learning_rate": 3e-3, **config}), 10_000
+    )
+
+
+def numpy_mlp(layers, x, activation):
+    """The network again, in float64."""
+    x = np.asarray(x, float)
+    for i, (w, b) in enumerate(layers):
+        x = x @ np.asarray(w, float) + np.asarray(b, float)
+        x = activation(x) if i < len(layers) - 1 else x
+    return x
+
+
+@pytest.mark.parametrize("privileged", [False, True])
+def test_ppo_advantages_are_the_sum_of_discounted_errors(privileged):
+    """A_t = sum_k (gamma lambda)^k delta_{t+k} up to the end of the episode; time limits bootstrap, leaving does not."""
+    learner = ppo_learner(privileged=privileged, sigma=3.0)
+    c, t = learner.config, learner.init(jax.random.key(1))
+    _, batch, (reward, _, _, done, left, _) = learner.collect(t)
+    state, ahead, scale = t.env, [], np.asarray(learner.scale)
+    for u in batch.u:
+        state = learner.env.step(state, jnp.tanh(u))
+        x = np.asarray(state.final_obs) / scale
+        x = np.concatenate([x, np.asarray(state.final_privileged) / np.asarray(learner.seen_scale)], 1) if privileged else x
+        ahead.append(numpy_mlp(t.critic, x, np.tanh)[:, 0] * ~np.asarray(state.terminated))
+    value, done = np.asarray(batch.value, float), np.asarray(done)
+    delta = c.reward_scale * np.asarray(reward, float) + c.gamma * np.array(ahead) - value
+    expected = np.zeros_like(delta)
+    for i in range(c.horizon):
+        for fish in range(c.envs):
+            for k in range(c.horizon - i):
+                expected[i, fish] += (c.gamma * c.lam) ** k * delta[i + k, fish]
+                if done[i + k, fish]:
+                    break
+    assert left.sum() > 0 and (done & ~np.asarray(left)).sum() > 0  # both kinds of end were there
+    np.testing.assert_allclose(batch.advantage, expected, atol=2e-5)
+    np.testing.assert_allclose(batch.target, expected + value, atol=2e-5)
+
+
+def test_ppo_stores_the_log_density_of_what_it_did():
+    """log pi(u) before the first update, so that the first ratio is 1; a second look at the same u by hand."""
+    learner = ppo_learner(privileged=True, sigma=3.0)
+    t = learner.init(jax.random.key(1))
+    _, b, _ = learner.collect(t)
+    z = (np.asarray(b.u, float) - numpy_mlp(t.actor, b.obs, np.tanh)) / 3.0
+    np.testing.assert_allclose(b.logp, (-0.5 * z**2 - np.log(3.0) - 0.5 * np.log(2 * np.pi)).sum(-1), atol=1e-5)
+
+
+def test_a_dropped_step_gives_ppo_no_advantage_and_never_reaches_sacs_memory():
+    """Fault 2 at the learners: the poisoned point's reward of 777 is nowhere."""
+    learner = ppo_learner(poisoned=3)
+    _, batch, (*_, diverged) = learner.collect(learner.init(jax.random.key(0)))
+    assert diverged[:, 3].all() and not diverged[:, :3].any()
+    np.testing.assert_array_equal(batch.advantage[:, 3], 0.0)
+    learner = sac_learner(poisoned=0)
+    t, figures = learner.iterate(learner.init(jax.random.key(0)))
+    assert figures["diverged"] == 8 and t.memory.size == 64
+    assert t.memory.reward[:64].max() <= 0
+
+
+def test_sac_remembers_time_limits_as_no_end_and_the_observation_before_the_restart():
+    learner = sac_learner(warmup=10_000)
+    t = learner.init(jax.random.key(0))
+    for _ in range(8):
+        t, _ = learner.iterate(t)
+    m, n = t.memory, int(t.memory.size)
+    scale = np.asarray(learner.scale)
+    x, then = (np.asarray(a[:n]) @ np.eye(7)[0] * scale[0] for a in (m.obs, m.ahead))
+    np.testing.assert_allclose(then, x + 0.3 * np.asarray(m.action[:n, 0]), atol=1e-6)  # a restart would be elsewhere
+    np.testing.assert_array_equal(m.ended[:n] == 1, np.abs(then) > EDGE)
+    assert n == 512 and 0 < m.ended[:n].sum() < n / 10  # 51 time limits at least, none of them an end
+
+
+@pytest.mark.parametrize("ended", [0.0, 1.0])
+def test_sac_critic_loss_is_the_squared_distance_to_the_bellman_target(ended):
+    """y = r + gamma (1 - d) min_i Q'_i(s', a') with alpha -> 0 and a policy without noise, both critics, by hand."""
+    learner = sac_learner()
+    t = learner.init(jax.random.key(3))
+    actor = [(0 * w, 0 * b) for w, b in t.actor]
+    actor[-1] = (actor[-1][0], jnp.array([0.4, -20.0]))  # mu = 0.4, sigma = e^-10
+    rng = np.random.default_rng(0)
+    obs, ahead = rng.normal(size=(2, 1, 7)).astype(np.float32)
+    memory = sac.Memory(obs, np.array([[0.7]], np.float32), np.array([1.5]), ahead, np.array([ended]), jnp.int32(1), jnp.int32(0))
+    targets = jax.tree.map(lambda a: a + 0.1, t.critics)
+    relu = lambda x: np.maximum(x, 0)  # noqa: E731
+    q = lambda critics, i, s, a: numpy_mlp([(w[i], b[i]) for w, b in critics], np.append(s, a)[None], relu)[0, 0]  # noqa: E731
+    y = 1.5 + 0.99 * (1 - ended) * min(q(targets, i, ahead, np.tanh(0.4)) for i in (0, 1))
+    expected = sum((q(t.critics, i, obs, 0.7) - y) ** 2 for i in (0, 1))
+    carry = (actor, t.critics, targets, jnp.float32(-40.0), t.optimisers)
+    after, loss = jax.jit(learner.learn)(memory, carry, jax.random.key(0))
+    assert loss == pytest.approx(expected, rel=1e-3)
+    moved = jax.tree.map(lambda new, old, target: (target - (old + 0.005 * (new - old))).max(), after[1], targets, after[2])
+    assert max(abs(v) for v in jax.tree.leaves(moved)) < 1e-6  # targets follow by tau
+
+
+def test_sac_density_of_an_action_is_the_gaussians_through_tanh():
+    """log pi(a) = log N(u; mu, sigma) - log(1 - tanh(u)^2), u = artanh(a)."""
+    learner = sac_learner()
+    actor = learner.init(jax.random.key(5)).actor
+    obs = jax.random.normal(jax.random.key(6), (200, 7))
+    action, logp = learner.sample(actor, obs, jax.random.key(7))
+    mu, log_sigma = np.split(numpy_mlp(actor, obs, lambda x: np.maximum(x, 0)), 2, -1)
+    action = np.asarray(action, float)
+    u, sigma = np.arctanh(action), np.exp(log_sigma)
+    expected = -0.5 * ((u - mu) / sigma) ** 2 - log_sigma - 0.5 * np.log(2 * np.pi) - np.log(1 - action**2)
+    np.testing.assert_allclose(logp, expected[:, 0], atol=2e-3)
+
+
+@pytest.mark.parametrize("make", [ppo_learner, sac_learner], ids=["ppo", "sac"])
+def test_learners_find_the_way_to_zero(make):
+    """The best action is -x / 0.3, clipped; after 4,000 steps the actor comes close to it."""
+    learner = make()
+    t, x = learner.init(jax.random.key(0)), np.linspace(-1, 1, 21)
+    best = np.clip(-x / 0.3, -1, 1)
+    miss = lambda t: np.abs(learner.act(t.actor, Point().see(jnp.asarray(x)))[:, 0] - best).mean()  # noqa: E731
+    before = miss(t)
+    for _ in range(4000 // learner.steps_per_iteration):
+        t, _ = learner.iterate(t)
+    assert before > 0.6 and miss(t) < 0.25
+
+
+@pytest.mark.parametrize("make", [ppo_learner, sac_learner], ids=["ppo", "sac"])
+def test_one_seed_gives_one_result_to_the_bit(make):
+    learner = make()
+
+    def train(seed):
+        t = learner.init(jax.random.key(seed))
+        for _ in range(12):
+            t, figures = learner.iterate(t)
+        return arrays_of(t), {k: float(v) for k, v in figures.items()}
+
+    (first, a), (again, b), (other, _) = train(0), train(0), train(1)
+    assert a == b
+    for name, value in first.items():
+        np.testing.assert_array_equal(value, again[name], err_msg=name)
+    assert any(not np.array_equal(value, other[name]) for name, value in first.items() if name.startswith(".actor"))
