@@ -17,7 +17,7 @@ from importlib.metadata import version
 import numpy as np
 
 from fishmj import __version__
-from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable
+from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.guard import MACH, Watch
 from fishmj.lbm_oracle.substep import FACTORS, Checkpoint, checkpoint, finer, hand_over, restore
@@ -25,9 +25,10 @@ from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.model import reference_pose
 
+ALERT = 50  # ticks after one that was done again: the wake is still fast
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
 
-Doing = Generator[None, None, tuple[float, np.ndarray, np.ndarray]]
+Doing = Generator[None, None, tuple[float, np.ndarray, np.ndarray] | None]
 
 
 class LeftDomain(FishmjError, RuntimeError):
@@ -80,6 +81,7 @@ class Run:
         self.watch = Watch()
         self.fastest = 0.0  # marker in the last tick, m/s
         self.refined = 0  # ticks that were done again with finer steps
+        self.alert = 0  # until this tick checkpoints are kept whatever the fish does
 
     @property
     def time(self) -> float:
@@ -118,12 +120,16 @@ class Run:
             raise ConfigError(f"run: command {np.asarray(wanted).tolist()}; expected {self.joints} finite joint angles in rad")
         sent = np.round(sent / servo.resolution) * servo.resolution
         self.commands.append(sent)
-        began, kept = self.time, None
-        if self.fastest > CAUTION * self.limit:
+        began, kept, done = self.time, None, None
+        if self.fastest > CAUTION * self.limit or self.ticks < self.alert:
             kept = checkpoint(self.coupled)
-        power, raw, whole = yield from self._steps(1)
-        if self.fastest > self.limit and kept is not None:
-            power, raw, whole = yield from self._again(kept)
+        try:
+            if self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
+                done = yield from self._steps(1, stop=kept is not None)
+        except (SimDiverged, OracleUnstable):
+            if kept is None:
+                raise
+        power, raw, whole = done or (yield from self._again(kept))
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -132,8 +138,11 @@ class Run:
         """Greatest speed of a marker that the grid's own time step takes, m/s."""
         return MACH * self.coupled.fluid.lattice.sound
 
-    def _steps(self, factor: int) -> Doing:
-        """The steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole; notes the fastest marker."""
+    def _steps(self, factor: int, stop: bool = True) -> Doing:
+        """The steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole.
+
+        With `stop` it gives up, and returns None, as soon as a marker is too fast for them.
+        """
         coupled = self.coupled if factor == 1 else self._finer[factor]
         body, servo, dt = coupled.body, self.robot.servo, coupled.body.dt
         power, self.fastest, count = 0.0, 0.0, self.steps * factor
@@ -147,6 +156,8 @@ class Run:
             drive = body.data.actuator_force
             power += float(np.maximum(drive * (drive - servo.kb * rates) / servo.kb, 0.0).sum()) / count
             self.fastest = max(self.fastest, body.fastest(coupled.boundary.corners))
+            if stop and self.fastest > factor * self.limit:
+                return None
             with coupled.scope():
                 self.watch.after_step(coupled.fluid)
                 if self.follow is not None:
@@ -157,19 +168,22 @@ class Run:
         """The tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises:
-            OracleUnstable: too fast for the finest one, too.
+            OracleUnstable: too fast for the finest ones, too. SimDiverged: it was not for the time step.
         """
         for factor in FACTORS:
-            if self.fastest > factor * self.limit and factor != FACTORS[-1]:
-                continue
             restore(self.coupled, kept)
             if factor not in self._finer:
                 self._finer[factor] = finer(self.coupled, factor)
             hand_over(self.coupled, self._finer[factor])
-            done = yield from self._steps(factor)
-            hand_over(self._finer[factor], self.coupled)
-            if self.fastest <= factor * self.limit:
-                self.refined += 1
+            try:
+                done = yield from self._steps(factor)
+            except (SimDiverged, OracleUnstable):
+                if factor == FACTORS[-1]:
+                    raise
+                continue
+            if done is not None:
+                hand_over(self._finer[factor], self.coupled)
+                self.refined, self.alert = self.refined + 1, self.ticks + ALERT
                 return done
         message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
         raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")
@@ -215,6 +229,8 @@ class Run:
             "truth": {"t": t, **truth, **numbered("j#", joint), **numbered("k#", rate)},
             "wrench": {"t": t, **_wrench(whole, "f#x", "f#y", "m#"), **_wrench(raw, "r#x", "r#y", "n#")},
         }
+        if self.prescribed:  # what the servos would have drawn is not known
+            del tables["power"]
         return Trial(self.meta(tables), tables)
 
     def meta(self, tables) -> dict:

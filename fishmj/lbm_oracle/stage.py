@@ -56,13 +56,12 @@ class Stage:
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
         body.place(reference_qpos(body.model, self.pose, joints))
-        if domain.follows:  # a window starts round its fish
-            follower = Follower(domain, self.pose[2])
-            while follower.follow(fluid, body.data.xpos[1], self.pose[2]):
-                pass
         options = {"slip": self.slip, "width": self.width}
         markers = fish_markers(robot, domain.dx, hydro_offset=self.hydro_offset, spacing=self.spacing, **options)
         made = Coupled(fluid, body, markers, passes=self.passes, **options)
+        edge = Edge(domain, self.pose[2])
+        while edge.follow(made):  # a window starts round its fish
+            pass
         room = margin(fluid, *body.bounds(made.boundary.corners))
         guard.check(domain, speed=max(self.flow.speed, guard.SLOW), spacing=self.spacing * domain.dx, clearance=room)
         return made
@@ -82,10 +81,8 @@ class Edge:
         """Raises LeftDomain when a marker is nearer than the margin."""
         if coupled.steps % LOOK:
             return
+        self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
-        if self.domain.follows:
-            heading = reference_pose(body.model, body.data)[2]
-            self.follower.follow(fluid, body.data.xpos[1], float(heading))
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
         if room < guard.CLEARANCE:
             at = ", ".join(f"{value:.3f}" for value in body.data.xpos[1])
@@ -93,3 +90,10 @@ class Edge:
                 f"left_domain at t = {coupled.time:.3f} s: the fish at ({at}) m is {room:.1f} cells from a face of the"
                 f" {self.domain.name} domain; it needs {guard.CLEARANCE:g}. What was recorded before is kept"
             )
+
+    def follow(self, coupled: Coupled) -> bool:
+        """Move a window so that the middle of the fish sits where it should; True if it moved."""
+        body = coupled.body
+        low, high = body.bounds(coupled.boundary.corners)
+        heading = float(reference_pose(body.model, body.data)[2])
+        return self.follower.follow(coupled.fluid, 0.5 * (low + high), heading)

@@ -75,8 +75,9 @@ def checkpoint(coupled: Coupled) -> Checkpoint:
 
 
 def restore(coupled: Coupled, kept: Checkpoint) -> None:
-    """Back to a checkpoint."""
+    """Back to a checkpoint, and to the coupled fish's own time step."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
+    body.set_step(fluid.lattice.dt)
     with coupled.scope():
         wp.copy(fluid.f, kept.f)
         wp.copy(fluid.u, kept.u)

@@ -72,7 +72,7 @@ def figures(run: Run, frequency: float) -> dict:
     `course` is the direction of the path; `thrust` the mean force along the heading, of interest for a tethered fish.
     """
     table = run.trial().tables
-    truth, wrench, power = table["truth"], table["wrench"], table["power"]
+    truth, wrench, power = table["truth"], table["wrench"], table.get("power")
     beats = 2 / frequency
     last = truth["t"] > truth["t"][-1] - min(beats, truth["t"][-1] / 2) - 1e-9
     x, y, t = truth["x"][last], truth["y"][last], truth["t"][last]
@@ -87,7 +87,8 @@ def figures(run: Run, frequency: float) -> dict:
         "yaw_amplitude_deg": degrees(float(np.ptp(yaw)) / 2),
         "yaw_rate_deg_s": degrees(float((yaw[-1] - yaw[0]) / span)),
         "thrust_N": float((fx * np.cos(mean_yaw) + fy * np.sin(mean_yaw)).mean()),
-        "power_W": float((power["V"] * power["I"])[last].mean()),
+        "power_W": float((power["V"] * power["I"])[last].mean()) if power else None,
+        "refined_ticks": run.refined,
         "fastest_water_m_s": run.watch.fastest,
     }
 
