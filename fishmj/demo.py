@@ -3,6 +3,7 @@
 import argparse
 import textwrap
 from pathlib import Path
+from typing import Any
 
 from fishmj import console
 
@@ -47,7 +48,7 @@ def judge(args, policy: str):
     robot = load_robot("fish")
     brain = controllers.make(policy, robot)
     brain.name = "just trained"
-    subset = {"speeds": [SPEED], "los_deg": [0, 180], "duration": 60.0} if args.smoke else {}
+    subset: dict[str, Any] = {"speeds": [SPEED], "los_deg": [0, 180], "duration": 60.0} if args.smoke else {}
     plan = trials(repeats=1, turbulence="gust", intensity=INTENSITY, **subset)
     total = plan.duration * len(plan)
     with console.Progress(total, "judge", "sim s") as bar:
@@ -68,7 +69,8 @@ def show(args, result) -> dict:
     index = next(i for i, t in enumerate(result.trials.items) if t.speed == SPEED)
     trial = trial_of(result, index)
     write_trial(args.out / "trial", trial, overwrite=True)
-    page = write_html([trial], args.out / "replay.html", result.robot, "fishmj demo: 0.2 m/s, gusts of 10 %, target straight upstream")
+    title = "fishmj demo: 0.2 m/s, gusts of 10 %, target straight upstream"
+    page = write_html([trial], args.out / "replay.html", result.robot, title)
     return {"report": str(report), "replay": str(page), **verdict(result)}
 
 
@@ -93,7 +95,8 @@ def main(argv: list[str]) -> int:
     found = {"training": training, **show(args, judge(args, training["policy"]))}
     console.say(
         f"trained {training['steps']:,} control steps in {console.duration(training['seconds'])}",
-        f"arrived in {found['arrivals']} of {found['trials']} trials; holds within {found['rmse_last20']:.3f} m (RMS, 40 to 60 s, {SPEED} m/s)",
+        f"arrived in {found['arrivals']} of {found['trials']} trials",
+        f"holds within {found['rmse_last20']:.3f} m (RMS, 40 to 60 s, {SPEED} m/s)",
         f"report: {found['report']}",
         f"replay: {found['replay']}  (open it in a browser)",
     )

@@ -1,9 +1,9 @@
 """Engines: advance a batch of fish by bus ticks of 20 ms. All give the same swim; they differ in speed and in where they run.
 
-    planar    JAX, closed form; CPU and GPU, jit-able
-    compiled  numba, generated from the closed form; CPU (extra `fast`)
-    batch     MuJoCo C, many fish at once; the judge
-    mjx       MuJoCo in JAX; GPU, jit-able
+planar    JAX, closed form; CPU and GPU, jit-able
+compiled  numba, generated from the closed form; CPU (extra `fast`)
+batch     MuJoCo C, many fish at once; the judge
+mjx       MuJoCo in JAX; GPU, jit-able
 """
 
 from typing import Any, NamedTuple
@@ -87,7 +87,8 @@ def swimmer(params: FishParams) -> chain.Swimmer:
     n = params.mass.shape[-1]
     w = columns(params.water)
     water = terms.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
-    return chain.Swimmer(*(columns(a) for a in params[:5]), water)
+    mass, kp, kv, kb, zero = (columns(a) for a in params[:5])
+    return chain.Swimmer(mass, kp, kv, kb, zero, water)
 
 
 def at_rest(robot: Robot, pose) -> FishState:
@@ -110,4 +111,16 @@ def check_commands(commands, joints: int) -> None:
         raise ConfigError(f"commands: got shape {commands.shape}, expected (fish, ticks, {joints}) joint angles in rad")
 
 
-__all__ = ["BUFFER", "NAMES", "Current", "FishParams", "FishState", "Trace", "at_rest", "flat_water", "make", "nominal_params", "swimmer"]
+__all__ = [
+    "BUFFER",
+    "NAMES",
+    "Current",
+    "FishParams",
+    "FishState",
+    "Trace",
+    "at_rest",
+    "flat_water",
+    "make",
+    "nominal_params",
+    "swimmer",
+]

@@ -7,6 +7,7 @@ float32 (how it is used).
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from fishmj.errors import ConfigError
@@ -14,7 +15,7 @@ from fishmj.errors import ConfigError
 BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}"}
 CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {name: name for name in ("sqrt", "sin", "cos", "exp", "atan2")}
 COMPARE = {"gt": ">", "lt": "<", "ge": ">=", "le": "<="}
-FOLD = {
+FOLD: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,

@@ -57,7 +57,8 @@ class Engine:
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.steps, self.ticks = ticks_per(self.robot)
         self.threads = threads or usable_cpus()
-        self._pool, self._owner = None, 0
+        self._pool: ThreadPoolExecutor | None = None
+        self._owner = 0  # process of the pool
 
     @cached_property
     def _advance(self):

@@ -102,5 +102,3 @@ class Engine:
 
         (state, _), trace = lax.scan(one_tick, (state, tick), jnp.swapaxes(commands, 0, 1))
         return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
-
-

@@ -114,9 +114,9 @@ def kinematics(xp, ch: Chain, q, v, flow) -> Links:
 def mass_matrix(ch: Chain, sw: Swimmer, k: Links, *, rigid: bool = True, water: bool = True):
     """Lower triangle (rows) of M, M_a or M + M_a over (ax, ay, alpha_0 .. alpha_{N-1}) in head axes."""
     size = ch.n + 2
-    m = [[0.0] * (r + 1) for r in range(size)]
+    m: list[list[Any]] = [[0.0] * (r + 1) for r in range(size)]
     kxx = kxy = kyy = 0.0  # sum of K_i over the links behind
-    g = [None] * ch.n
+    g: list[Any] = [None] * ch.n
     for i in reversed(range(ch.n)):
         mi = sw.mass[i] * ch.mass[i] if rigid else 0.0
         m0, m1, m2 = (sw.water.k[i] * ch.strips.mu[i][j] if water else 0.0 for j in range(3))

@@ -67,7 +67,8 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
             table[key] = float(np.radians(table.pop(f"{key}_deg")))
     missing, unknown = set(Coefficients._fields) - set(table), set(table) - set(Coefficients._fields)
     if missing or unknown:
-        raise ConfigError(f"[water]: missing {sorted(missing)}, unknown {sorted(unknown)}; needs {', '.join(Coefficients._fields)}")
+        needs = ", ".join(Coefficients._fields)
+        raise ConfigError(f"[water]: missing {sorted(missing)}, unknown {sorted(unknown)}; needs {needs}")
     for key in ("k", "cn"):
         if len(table[key]) != n_links:
             raise ConfigError(f"[water] {key}: one value a link, got {len(table[key])} for {n_links} links")

@@ -164,7 +164,9 @@ def check_timing(timing: Timing, where: str) -> None:
             raise ConfigError(f"{where}: {small} = {a} s and {large} = {b} s must be positive")
         n = max(1, round(b / a))
         if abs(b / a - n) > 1e-6:
-            raise ConfigError(f"{where}: {large} = {b} s is not a multiple of {small} = {a} s; nearest valid {large}: {n * a:g} s")
+            raise ConfigError(
+                f"{where}: {large} = {b} s is not a multiple of {small} = {a} s; nearest valid {large}: {n * a:g} s"
+            )
     if timing.command_path not in COMMAND_PATHS:
         raise ConfigError(f"{where}: command_path = {timing.command_path!r}; choose one of {', '.join(COMMAND_PATHS)}")
 

@@ -140,10 +140,12 @@ class StationHold:
         keep = ("current", "key", "reward", "terminated", "truncated", "distance", "diverged", "final_obs", "final_privileged")
         pick = lambda new, old: jnp.where(done.reshape((n,) + (1,) * (old.ndim - 1)), new, old)  # noqa: E731
         mixed = {f: jax.tree.map(pick, getattr(fresh, f), getattr(moved, f)) for f in EnvState._fields if f not in keep}
-        current = Current(*(pick(a, b) for a, b in zip(fresh.current[:5], moved.current[:5], strict=True)), *moved.current[5:])
+        each = {
+            f: pick(getattr(fresh.current, f), getattr(moved.current, f)) for f in Current._fields[:5]
+        }  # not the shared table
         finite = lambda a: jnp.where(bad[:, None], 0.0, a)  # noqa: E731
         return moved._replace(
-            **mixed, current=current, final_obs=finite(obs), final_privileged=finite(moved.privileged),
+            **mixed, current=moved.current._replace(**each), final_obs=finite(obs), final_privileged=finite(moved.privileged),
             reward=jnp.where(bad, 0.0, gain), distance=jnp.where(bad, 0.0, distance),
         )  # fmt: skip
 

@@ -52,12 +52,12 @@ def environment(settings: Settings, box: str = "train"):
 def algorithm(settings: Settings, env):
     """The learner named by settings.algo. Raises ConfigError, UnknownName."""
     if settings.algo == "ppo":
-        from fishmj.train.ppo import PPO, Config
+        from fishmj.train import ppo
 
-        return PPO(env, made("setting of ppo", Config, settings.algorithm), settings.steps)
-    from fishmj.train.sac import SAC, Config
+        return ppo.PPO(env, made("setting of ppo", ppo.Config, settings.algorithm), settings.steps)
+    from fishmj.train import sac
 
-    return SAC(env, made("setting of sac", Config, settings.algorithm), settings.steps)
+    return sac.SAC(env, made("setting of sac", sac.Config, settings.algorithm), settings.steps)
 
 
 def made(what: str, kind, table: dict):

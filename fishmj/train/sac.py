@@ -172,11 +172,11 @@ class SAC:
             keys = jax.random.split(k_learn, self.per_step)
             learn = lambda carry: jax.lax.scan(partial(self.learn, m), carry, keys)  # noqa: E731
             wait = lambda carry: (carry, jnp.zeros(self.per_step))  # noqa: E731
-            carry, loss = jax.lax.cond(warm, wait, learn, carry)
+            (actor, critics, targets, log_alpha, optimisers), loss = jax.lax.cond(warm, wait, learn, carry)
             done = env.terminated | env.truncated | env.diverged
             late = (env.count > 75) & ~done
             figures = (env.reward, env.distance, late, done, env.terminated, env.diverged, loss.mean())
-            return Training(*carry, m, env, t.key, t.updates + 1), figures
+            return Training(actor, critics, targets, log_alpha, optimisers, m, env, t.key, t.updates + 1), figures
 
         t, (reward, distance, late, done, left, diverged, loss) = jax.lax.scan(one, t, None, self.config.block)
         return t, {

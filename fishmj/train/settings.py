@@ -1,6 +1,7 @@
 """What a training run is: presets, everything that can be changed, and how it is written to disk at the start."""
 
 from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
 
 from fishmj.errors import ConfigError, UnknownName
 
@@ -68,7 +69,9 @@ def change(settings: Settings, **changes) -> Settings:
     for key in changes:
         if key not in known:
             raise UnknownName("setting", key, known)
-    merged = {k: {**getattr(settings, k), **changes.pop(k)} for k in ("task", "algorithm", "reward") if k in changes}
+    merged: dict[str, Any] = {
+        k: {**getattr(settings, k), **changes.pop(k)} for k in ("task", "algorithm", "reward") if k in changes
+    }
     made = replace(settings, **merged, **changes)
     if made.algo not in ALGORITHMS:
         raise UnknownName("algorithm", made.algo, ALGORITHMS)
@@ -91,4 +94,5 @@ def as_dict(settings: Settings) -> dict:
 def from_dict(table: dict) -> Settings:
     """The inverse of `as_dict`."""
     tupled = lambda v: tuple(v) if isinstance(v, list) else v  # noqa: E731
-    return Settings(**{k: {a: tupled(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in table.items()})
+    values: dict[str, Any] = {k: {a: tupled(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in table.items()}
+    return Settings(**values)
