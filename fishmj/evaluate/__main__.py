@@ -11,7 +11,7 @@ from fishmj.evaluate.statistics import compare
 from fishmj.flow import PRESETS
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
-WATERS = ("structured",)
+WATERS = ("structured", "lbm")
 FALLBACKS = ("compiled", "planar")
 
 
@@ -22,6 +22,10 @@ def options(argv: list[str]):
     add("controllers", nargs="+", metavar="CONTROLLER", help=f"{', '.join(controllers.NAMES)}, a shipped policy or a policy file")
     add("--robot", default="fish", help="shipped name or TOML file")
     add("--water", default="structured", help=", ".join(WATERS))
+    add("--domain", default="paper", help="box of water of --water lbm: paper, flow_tank, window, laptop (a preview)")
+    add("--slip", type=float, default=1.0, help="slip ratio of --water lbm at the paper's grid")
+    add("--device", default="auto", help="of --water lbm: auto, cpu, cuda")
+    add("--tanks", type=int, default=1, help="trials of --water lbm that run side by side; 12 or more keep one GPU busy")
     add("--turbulence", default="default", help=", ".join(PRESETS))
     add("--intensity", type=float, default=None, help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
     add("--speeds", type=numbers, default=None, metavar="M/S,..", help="default 0.1,0.2,0.3")
@@ -63,8 +67,11 @@ def main(argv: list[str]) -> int:
         noise=0.0 if args.no_noise else 1.0, duration=args.duration,
     )  # fmt: skip
     brains = [controllers.make(name, robot) for name in args.controllers]  # a wrong name fails before anything runs
-    engine = choose_engine(args.engine, robot)
-    results = [judge(brain, robot, trials, engine) for brain in brains]
+    if args.water == "lbm":
+        results = [judge_in_tanks(brain, robot, trials, args) for brain in brains]
+    else:
+        engine = choose_engine(args.engine, robot)
+        results = [judge(brain, robot, trials, engine) for brain in brains]
     return report(results, args)
 
 
@@ -89,6 +96,19 @@ def judge(brain, robot, trials, engine) -> Result:
     with console.Progress(trials.duration * len(trials), f"judge {brain.name}", unit="sim s") as bar:
         done = robot.timing.control_dt * len(trials)
         return run(brain, robot, trials, engine, progress=lambda step: bar.update(step * done))
+
+
+def judge_in_tanks(brain, robot, trials, args) -> Result:
+    """One controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
+    from fishmj.evaluate import tank
+
+    if args.tanks < 1:
+        raise ConfigError(f"evaluate: --tanks {args.tanks}; expected 1 or more")
+    total = trials.duration * len(trials)
+    with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
+        options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
+        seen = lambda k: bar.update(k * robot.timing.control_dt)  # noqa: E731
+        return tank.judge(brain, robot, trials, args.out, progress=seen, **options)
 
 
 def report(results: list[Result], args) -> int:

@@ -39,6 +39,11 @@ class Result(NamedTuple):
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
 
+    @property
+    def water(self) -> str:
+        """`lbm` for the flow solver, else `structured`."""
+        return "lbm" if self.engine.startswith("tanks") else "structured"
+
     def summary(self) -> dict:
         """All keys with their intervals; see `metrics` and `statistics`."""
         from fishmj.evaluate.statistics import summary

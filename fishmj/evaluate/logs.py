@@ -49,7 +49,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "robot": r.robot.name,
         "medium": "water",
         "flow": {**asdict(flow), "known": True},
-        "water": "structured",
+        "water": r.water,
         "root": "planar",
         "engine": r.engine,
         "controller": r.controller,

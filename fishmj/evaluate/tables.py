@@ -29,7 +29,7 @@ def condition(result: Result) -> str:
     turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
     switch = lambda on: "on" if on else "off"  # noqa: E731
     return (
-        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water structured, engine {result.engine}, "
+        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
         f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
         f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}"
     )

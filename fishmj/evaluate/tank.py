@@ -1,0 +1,96 @@
+"""The judge in the flow solver: the same trials, controllers and figures, the water solved instead of modelled.
+
+Trials run in groups of tanks side by side on one device. Every finished trial is kept in <folder>/lbm as one npz, so a judgement
+that is interrupted goes on with the next trial; a file made with another controller, robot or box of water is not used.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj import store
+from fishmj.calib import calib_folder
+from fishmj.evaluate.driver import Result, run
+from fishmj.evaluate.protocol import Trials
+from fishmj.mjcf.description import Robot
+
+ARRAYS = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
+
+
+def judge(
+    brain,
+    robot: Robot,
+    trials: Trials,
+    folder: Path | None = None,
+    *,
+    domain: str = "paper",
+    slip: float = 1.0,
+    device: str = "auto",
+    tanks: int = 1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Result:
+    """Judge one controller in the solver, `tanks` trials at a time.
+
+    Args:
+        folder: where finished trials are kept and looked for; None keeps nothing.
+        progress: called with the number of control steps done, summed over trials.
+
+    Raises:
+        OracleUnstable, ConfigError: the set-up would not run.
+    """
+    from fishmj.engines.tanks import Engine
+
+    steps = round(trials.duration / robot.timing.control_dt)
+    label = fingerprint(brain, robot, trials, domain, slip)
+    paths = [None if folder is None else folder / "lbm" / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
+    found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
+    waiting = [i for i in range(len(trials)) if i not in found]
+    for group in (waiting[k : k + tanks] for k in range(0, len(waiting), tanks)):
+        some = replace(trials, items=tuple(trials.items[i] for i in group))
+        engine = Engine(robot, some.flows(), domain=domain, slip=slip, device=device)
+        done, many = len(found) * steps, len(group)
+        result = run(brain, robot, some, engine, progress=lambda k: progress(done + many * k))  # noqa: B023  called at once
+        for row, i in enumerate(group):
+            found[i] = {key: getattr(result, key)[row] for key in ARRAYS if getattr(result, key) is not None}
+            found[i] |= {"t": result.t, "target": result.target[row]}
+            if (path := paths[i]) is not None:
+                store.write_npz(path, found[i])
+    return merged(brain, robot, trials, f"tanks, {domain}, slip {slip:g}", [found[i] for i in range(len(trials))])
+
+
+def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -> Result:
+    """One result from the arrays of every trial."""
+    join: dict[str, Any] = {key: np.stack([row[key] for row in rows]) if key in rows[0] else None for key in ARRAYS}
+    target = np.stack([row["target"] for row in rows])
+    return Result(
+        controller=brain.name,
+        robot=robot,
+        trials=trials,
+        engine=engine,
+        policy_sha256=getattr(brain, "sha256", ""),
+        t=rows[0]["t"],
+        target=target,
+        **join,
+    )
+
+
+def name_of(brain, item) -> str:
+    """File name of one trial."""
+    return f"{brain.name}_u{item.speed:g}_los{round(np.degrees(item.los)):03d}_r{item.repeat}"
+
+
+def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -> str:
+    """Eight characters that change with anything that would change a trial's outcome."""
+    what = {
+        "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
+        "robot": repr(robot),
+        "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
+        "seed": trials.items[0].seed[:2],
+        "water": [domain, slip],
+    }
+    return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

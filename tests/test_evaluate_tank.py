@@ -1,0 +1,50 @@
+"""Judging in the flow solver: the same driver and controllers, one tank of water a trial."""
+
+import numpy as np
+import pytest
+
+from fishmj import controllers, engines
+from fishmj.engines import tanks
+from fishmj.errors import ConfigError
+from fishmj.evaluate import tank, trials
+from fishmj.mjcf import load_robot
+
+ROBOT = load_robot("fish")
+
+
+def plan(**changes):
+    return trials(**{"speeds": [0.2], "los_deg": [0], "repeats": 1, "duration": 1.0, **changes})
+
+
+def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
+    judge = lambda: tank.judge(controllers.make("drift", ROBOT), ROBOT, plan(), tmp_path, domain="laptop", device="cpu")  # noqa: E731
+    first = judge()
+    assert first.water == "lbm" and first.pose.shape == (1, 51, 3) and np.isfinite(first.pose).all()
+    drifted = first.pose[0, -1, 0] - first.pose[0, 0, 0]
+    assert 0.02 < drifted < 0.2, "a fish at rest over ground is carried along by the stream of 0.2 m/s within a second"
+    monkeypatch.setattr(tanks, "Engine", None)  # a second simulation would fail
+    again = judge()
+    for name in ("pose", "joint", "power", "distance", "left"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+def test_what_would_change_a_trial_changes_its_file_name():
+    brain = controllers.make("dob", ROBOT)
+    base = tank.fingerprint(brain, ROBOT, plan(), "paper", 1.0)
+    others = [
+        tank.fingerprint(controllers.make("pd", ROBOT), ROBOT, plan(), "paper", 1.0),
+        tank.fingerprint(brain, ROBOT, plan(duration=2.0), "paper", 1.0),
+        tank.fingerprint(brain, ROBOT, plan(seed=1), "paper", 1.0),
+        tank.fingerprint(brain, ROBOT, plan(turbulence="gust"), "paper", 1.0),
+        tank.fingerprint(brain, ROBOT, plan(), "laptop", 1.0),
+        tank.fingerprint(brain, ROBOT, plan(), "paper", 0.95),
+    ]
+    assert len({base, *others}) == 7
+    assert base == tank.fingerprint(controllers.make("dob", ROBOT), ROBOT, plan(), "paper", 1.0)
+
+
+def test_as_many_fish_as_flows():
+    engine = tanks.Engine(ROBOT, plan().flows(), domain="laptop", device="cpu")
+    state, params = engines.at_rest(ROBOT, np.zeros((2, 3))), engines.nominal_params(ROBOT, 2)
+    with pytest.raises(ConfigError, match="2 fish for 1 flows"):
+        engine.advance(state, np.zeros((2, 10, 3)), params, None, np.zeros(2, int))
