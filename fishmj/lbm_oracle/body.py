@@ -95,7 +95,7 @@ class Body:
         mujoco.mj_step1(self.model, d)
         self.turn = d.xmat[1:].reshape(-1, 3, 3)
         self.centre, self.twist = self._motion(self.water.centre, self._jac)
-        self._posed = None
+        self._posed: np.ndarray | None = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""

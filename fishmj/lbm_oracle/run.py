@@ -13,6 +13,7 @@ letter, `tethered` holds the root; the torques that this takes are the servo's a
 
 from collections.abc import Callable, Generator, Iterator
 from importlib.metadata import version
+from typing import cast
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from fishmj.mjcf.model import reference_pose
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
 
-Doing = Generator[None, None, tuple[float, np.ndarray, np.ndarray] | None]
+Tick = tuple[float, np.ndarray, np.ndarray]  # servo power W, link wrenches raw and whole
 
 
 class LeftDomain(FishmjError, RuntimeError):
@@ -129,7 +130,7 @@ class Run:
         except (SimDiverged, OracleUnstable):
             if kept is None:
                 raise
-        power, raw, whole = done or (yield from self._again(kept))
+        power, raw, whole = done or (yield from self._again(cast(Checkpoint, kept)))  # a tick stops only where one was kept
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -138,7 +139,7 @@ class Run:
         """Greatest speed of a marker that the grid's own time step takes, m/s."""
         return MACH * self.coupled.fluid.lattice.sound
 
-    def _steps(self, factor: int, stop: bool = True) -> Doing:
+    def _steps(self, factor: int, stop: bool = True) -> Generator[None, None, Tick | None]:
         """The steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole.
 
         With `stop` it gives up, and returns None, as soon as a marker is too fast for them.
@@ -164,7 +165,7 @@ class Run:
                     self.follow(coupled)
         return power, *coupled.take_wrench(count * dt)
 
-    def _again(self, kept: Checkpoint) -> Doing:
+    def _again(self, kept: Checkpoint) -> Generator[None, None, Tick]:
         """The tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises:

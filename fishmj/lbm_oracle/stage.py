@@ -56,9 +56,9 @@ class Stage:
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
         body.place(reference_qpos(body.model, self.pose, joints))
-        options = {"slip": self.slip, "width": self.width}
-        markers = fish_markers(robot, domain.dx, hydro_offset=self.hydro_offset, spacing=self.spacing, **options)
-        made = Coupled(fluid, body, markers, passes=self.passes, **options)
+        slip, width = self.slip, self.width
+        markers = fish_markers(robot, domain.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
+        made = Coupled(fluid, body, markers, slip=slip, width=width, passes=self.passes)
         edge = Edge(domain, self.pose[2])
         while edge.follow(made):  # a window starts round its fish
             pass

@@ -93,9 +93,16 @@ def finer(coupled: Coupled, factor: int) -> Coupled:
     old, edge = coupled.fluid, coupled.boundary
     lattice = old.lattice
     fine = Lattice(dx=lattice.dx, dt=lattice.dt / factor, rho=lattice.rho, nu=lattice.nu, corner=lattice.corner)
-    water_options = {"boundaries": old.boundaries, "subgrid": old.subgrid, "flow": old.flow, "threads": old.threads}
-    dtype = next(name for name, kind in STORAGE.items() if kind is old.f.dtype)
-    water = Fluid(fine, old.shape, old.device, dtype=dtype, **water_options)
+    water = Fluid(
+        fine,
+        old.shape,
+        old.device,
+        dtype=next(name for name, kind in STORAGE.items() if kind is old.f.dtype),
+        boundaries=old.boundaries,
+        subgrid=old.subgrid,
+        flow=old.flow,
+        threads=old.threads,
+    )
     coupled.body.set_step(fine.dt)
     options = {"slip": coupled.slip, "width": edge.width, "passes": edge.passes}
     return Coupled(water, coupled.body, edge.markers, interior=coupled.interior, **options)
