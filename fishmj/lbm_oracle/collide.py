@@ -18,9 +18,6 @@ Departure: the trace of P relaxes on its own, omega_bulk = 1, so that sound betw
 Populations are stored as f_i - w_i: single precision then resolves the small part that moves.
 """
 
-# mypy: ignore-errors
-# (kernels are Warp's language, not Python's types)
-
 import warp as wp
 
 from fishmj.lbm_oracle.lattice import vec6, vec19

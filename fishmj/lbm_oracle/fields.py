@@ -1,8 +1,5 @@
 """Kernels that set and read whole fields: undisturbed water, a given velocity, density, the watch's sums."""
 
-# mypy: ignore-errors
-# (kernels are Warp's language, not Python's types)
-
 from typing import Any
 
 import warp as wp

@@ -3,9 +3,6 @@
 U(x, t) = U_mean + u'(x - U_mean t)     trilinear in the periodic box; a gust is linear in time and uniform in space
 """
 
-# mypy: ignore-errors
-# (kernels are Warp's language, not Python's types)
-
 import numpy as np
 import warp as wp
 

@@ -7,9 +7,6 @@ Half precision stores 2^15 (f - w): values of 1e-6 to 1 keep their eleven bits, 
 (Lehmann et al. 2022, Phys. Rev. E 106:015308). The arithmetic stays in single precision.
 """
 
-# mypy: ignore-errors
-# (kernels are Warp's language, not Python's types)
-
 import warp as wp
 
 STORAGE = {"float32": wp.float32, "float16": wp.float16}

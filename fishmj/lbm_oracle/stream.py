@@ -11,9 +11,6 @@ six neighbours come from cache); the force is read inside the body's box only.
 `kernels(boundaries, subgrid)` compiles the two kernels for one set of faces: what a face does not need costs nothing.
 """
 
-# mypy: ignore-errors
-# (kernels are Warp's language, not Python's types)
-
 from functools import cache
 from typing import NamedTuple
 
