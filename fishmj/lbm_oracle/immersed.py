@@ -21,7 +21,7 @@ from typing import Any
 import warp as wp
 
 from fishmj.lbm_oracle.delta import first, phi, weight, wrap
-from fishmj.lbm_oracle.memory import peek
+from fishmj.lbm_oracle.memory import STORAGE, peek
 
 wp.set_module_options({"enable_backward": False})
 
@@ -257,3 +257,7 @@ def clear(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, accelera
     at = store[k]
     i, j, l = o // (width * width), (o // width) % width, o % width
     acceleration[wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])] = wp.vec3(0.0, 0.0, 0.0)
+
+
+for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
+    wp.overload(read_cells, {"f": wp.array(dtype=_storage)})
