@@ -1,0 +1,197 @@
+"""Runs of the immersed fish: state, trial folder, sub-steps, tanks, faults."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
+from fishmj.lbm_oracle import state
+from fishmj.lbm_oracle.ball import ball
+from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
+from fishmj.lbm_oracle.coupling import Coupled
+from fishmj.lbm_oracle.domain import Domain
+from fishmj.lbm_oracle.fluid import Fluid
+from fishmj.lbm_oracle.gait import Gait
+from fishmj.lbm_oracle.markers import sphere_markers
+from fishmj.lbm_oracle.run import LeftDomain, Run
+from fishmj.lbm_oracle.stage import Stage
+from fishmj.lbm_oracle.tanks import Tanks
+from fishmj.lbm_oracle.units import Lattice
+from fishmj.log import read_trial, write_trial
+
+wp.config.quiet = True
+
+
+# runs and state -----------------------------------------------------------------------------------------------------
+
+
+def test_a_restored_run_continues_to_the_bit(tmp_path):
+    one = pond("cpu")
+    beat(one, 0.1, every=1000)
+    path = state.save(tmp_path / "here.safetensors", one, why="test")
+    beat(one, 0.1, every=1000)
+    two = pond("cpu")
+    assert state.load(path, two)["why"] == "test"
+    beat(two, 0.1, every=1000)
+    for name, value in state.snapshot(one).items():
+        np.testing.assert_array_equal(state.snapshot(two)[name], value, err_msg=name)
+
+
+def test_a_state_of_another_grid_or_a_damaged_one_is_refused(tmp_path):
+    path = state.save(tmp_path / "here.safetensors", pond("cpu"))
+    with pytest.raises(ConfigError, match="use its grid"):
+        state.load(path, pond("cpu", dt=0.002))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(StoreError):
+        state.load(path, pond("cpu"))
+
+
+def test_a_segment_can_start_from_any_fish_in_developed_water():
+    spun = pond("cpu")
+    beat(spun, 0.3, every=1000)
+    water = spun.fluid.snapshot()
+    fresh = pond("cpu")
+    pose, speed = np.array([0.5, 0.3, 1.0, 0.2, 0.1, -0.2]), np.array([0.2, 0.1, 0.0, 0, 0, 0])
+    state.reseed(fresh, pose, speed, water=water)
+    np.testing.assert_array_equal(fresh.fluid.f.numpy(), water["f"])
+    velocity = fresh.step()
+    assert np.isfinite(velocity).all()
+    assert np.abs(velocity[:2] - speed[:2]).max() < 0.15  # the water gives way, but no blow: it was not accelerated at once
+
+
+def test_a_run_writes_the_trial_folder_with_both_wrenches(tmp_path):
+    run, gait = Run(pond("cpu"), latency=0.0), Gait()
+    for _ in range(15):
+        run.tick(gait(run.time))
+    back = read_trial(write_trial(tmp_path / "swim", run.trial()))
+    assert not [note for note in back.notes if "not in the schema" in note]
+    wrench = back.table("wrench")
+    assert {"f1x", "m4", "r1x", "n4"} <= set(wrench) and np.abs(wrench["f4y"]).max() > 0
+    assert back.value("oracle.slip") == 1.0 and back.value("origin") == "synthetic"
+
+
+def test_wrenches_add_up_to_what_moves_the_fish():
+    """Sum of the link forces over a tick = change of the links' momentum; nothing else pushes."""
+    coupled = pond("cpu")
+    run, gait = Run(coupled, latency=0.0), Gait(ramp=0.2)
+    for _ in range(20):
+        before = coupled.body.solid_momentum()[:, :3].sum(0)
+        run.tick(gait(run.time))
+        after = coupled.body.solid_momentum()[:, :3].sum(0)
+        force = run.rows[-1][-1][:, :3].sum(0)
+        largest = np.abs([row[-1][:, :3].sum(0) for row in run.rows]).max()
+        np.testing.assert_allclose(force[:2], (after - before)[:2] / 0.02, atol=0.05 * largest)
+
+
+def test_a_run_that_leaves_its_box_keeps_what_it_recorded():
+    def fence(coupled):
+        if coupled.body.data.qpos[0] > 0.6001:
+            raise LeftDomain("too far")
+
+    run, gait = Run(pond("cpu"), latency=0.0, follow=fence), Gait(ramp=0.2)
+    with pytest.raises(LeftDomain):
+        for _ in range(200):
+            run.tick(gait(run.time))
+    assert 1 <= len(run.trial().table("pose")["t"]) < 200
+
+
+def test_water_that_is_not_finite_stops_the_run():
+    run = Run(pond("cpu"))
+    values = run.coupled.fluid.f.numpy()
+    values[0, 5, 5, 5] = np.nan
+    run.coupled.fluid.f.assign(values)
+    with pytest.raises((SimDiverged, OracleUnstable), match="not finite|is nan"):  # the fish or the watch, who meets it first
+        for _ in range(20):
+            run.tick(np.zeros(3))
+    assert len(run.trial().table("pose")["t"]) < 20
+
+
+def test_a_command_that_is_no_angle_is_refused():
+    with pytest.raises(ConfigError, match="3 finite joint angles"):
+        Run(pond("cpu")).tick([0.1, np.nan, 0.0])
+
+
+def test_clocks_that_do_not_nest_are_refused():
+    lattice = Lattice(dx=1.0, dt=1.0)
+    with pytest.raises(ConfigError, match="same dt"):
+        Coupled(Fluid(lattice, (16, 16, 16)), ball(4.0, Lattice(dx=1.0, dt=0.5)), sphere_markers(4.0, 1.0))
+    with pytest.raises(ConfigError, match="nearest dt: 0.00285714"):
+        Run(pond("cpu", dt=0.003))
+
+
+def test_a_tick_too_fast_for_the_step_is_done_again_with_finer_ones(monkeypatch):
+    """The trial is not lost, and it is the swim of a run that had the finer step throughout."""
+    gait, ends = Gait(ramp=0.2), []
+    for dt, limit in ((0.002, 10.0), (0.004, 0.3)):
+        monkeypatch.setattr(Run, "limit", limit)
+        run = Run(pond("cpu", dt=dt), prescribed=gait)
+        for _ in range(15):
+            run.tick()
+        ends.append(run.pose)
+        assert run.time == pytest.approx(0.3)
+        assert (run.refined >= 5) == (limit < 1)
+    np.testing.assert_allclose(ends[1][:3], ends[0][:3], atol=3e-3)
+    np.testing.assert_allclose(ends[1][3:], ends[0][3:], atol=0.02)
+
+
+def test_a_window_keeps_its_place_when_a_tick_is_done_again(monkeypatch):
+    monkeypatch.setattr(Run, "limit", 0.2)
+    small = Domain(name="small", shape=(60, 60, 20), dx=0.02, dt=0.004, follows=True, sponge=4)
+    run = Stage(domain=small, pose=(3.21, -1.07, 2.0)).run(prescribed=Gait(ramp=0.2))
+    before = run.coupled.fluid.origin_lu.copy()
+    for _ in range(12):
+        run.tick()
+    assert run.refined >= 3
+    assert np.abs(run.coupled.fluid.origin_lu - before).max() <= 8
+    np.testing.assert_array_equal(run.coupled.fluid.origin.numpy()[:3], run.coupled.fluid.origin_lu)
+    assert np.hypot(*(run.pose[:2] - [3.21, -1.07])) < 0.1
+
+
+def test_half_precision_populations_carry_the_same_start():
+    ends = []
+    for dtype in ("float32", "float16"):
+        coupled = pond("cpu", dtype=dtype)
+        beat(coupled, 0.3, every=1000)
+        ends.append(coupled.body.data.qpos.copy())
+    np.testing.assert_allclose(ends[1], ends[0], atol=5e-3)
+
+
+def test_a_tick_that_no_sub_step_can_hold_stops_with_the_numbers():
+    run = Run(pond("cpu"), prescribed=Gait(frequency=6.0, ramp=0.05))
+    with pytest.raises(OracleUnstable, match="sub-steps take 3.46 m/s"):
+        for _ in range(20):
+            run.tick()
+
+
+def test_tanks_side_by_side_swim_as_they_would_alone():
+    gait = Gait(ramp=0.2)
+    alone, *together = (Run(pond("cpu", slip=slip), latency=0.0) for slip in (1.0, 1.0, 0.0))
+    tanks = Tanks(together)
+    for _ in range(5):
+        command = gait(alone.time)
+        alone.tick(command)
+        assert tanks.tick([command, command]) == [0, 1]
+    np.testing.assert_array_equal(together[0].pose, alone.pose)
+    assert not np.array_equal(together[1].pose, alone.pose)
+
+
+def test_a_tank_that_stops_leaves_the_others_swimming():
+    def fence(coupled):
+        raise LeftDomain("left_domain: test")
+
+    tanks = Tanks([Run(pond("cpu"), follow=fence), Run(pond("cpu"))])
+    assert tanks.tick(np.zeros((2, 3))) == [1]
+    assert tanks.tick(np.zeros((2, 3))) == [1]
+    assert tanks.runs[0].stopped.startswith("left_domain") and tanks.runs[1].ticks == 2
+    with pytest.raises(ConfigError, match="1 commands for 2 tanks"):
+        tanks.tick(np.zeros((1, 3)))
+
+
+@pytest.mark.gpu
+def test_both_devices_swim_the_same_swim():
+    ends = []
+    for device in ("cpu", "cuda"):
+        coupled = pond(device, slip=0.97)
+        beat(coupled, 0.4, every=1000)
+        ends.append(np.concatenate([coupled.body.data.qpos, coupled.body.data.qvel]))
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)
