@@ -1,21 +1,52 @@
 """What the tests of training share: a task so small that its answer is known, and the settings of a tiny run."""
 
+import json
+import signal
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from fishmj.tasks.env import Options
+from fishmj.train.run import Run
 from fishmj.train.settings import change, preset
 
 EDGE = 1.1  # where the point leaves its line
-TINY = {"hidden": (16, 16), "envs": 32, "horizon": 16, "minibatches": 2, "epochs": 2}
+CALM = {"turbulence": "none", "intensity": (0.0, 0.0), "noise": 0.0, "randomisation": 0.0}
+SMALL = {"hidden": (32, 32), "envs": 256, "horizon": 32, "minibatches": 4, "epochs": 4, "learning_rate": 2e-3}
+SAC = {"hidden": (16, 16), "envs": 16, "block": 8, "batch": 32, "warmup": 256, "utd": 0.25}
 
 
-def tiny(**changes):
-    """A run of PPO on the fish that takes seconds: 512 steps an iteration."""
-    base = change(preset("quick"), engine="compiled", algorithm=TINY, steps=2048, assess_every=1024, assess_episodes=4)
-    return change(base, **changes)
+def calm_run(**changes):
+    """PPO in still turbulence and with the nominal fish: 8,192 control steps an iteration, 120 iterations."""
+    base = change(preset("quick"), engine="compiled", task=CALM, algorithm=SMALL)
+    return change(base, **{"steps": 120 * 8192, "assess_every": 60 * 8192, "assess_episodes": 64, **changes})
+
+
+def sac_run(**changes):
+    """SAC on the fish, too short to learn much: 128 control steps an iteration."""
+    base = replace(preset("paper-sac"), engine="compiled", algorithm=SAC, assess_episodes=4)
+    return change(base, **{"steps": 1024, "assess_every": 512, **changes})
+
+
+class StopAt(Run):
+    """A run that gets a SIGINT once it has taken so many steps."""
+
+    def __init__(self, settings, folder, steps: int, **options):
+        super().__init__(settings, folder, quiet=True, **options)
+        self.stop_at = steps
+
+    def _check(self, figures):
+        super()._check(figures)
+        if self.done >= self.stop_at:
+            signal.raise_signal(signal.SIGINT)
+
+
+def figures_of(run) -> list[dict]:
+    """The lines of metrics.jsonl without their clock."""
+    lines = (run.folder / "metrics.jsonl").read_text().splitlines()
+    return [{k: v for k, v in json.loads(line).items() if k != "seconds"} for line in lines]
 
 
 class PointState(NamedTuple):

@@ -19,6 +19,7 @@ from fishmj.train.endure import stop_on_signal, when_there_is_room
 from fishmj.train.learner import algorithm, environment, pick_engine, policy_of
 from fishmj.train.settings import Settings, as_dict
 
+FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
 PROGRESS = ("done", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 
@@ -160,7 +161,7 @@ class Run:
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
         mine, theirs = as_dict(self.settings), found.meta["settings"]
-        differs = [k for k in mine if mine[k] != theirs.get(k) and k not in ("steps", "checkpoint_every")]
+        differs = [k for k in mine if mine[k] != theirs.get(k) and k not in FREE]
         if differs:
             raise ConfigError(
                 f"{self.folder}: the checkpoint was made with other {', '.join(differs)}; resume with the same settings"

@@ -1,0 +1,252 @@
+"""Training runs on the fish: they learn, resume to the same bits, hide the flow from the policy, refuse what makes no sense."""
+
+import json
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from training import StopAt, calm_run, figures_of, sac_run
+
+from fishmj import console, mjcf
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.policy import Policy
+from fishmj.tasks.env import Options, StationHold
+from fishmj.train.__main__ import main
+from fishmj.train.learner import policy_of
+from fishmj.train.networks import mlp
+from fishmj.train.run import Run, is_better, learner_of
+from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
+from fishmj.train.together import train_together
+
+
+@pytest.fixture(scope="module")
+def learner():
+    """(environment, PPO, assessment), compiled once."""
+    return learner_of(calm_run())
+
+
+@pytest.fixture(scope="module")
+def env():
+    return StationHold(mjcf.load_robot("fish"), "planar", Options(intensity=(0.05, 0.05)))
+
+
+def same(a: Policy, b: Policy) -> bool:
+    return all(np.array_equal(x, y) for u, v in zip(a.weights, b.weights, strict=True) for x, y in zip(u, v, strict=True))
+
+
+def act_afresh(policy: Policy, obs) -> np.ndarray:
+    policy.reset()
+    return np.stack([policy(obs), policy(obs)])
+
+
+# ---- learning ----
+
+
+@pytest.mark.slow
+def test_ppo_learns_to_reach_the_target_in_a_million_steps(learner, tmp_path):
+    """The untrained fish drifts past one target in seven; a million control steps (20 s) later it reaches most."""
+    run = Run(calm_run(), tmp_path / "run", learner=learner, quiet=True)
+    before = learner[2](run.training.actor, jax.random.key(1))
+    made = run.go()
+    assert before["arrival"] < 0.25 and before["stayed"] < 0.25
+    assert made["tune_arrival"] > 0.5 and made["tune_stayed"] > 0.5 and made["tune_return"] > 2 * before["return"]
+    assert all(np.isfinite(v).all() for line in figures_of(run) for v in line.values())
+    assert (made["steps"], made["stopped"], made["engine"]) == (983_040, False, "compiled")
+    policy = Policy.load(made["policy"])
+    assert [w.shape for w, _ in policy.weights] == [(32, 11), (32, 32), (3, 32)] and policy.meta["tune"]["arrival"] == made[
+        "tune_arrival"
+    ]
+    assert from_dict(json.loads((run.folder / "settings.json").read_text())) == calm_run()
+
+
+def test_an_assessment_is_finite_and_the_same_each_time(learner):
+    actor = learner[1].init(jax.random.key(3)).actor
+    first, again = (learner[2](actor, jax.random.key(7)) for _ in range(2))
+    assert first == again and all(np.isfinite(v) for v in first.values())
+    assert all(0 <= first[k] <= 1 for k in ("arrival", "stayed", "within")) and 0 <= first["rmse_last10"] < 3
+
+
+def test_the_best_policy_is_the_one_that_stays_and_then_the_one_that_holds():
+    made = lambda stayed, rmse: {"stayed": stayed, "rmse_last10": rmse}  # noqa: E731
+    assert is_better(made(0.1, 2.0), None)
+    assert is_better(made(0.9, 0.5), made(0.8, 0.1)) and not is_better(made(0.8, 0.1), made(0.9, 0.5))
+    assert is_better(made(0.992, 0.04), made(1.0, 0.05)) and not is_better(made(1.0, 0.05), made(0.992, 0.04))
+
+
+# ---- resuming ----
+
+
+def test_a_stopped_and_resumed_run_is_the_uninterrupted_one_to_the_bit(learner, tmp_path):
+    settings, n = calm_run(assess_every=3 * 8192), 8192
+    whole = StopAt(settings, tmp_path / "whole", 4 * n, learner=learner)
+    first = StopAt(settings, tmp_path / "parts", 2 * n, learner=learner)
+    assert whole.go()["stopped"] and first.go()["stopped"]
+    second = StopAt(settings, tmp_path / "parts", 4 * n, learner=learner, resume=True)
+    assert second.done == 2 * n
+    made = second.go()
+    assert figures_of(second) == figures_of(whole) and len(figures_of(whole)) == 5  # four iterations and a look
+    for name in ("best", "last"):
+        assert same(*(Policy.load(run.folder / f"{name}.safetensors") for run in (whole, second))), name
+    assert made["tune_return"] == whole.best["return"]
+    other = StopAt(change(settings, seed=1), tmp_path / "other", 4 * n, learner=learner)
+    other.go()
+    assert figures_of(other) != figures_of(whole)
+
+
+def test_a_run_killed_after_its_last_checkpoint_writes_its_lines_once(learner, tmp_path):
+    settings, n = calm_run(assess_every=10**9), 8192
+    run = StopAt(settings, tmp_path, n, learner=learner)
+    run.go()
+    with run.folder.joinpath("metrics.jsonl").open("a") as lines:  # what the kill left: beyond the checkpoint, and half a line
+        lines.write('{"step": 16384, "reward": 5.0}\n{"step": 24576, "rew')
+    again = StopAt(settings, tmp_path, 3 * n, learner=learner, resume=True)
+    again.go()
+    assert [line["step"] for line in figures_of(again)] == [n, 2 * n, 3 * n]
+    assert all(line["reward"] != 5.0 for line in figures_of(again))
+
+
+def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume(learner, tmp_path):
+    settings = calm_run()
+    StopAt(settings, tmp_path, 8192, learner=learner).go()
+    with pytest.raises(ConfigError, match="already holds a run; add --resume"):
+        Run(settings, tmp_path, learner=learner)
+    with pytest.raises(ConfigError, match="made with other seed; resume with the same settings"):
+        Run(change(settings, seed=5), tmp_path, learner=learner, resume=True)
+    with pytest.raises(ConfigError, match="nothing to resume"):
+        Run(settings, tmp_path / "empty", learner=learner, resume=True)
+    longer = Run(change(settings, steps=10**9), tmp_path, learner=learner, resume=True)  # only longer: that is allowed
+    assert longer.done == 8192
+
+
+def test_seeds_trained_together_are_the_seeds_trained_alone(tmp_path):
+    settings = sac_run(steps=512)
+    found = train_together(settings, [0, 3], tmp_path / "both")
+    shared = learner_of(settings)
+    for seed, one in zip((0, 3), found, strict=True):
+        alone = Run(change(settings, seed=seed), tmp_path / f"{seed}", learner=shared, quiet=True).go()
+        assert one.keys() - alone.keys() == {"together"} and alone.keys() <= one.keys()
+        for (w, b), (x, c) in zip(*(Policy.load(made["policy"]).weights for made in (one, alone)), strict=True):
+            np.testing.assert_allclose(w, x, atol=2e-4)
+            np.testing.assert_allclose(b, c, atol=2e-4)
+        assert one["tune_return"] == pytest.approx(alone["tune_return"], abs=0.05)
+    assert not same(*(Policy.load(one["policy"]) for one in found))
+
+
+# ---- what the policy sees ----
+
+
+def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
+    """`--memory 4` with SAC: the exported policy keeps the window that the environment kept, from the first step on."""
+    settings = sac_run(steps=384, assess_every=10**9, task={"memory": 4})
+    env, sac, assess = learner_of(settings)
+    run = Run(settings, tmp_path, learner=(env, sac, assess), quiet=True)
+    policy = Policy.load(run.go()["policy"])
+    assert policy.memory == 4 and policy.weights[0][0].shape == (16, 4 * 11 + 3 * 3)
+    louder = [(w * 2.0, b) for w, b in run.training.actor]  # so that the actions are not all near zero
+    policy.weights = policy_of(louder, settings, {}).weights
+    state = env.reset(jax.random.key(1), 16)
+    for _ in range(12):
+        action = sac.act(louder, state.obs)
+        np.testing.assert_allclose(policy(np.asarray(state.obs[:, :11])), action, atol=2e-6)
+        state = env.step(state, action)
+        assert not state.terminated.any()
+    assert np.abs(action).max() > 0.1
+
+
+def test_the_flow_is_never_in_what_the_policy_sees_and_always_in_what_the_critic_sees(env):
+    state = env.reset(jax.random.key(0), 6)
+    other = state._replace(current=state.current._replace(mean=state.current.mean + 0.5, rms=3 * state.current.rms))
+    joint, key = jnp.zeros((6, 3)), jax.random.key(1)
+    np.testing.assert_array_equal(env._look(state, joint, joint, key), env._look(other, joint, joint, key))
+    seen = [env._privileged(s, state.obs) for s in (state, other)]
+    differs = np.abs(np.asarray(seen[0] - seen[1])).max(0) > 0.1
+    np.testing.assert_array_equal(np.flatnonzero(differs), [11, 12])  # the stream, and nothing else
+    assert state.obs.shape == (6, 11) and env.n_input == 11
+
+
+def test_a_privileged_critic_uses_the_flow_and_a_plain_one_cannot(env):
+    from fishmj.train.ppo import PPO, Config
+
+    obs, seen = jnp.zeros((2, 11)), jnp.zeros((2, 16)).at[1, 11].set(1.0)
+    for privileged in (True, False):
+        learner = PPO(env, Config(hidden=(8,), privileged=privileged), 1)
+        critic = mlp(jax.random.key(0), [11 + 16 * privileged, 8, 1], last=1.0)
+        value = learner.value(critic, obs, seen)
+        assert (value[0] != value[1]) == privileged
+        actor = mlp(jax.random.key(1), [env.n_input, 8, 3])
+        assert policy_of(actor, calm_run(), {}).weights[0][0].shape == (8, 11)
+
+
+def test_hidden_observations_are_zero_in_training_and_ignored_by_the_policy():
+    hide = ("velocity", "joint")
+    env = StationHold(mjcf.load_robot("fish"), "planar", Options(hide=hide, memory=2))
+    obs = np.asarray(env.reset(jax.random.key(0), 64).obs)
+    hidden = np.isin(np.arange(11), [2, 3, 5, 6, 7])
+    both = np.concatenate([hidden, [False] * 3, hidden])
+    assert np.all(obs[:, both] == 0) and np.all(np.abs(obs[:, :11][:, ~hidden]).max(0) > 0)
+    policy = policy_of(mlp(jax.random.key(0), [25, 16, 3], last=1.0), calm_run(task={"hide": hide, "memory": 2}), {})
+    seen, junk = np.ones((1, 11)), np.where(hidden, 9.0, 1.0)[None]
+    first, other, twice = (act_afresh(policy, obs) for obs in (seen, junk, 2 * seen))
+    np.testing.assert_array_equal(first, other)
+    assert not np.array_equal(first, twice)
+
+
+# ---- settings and the command line ----
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_settings_survive_json(name):
+    settings = change(preset(name), task={"hide": ("joint",)}, reward={"wS": 0.01})
+    assert from_dict(json.loads(json.dumps(as_dict(settings)))) == settings
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("--preset papr", "unknown preset 'papr'. Did you mean 'paper'?"),
+        ("--algo sacc", "Did you mean 'sac'?"),
+        ("--engine planer", "Did you mean 'planar'?"),
+        ("--turbulence gusts", "Did you mean 'gust'?"),
+        ("--hide velocty", "Did you mean 'velocity'?"),
+        ("--robot fsh", "Did you mean 'fish'?"),
+        ("--command-path lin", "Did you mean 'linear'?"),
+        ("--critic privileg", "Did you mean 'privileged'?"),
+        ("--algo sac --critic plain", "unknown setting of sac 'privileged'"),
+        ("--reward wD", "--reward 'wD': expected wG=, wD=, wS= and a number"),
+        ("--reward wX=1", "unknown reward weight 'wX'"),
+        ("--hidden 64,x", "--hidden '64,x': expected whole numbers"),
+        ("--seeds a,b", "--seeds 'a,b': expected whole numbers"),
+        ("--memory 0", "memory counts observations, 1 at least"),
+        ("--steps 0", "--steps 0: expected a number of control steps"),
+        ("--steps nan", "--steps nan: expected a number of control steps"),
+        ("--envs 0", "ppo: envs = 0; it must be positive"),
+        ("--learning-rate -1", "learning_rate = -1.0; it must be positive"),
+        ("--intensity 2", "expected two bounds, 0 <= low <= high <= 1"),
+        ("--engine batch", "engine batch cannot be compiled into a learner; train on compiled"),
+        ("--together --resume", "--together cannot resume"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_exit_2(line, said, tmp_path, capsys):
+    argv = ["--preset", "quick", "--engine", "planar", *line.split(), "--out", str(tmp_path / "run")]
+    assert console.run(main, argv) == console.BAD_INPUT
+    error = capsys.readouterr().err
+    assert said in error and len(error.splitlines()) == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_setting_that_does_not_exist_is_named():
+    with pytest.raises(UnknownName, match="unknown setting 'stepss'. Did you mean 'steps'?"):
+        change(preset("quick"), stepss=3)
+    with pytest.raises(UnknownName, match="unknown setting of ppo 'horizn'. Did you mean 'horizon'?"):
+        learner_of(calm_run(algorithm={"horizn": 3}))
+    with pytest.raises(ConfigError, match="envs x horizon = 8160 does not split into 4096 minibatches"):
+        learner_of(calm_run(algorithm={"envs": 255, "minibatches": 4096}))
+
+
+def test_help_needs_no_engine():
+    code = "import sys; from fishmj.train.__main__ import options; options().format_help(); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert {"jax", "mujoco", "torch", "numba"}.isdisjoint(done.stdout.split())
