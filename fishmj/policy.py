@@ -49,7 +49,9 @@ class Policy:
         arrays, meta = read_tensors(path)
         if meta.get("schema") != SCHEMA:
             raise ConfigError(f"{path}: schema {meta.get('schema')!r}, expected {SCHEMA!r}: this is not a policy file")
-        layers = len([k for k in arrays if k.startswith("w")])
+        layers = len(arrays) // 2
+        if layers == 0 or set(arrays) != {f"{kind}{i}" for kind in "wb" for i in range(layers)}:
+            raise ConfigError(f"{path}: holds {', '.join(sorted(arrays)) or 'no arrays'}; expected w0, b0, w1, b1, ...")
         policy = cls([(arrays[f"w{i}"], arrays[f"b{i}"]) for i in range(layers)], meta)
         policy.check(str(path))
         return policy
@@ -63,10 +65,15 @@ class Policy:
         return write_tensors(path, arrays, {**self.meta, "schema": SCHEMA})
 
     def check(self, where: str) -> None:
-        """Shapes, scale and activation fit together; otherwise one ConfigError."""
-        if self.meta.get("activation") not in _ACTIVATIONS:
-            raise ConfigError(f"{where}: activation {self.meta.get('activation')!r}; known: {', '.join(_ACTIVATIONS)}")
-        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
+        """Shapes, scale, memory and activation fit together; otherwise one ConfigError."""
+        scale, memory, activation = (self.meta.get(k) for k in ("scale", "memory", "activation"))
+        if activation not in _ACTIVATIONS:
+            raise ConfigError(f"{where}: activation {activation!r}; known: {', '.join(_ACTIVATIONS)}")
+        if not (isinstance(scale, list) and scale and all(isinstance(s, int | float) and s > 0 for s in scale)):
+            raise ConfigError(f"{where}: scale {scale!r}; expected one positive divisor for each observation")
+        if not (memory is None or (isinstance(memory, int) and memory >= 1)):
+            raise ConfigError(f"{where}: memory {memory!r}; expected the number of observations that the policy sees, 1 or more")
+        width = self._width
         for i, (w, b) in enumerate(self.weights):
             if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],):
                 raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}, expected {width} inputs")
@@ -86,6 +93,10 @@ class Policy:
     def memory(self) -> int:
         return int(self.meta.get("memory", 1))
 
+    @property
+    def _width(self) -> int:
+        return self.n_obs * self.memory + self.n_act * (self.memory - 1)
+
     def reset(self, n: int = 1) -> None:
         """Forget the past of n fish."""
         self._window = None
@@ -96,23 +107,21 @@ class Policy:
         if obs.shape[1] != self.n_obs:
             raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
         sight = obs / np.asarray(self.meta["scale"], np.float32)
-        x = self._remember(sight)
+        x = seen = self._recall(sight)
         f = _ACTIVATIONS[self.meta["activation"]]
         for w, b in self.weights[:-1]:
             x = f(x @ w.T + b)
         w, b = self.weights[-1]
         action = np.tanh(x @ w.T + b)
         if self.memory > 1:
-            self._window = np.concatenate([action, x_in], 1) if (x_in := self._input) is not None else None
+            self._window = np.concatenate([action, seen], 1)
         return action
 
-    def _remember(self, sight):
-        self._input = None
+    def _recall(self, sight: np.ndarray) -> np.ndarray:
+        """The network's input: what is seen now, then the window; at the start as if the fish had rested here."""
         if self.memory == 1:
             return sight
-        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
         if self._window is None or len(self._window) != len(sight):
             pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
             self._window = np.concatenate([pair] * (self.memory - 1), 1)
-        self._input = np.concatenate([sight, self._window], 1)[:, :width]
-        return self._input
+        return np.concatenate([sight, self._window], 1)[:, : self._width]
