@@ -38,7 +38,8 @@ def test_every_verb_helps(verb, capsys):
 
 @pytest.mark.parametrize("verb", sorted(cli.present()))
 def test_every_verb_refuses_an_unknown_option(verb, capsys):
-    assert cli.main([verb, "thing", "--no-such-option"]) == 2
+    what = "cases" if verb == "lbm_oracle" else "thing"  # a verb of verbs
+    assert cli.main([verb, what, "--no-such-option"]) == 2
     assert "--no-such-option" in capsys.readouterr().err
 
 

@@ -8,7 +8,6 @@ import platform
 import re
 import sys
 import threading
-import time
 from dataclasses import replace
 
 import jax
@@ -43,6 +42,8 @@ def engine():
     """float32, two threads; kept in memory because its cache folder is a file, so that its assembly can be read."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FISHMJ_CACHE", __file__)
+        for name in [n for n in sys.modules if n.startswith("fishmj_")]:  # another test file may have loaded a cached one
+            patch.delitem(sys.modules, name)
         made = compiled.Engine(ROBOT, threads=2)
         made._advance  # noqa: B018  compile now
     return made
@@ -197,16 +198,6 @@ def test_the_physics_runs_in_vector_registers(engine):
     physics = re.search(r"^(\w*7physics\w*):(.*?)\.size\s+\1", text, re.S | re.M)[2]
     vector, scalar = (len(re.findall(rf"\sv?(?:mul|f[n]?m(?:add|sub)\d+){kind}\s", physics)) for kind in ("ps", "ss"))
     assert vector > 400 and scalar == 0 and "sqrtps" in physics
-
-
-def test_two_cores_make_at_least_20_000_control_steps_a_second(engine):
-    state, params, current = varied(512, dtype=np.float32)
-    commands, tick, best = commands_of(512, 1), np.zeros(512, int), np.inf
-    for _ in range(10):
-        start = time.perf_counter()
-        engine.advance(state, commands, params, current, tick)
-        best = min(best, time.perf_counter() - start)
-    assert 512 / best > 20_000
 
 
 BAD = {
