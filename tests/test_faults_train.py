@@ -132,10 +132,8 @@ Run(calm_run(checkpoint_every=0.0, assess_every=10**9), sys.argv[1]).go()
 
 def started(*argv) -> subprocess.Popen:
     root = Path(__file__).resolve().parents[1]
-    path = os.pathsep.join([str(root), str(root / "tests")])
-    return subprocess.Popen(
-        [sys.executable, *argv], env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), str(root / "tests")])}
+    return subprocess.Popen([sys.executable, *argv], env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def wait_for(process, condition, seconds=120):

@@ -1,0 +1,169 @@
+"""Soft actor-critic by stable-baselines3 (extra `sb3`), with the paper's networks, on the same fish, into the same policy file.
+
+`StableSAC` gives SB3's learner the interface of our own (`init`, `iterate`, `act`), so that `run.Run` serves it too: progress
+line, assessment on the tuning flows, export, Ctrl-C, a full disk. SB3's own checkpoints are pickles; here a checkpoint holds
+the tensors only: networks, optimisers, temperature. The replay memory is NOT kept: a resumed run first refills `warmup` steps
+of it with the present policy, without learning, and so does not repeat the uninterrupted run to the bit.
+"""
+
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fishmj import console
+from fishmj.errors import MissingExtra
+from fishmj.train.assess import Assessment
+from fishmj.train.learner import environment, made, pick_engine
+from fishmj.train.networks import forward, input_scale
+from fishmj.train.run import Run
+from fishmj.train.sac import Config, paper_config
+from fishmj.train.settings import Settings, change
+
+try:
+    import torch
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.buffers import ReplayBuffer
+    from stable_baselines3.common.logger import Logger
+except ImportError as error:
+    raise MissingExtra("stable-baselines3", "sb3", "--algo sb3-sac") from error
+
+from fishmj.train.sb3_env import Shoal
+
+UPDATES = 256  # gradient steps between two reports, about
+
+
+def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False) -> dict:
+    """Train with stable-baselines3; returns the summary of `Run`. Raises as `Run` does."""
+    config = made("setting of sb3-sac", Config, {**asdict(paper_config()), **settings.algorithm})
+    shoal = Shoal(settings, config.envs, reward_scale=config.reward_scale)
+    learner = StableSAC(shoal, config, settings.steps)
+    engine = pick_engine(settings.engine)
+    judge = change(settings, engine="planar" if engine == "batch" else engine)  # assessments run inside JAX
+    assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
+    run = Run(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess))
+    if resume:
+        console.warn(f"the replay memory was not kept: {config.warmup:,} steps of the policy refill it before learning goes on")
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # networks this small lose by a second thread, on a busy machine by ten times
+    try:
+        return run.go()
+    finally:
+        torch.set_num_threads(threads)
+
+
+class Training(NamedTuple):
+    """What a checkpoint keeps."""
+
+    actor: list  # (weights (in, out), bias) of the mean of u
+    tensors: dict  # everything of SB3's, by name
+
+
+class StableSAC:
+    """SB3's SAC behind `init` and `iterate`."""
+
+    name = "sb3-sac"
+
+    def __init__(self, shoal: Shoal, config: Config, steps: int):
+        self.shoal, self.config = shoal, config
+        self.per_step = max(1, round(config.utd * config.envs))
+        self.block = max(1, min(config.block, UPDATES // self.per_step))
+        self.steps_per_iteration = config.envs * self.block
+        self.capacity = max(config.envs, min(config.buffer, steps))
+        self.scale = input_scale(shoal.joints, shoal.memory)
+        self._now: Training | None = None
+
+    def init(self, key) -> Training:
+        """A fresh learner; the seed is the key's."""
+        c, f = self.config, {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[self.config.activation]
+        self.seed = int(jax.random.key_data(key)[-1])
+        self.model = Refilling(
+            "MlpPolicy",
+            self.shoal,
+            learning_rate=c.learning_rate,
+            buffer_size=self.capacity,
+            learning_starts=min(c.warmup, self.capacity),
+            batch_size=c.batch,
+            tau=c.tau,
+            gamma=c.gamma,
+            gradient_steps=self.per_step,
+            replay_buffer_class=SoundReplay,
+            ent_coef="auto_0.2",
+            policy_kwargs={"net_arch": list(c.hidden), "activation_fn": f},
+            seed=self.seed,
+        )
+        self.model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder for each `learn`
+        return self._taken()
+
+    def iterate(self, training: Training) -> tuple[Training, dict]:
+        """`block` steps of the shoal, learning after each. Returns (Training, figures)."""
+        if training is not self._now:
+            self._put(training)
+        # SB3 adds the steps that are done to the total that it is asked for
+        self.model.learn(self.steps_per_iteration, reset_num_timesteps=False, log_interval=None)
+        said = self.model.logger.name_to_value
+        alpha = float(torch.exp(self.model.log_ent_coef.detach()))
+        return self._taken(), {**self.shoal.figures(), "alpha": alpha, "loss": float(said.get("train/critic_loss", 0.0))}
+
+    def act(self, actor, obs):
+        """Deterministic action for raw observations, in JAX."""
+        return jnp.tanh(forward(actor, obs / jnp.asarray(self.scale, jnp.float32), self.config.activation))
+
+    def _optimisers(self) -> dict[str, Any]:
+        m = self.model
+        return {"actor": m.actor.optimizer, "critic": m.critic.optimizer, "alpha": m.ent_coef_optimizer}
+
+    def _taken(self) -> Training:
+        """The learner as NumPy arrays (copies)."""
+        take = lambda t: t.detach().cpu().numpy().copy()  # noqa: E731
+        m, actor = self.model, self.model.actor
+        tensors = {f"policy.{k}": take(v) for k, v in m.policy.state_dict().items()}
+        tensors["log_alpha"] = take(m.log_ent_coef)
+        tensors["steps"] = np.array(m.num_timesteps, np.int32)
+        for name, optimiser in self._optimisers().items():
+            for i, p in enumerate(optimiser.param_groups[0]["params"]):  # Adam's moments; zero before the first step
+                state = optimiser.state.get(p) or {"step": torch.zeros(()), "exp_avg": 0 * p, "exp_avg_sq": 0 * p}
+                tensors |= {f"{name}.{i}.{k}": take(v) for k, v in state.items()}
+        layers = [layer for layer in (*actor.latent_pi, actor.mu) if isinstance(layer, torch.nn.Linear)]
+        self._now = Training([(take(layer.weight).T, take(layer.bias)) for layer in layers], tensors)
+        return self._now
+
+    def _put(self, training: Training) -> None:
+        """Go on from these tensors, with an empty replay memory and fresh episodes."""
+        m = self.model
+        tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
+        m.policy.load_state_dict({k.removeprefix("policy."): v for k, v in tensor.items() if k.startswith("policy.")})
+        m.log_ent_coef.data.copy_(tensor["log_alpha"])
+        for name, optimiser in self._optimisers().items():
+            table = optimiser.state_dict()
+            keys = ("step", "exp_avg", "exp_avg_sq")
+            count = len(optimiser.param_groups[0]["params"])
+            table["state"] = {i: {k: tensor[f"{name}.{i}.{k}"] for k in keys} for i in range(count)}
+            optimiser.load_state_dict(table)
+        m.num_timesteps = int(tensor["steps"])
+        m.set_random_seed(int(np.random.SeedSequence([self.seed, m.num_timesteps]).generate_state(1)[0]))
+        m._last_obs = None  # new episodes
+        m.replay_buffer.reset()
+
+
+class Refilling(SAC):
+    """SB3's SAC that learns only while its memory holds `learning_starts` steps: a resumed one refills it first."""
+
+    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
+        """As SAC's."""
+        if self.replay_buffer.size() * self.n_envs >= self.learning_starts:
+            super().train(gradient_steps, batch_size)
+
+
+class SoundReplay(ReplayBuffer):
+    """A replay memory without dropped steps: the transition of a sound fish takes the place of one that diverged."""
+
+    def add(self, obs, next_obs, action, reward, done, infos) -> None:
+        """As ReplayBuffer's."""
+        bad = np.array([info.get("diverged", False) for info in infos])
+        if bad.all():
+            return
+        rows = np.where(bad, np.argmin(bad), np.arange(len(bad)))
+        super().add(obs[rows], next_obs[rows], action[rows], reward[rows], done[rows], [infos[i] for i in rows])

@@ -1,0 +1,185 @@
+"""Stable-baselines3 as another learner: same fish, same run, same policy file. Marked sb3, but for what holds without it."""
+
+import json
+import sys
+
+import jax
+import numpy as np
+import pytest
+from training import StopAt, figures_of
+
+from fishmj import console
+from fishmj.gym.vector import FishVectorEnv
+from fishmj.policy import Policy
+from fishmj.store import read_tensors
+from fishmj.train.__main__ import main
+from fishmj.train.learner import policy_of
+from fishmj.train.networks import scale
+from fishmj.train.settings import Settings
+
+SMALL = {"hidden": (32, 32), "envs": 16, "batch": 64, "warmup": 512, "utd": 0.25, "learning_rate": 2e-3}
+
+
+def settings(**changes) -> Settings:
+    """A run of some seconds."""
+    base = {"algo": "sb3-sac", "engine": "compiled", "algorithm": SMALL, "assess_episodes": 4}
+    return Settings(**{**base, "steps": 2048, "assess_every": 1024, "checkpoint_every": 0.0, **changes})
+
+
+def test_without_the_extra_the_message_has_the_install_line(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "fishmj.train.sb3", raising=False)
+    assert console.run(main, ["--preset", "quick", "--algo", "sb3-sac"]) == console.BAD_INPUT
+    error = capsys.readouterr().err
+    assert 'pip install "fishmj[sb3]"' in error and len(error.splitlines()) == 1
+
+
+@pytest.mark.sb3
+def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstrap():
+    from fishmj.train.sb3_env import Shoal
+
+    shoal = Shoal(settings(task={"turbulence": "gust", "hide": ("joint",)}), 6)
+    seeds = shoal.seed(3)
+    other = FishVectorEnv(6, engine="compiled", autoreset_mode="SameStep", turbulence="gust")
+    seen, (raw, _) = shoal.reset(), other.reset(seed=seeds)
+    factor = np.where(np.isin(np.arange(11), [5, 6, 7]), 0, 1) / scale(3)
+    rng, ends = np.random.default_rng(0), []
+    for _ in range(160):
+        np.testing.assert_allclose(seen, raw * factor, rtol=1e-5)
+        assert seen.dtype == np.float32 and shoal.observation_space.contains(seen[0])
+        action = rng.uniform(-0.2, 0.2, (6, 3)).astype(np.float32)
+        seen, reward, done, infos = shoal.step(action)
+        raw, gain, left, late, info = other.step(action)
+        np.testing.assert_array_equal(done, left | late)
+        np.testing.assert_allclose(reward, gain, rtol=1e-6)
+        for i in np.flatnonzero(done):
+            ends.append(infos[i]["TimeLimit.truncated"])
+            assert infos[i]["TimeLimit.truncated"] == late[i] != left[i]
+            np.testing.assert_allclose(infos[i]["terminal_observation"], info["final_obs"][i] * factor, rtol=1e-5)
+            assert not np.allclose(infos[i]["terminal_observation"], seen[i])
+        assert all(not infos[i] for i in np.flatnonzero(~done))
+    assert True in ends and False in ends
+    figures = shoal.figures()
+    assert figures["episodes"] == len(ends) and figures["left_tank"] == 1 - np.mean(ends)
+
+
+@pytest.mark.sb3
+def test_seeds_of_runs_share_no_fish():
+    from fishmj.train.sb3_env import Shoal
+
+    shoal = Shoal(settings(), 4)
+    first, second, again = shoal.seed(0), shoal.seed(1), shoal.seed(0)
+    assert first == again and not set(first) & set(second)
+
+
+@pytest.mark.sb3
+def test_a_policy_with_memory_sees_what_sb3_saw():
+    from fishmj.train.sac import Config
+    from fishmj.train.sb3 import StableSAC
+    from fishmj.train.sb3_env import Shoal
+
+    run = settings(task={"memory": 3, "turbulence": "gust"})
+    shoal = Shoal(run, 5)
+    learner = StableSAC(shoal, Config(**{**SMALL, "envs": 5}), 1000)
+    training = learner.init(jax.random.key(2))
+    policy, seen = policy_of(training.actor, run, {}), shoal.reset()
+    for _ in range(10):
+        action, _ = learner.model.predict(seen, deterministic=True)
+        np.testing.assert_allclose(policy(seen[:, :11] * scale(3)), action, atol=1e-5)
+        seen, _, done, _ = shoal.step(action)
+        assert not done.any()
+
+
+@pytest.mark.sb3
+def test_dropped_steps_never_reach_the_replay_memory():
+    from gymnasium.spaces import Box
+
+    from fishmj.train.sb3 import SoundReplay
+
+    memory = SoundReplay(40, Box(-1, 1, (2,)), Box(-1, 1, (1,)), device="cpu", n_envs=4)
+    number = np.arange(4.0)
+    rows = lambda lost: (  # noqa: E731
+        *(np.tile(number[:, None], (1, k)) for k in (2, 2, 1)), number, np.zeros(4), [{"diverged": i in lost} for i in range(4)],
+    )  # fmt: skip
+    memory.add(*rows([0, 2]))
+    memory.add(*rows([0, 1, 2, 3]))
+    memory.add(*rows([]))
+    np.testing.assert_array_equal(memory.rewards[:3], [[1, 1, 1, 3], [0, 1, 2, 3], [0, 0, 0, 0]])
+    np.testing.assert_array_equal(memory.observations[:2, :, 0], memory.rewards[:2])
+    assert memory.pos == 2
+
+
+@pytest.mark.sb3
+def test_a_short_run_learns_that_only_moving_costs(tmp_path):
+    """With the goal's weight at zero the best fish holds still: the cost of moving falls below a third of chance."""
+    from fishmj.train import sb3
+
+    run = settings(steps=6000, assess_every=3000, reward={"wG": 0.0, "wS": 0.05})
+    made = sb3.train_sb3(run, tmp_path)
+    reward = [line["reward"] for line in figures_of_folder(tmp_path) if "reward" in line]
+    assert np.mean(reward[-4:]) > np.mean(reward[:2]) / 3 and np.mean(reward[:2]) < -0.1
+    assert made["algorithm"] == "sb3-sac" and made["steps"] >= 6000 and not made["stopped"] and np.isfinite(made["tune_return"])
+    assert made.keys() >= {"folder", "policy", "engine", "seed", "seconds", "steps_per_second", "tune_arrival"}
+    policy = Policy.load(tmp_path / "last.safetensors")
+    assert [w.shape for w, _ in policy.weights] == [(32, 11), (32, 32), (3, 32)] and policy.meta["activation"] == "relu"
+
+
+def figures_of_folder(folder) -> list[dict]:
+    return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.sb3
+def test_a_stopped_run_exports_what_sb3_predicts_keeps_tensors_only_and_goes_on_with_a_fresh_memory(tmp_path, capfd, monkeypatch):
+    from fishmj.train import sb3
+
+    run = settings(assess_every=10**9)
+    stopped = []
+
+    def stop_at(*args, **options):
+        stopped.append(StopAt(*args, steps=1024, **{k: v for k, v in options.items() if k != "quiet"}))
+        return stopped[-1]
+
+    monkeypatch.setattr(sb3, "Run", stop_at)
+    made = sb3.train_sb3(run, tmp_path)
+    assert made["stopped"] and made["steps"] == 1024 and made["policy"].endswith("last.safetensors")
+    learner, before = stopped[0].algorithm, stopped[0].training
+    files = {path.suffix for path in tmp_path.rglob("*") if path.is_file() and "events" not in path.name}
+    assert files == {".safetensors", ".json", ".jsonl"}
+    arrays, meta = read_tensors(stopped[0].checkpoints.paths()[0])
+    assert meta["done"] == 1024 and not any("replay" in name for name in arrays)
+    obs = np.random.default_rng(0).normal(size=(200, 11)).astype(np.float32)
+    expected, _ = learner.model.predict((obs / scale(3)).astype(np.float32), deterministic=True)
+    np.testing.assert_allclose(Policy.load(made["policy"])(obs), expected, atol=1e-5)
+    np.testing.assert_allclose(learner.act(before.actor, obs), expected, atol=1e-5)
+
+    seen = {}
+
+    def watch(*args, **options):
+        again = StopAt(*args, steps=2048, **{k: v for k, v in options.items() if k != "quiet"})
+        again.algorithm._put(again.training)
+        seen.update(tensors=again.algorithm._taken().tensors, memory=again.algorithm.model.replay_buffer.size())
+        return again
+
+    monkeypatch.setattr(sb3, "Run", watch)
+    capfd.readouterr()
+    assert sb3.train_sb3(run, tmp_path, resume=True)["steps"] == 2048
+    assert "the replay memory was not kept: 512 steps of the policy refill it" in capfd.readouterr().err
+    assert seen["memory"] == 0 and seen["tensors"].keys() == before.tensors.keys()
+    for name, value in before.tensors.items():  # networks, moments and temperature, to the bit
+        np.testing.assert_array_equal(value, seen["tensors"][name], err_msg=name)
+    assert any("exp_avg" in name and np.any(value) for name, value in before.tensors.items())
+    losses = [line["loss"] for line in figures_of(stopped[0]) if "loss" in line]
+    assert losses[0] == 0 and losses[-1] > 0
+
+
+@pytest.mark.sb3
+def test_the_command_trains_and_wrong_settings_are_named(tmp_path, capfd):
+    argv = ["--preset", "paper-sac", "--algo", "sb3-sac", "--engine", "batch", "--hidden", "8", "--envs", "4"]
+    argv += ["--out", str(tmp_path / "run"), "--json"]
+    assert console.run(main, [*argv, "--steps", "64"]) == console.OK  # MuJoCo's own engine trains here, too
+    made = json.loads(capfd.readouterr().out.splitlines()[-1])["runs"][0]
+    assert (made["engine"], made["steps"]) == ("batch", 64) and Policy.load(made["policy"]).meta["algorithm"] == "sb3-sac"
+    assert console.run(main, [*argv, "--steps", "64"]) == console.BAD_INPUT
+    assert "already holds a run" in capfd.readouterr().err
+    assert console.run(main, [*argv, "--critic", "privileged"]) == console.BAD_INPUT
+    assert "unknown setting of sb3-sac 'privileged'" in capfd.readouterr().err
