@@ -50,7 +50,7 @@ class Poisoned:
     jittable = True
 
     def __init__(self, robot, fish, tick: int):
-        self.engine, self.fish, self.tick = make("planar", robot), jnp.asarray(fish), tick
+        self.engine, self.fish, self.tick = make("compiled", robot), jnp.asarray(fish), tick
 
     def advance(self, state, commands, params, current, tick):
         """As the engine's."""

@@ -1,6 +1,7 @@
 """Training runs on the fish: they learn, resume to the same bits, hide the flow from the policy, refuse what makes no sense."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -14,12 +15,12 @@ from fishmj import console, mjcf
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.policy import Policy
 from fishmj.tasks.env import Options, StationHold
+from fishmj.train import together
 from fishmj.train.__main__ import main
 from fishmj.train.learner import policy_of
 from fishmj.train.networks import mlp
 from fishmj.train.run import Run, is_better, learner_of
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
-from fishmj.train.together import train_together
 
 
 @pytest.fixture(scope="module")
@@ -121,17 +122,26 @@ def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume
     assert longer.done == 8192
 
 
-def test_seeds_trained_together_are_the_seeds_trained_alone(tmp_path):
-    settings = sac_run(steps=512)
-    found = train_together(settings, [0, 3], tmp_path / "both")
-    shared = learner_of(settings)
+def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, monkeypatch):
+    """Two iterations and an assessment of two seeds side by side, then each by itself."""
+    settings, n = calm_run(assess_every=2 * 8192), 2 * 8192
+    monkeypatch.setattr(together, "learner_of", lambda settings: learner)
+    judge = together.Lane.judge
+
+    def judge_and_stop(lane, *args):
+        judge(lane, *args)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(together.Lane, "judge", judge_and_stop)
+    found = together.train_together(settings, [0, 3], tmp_path / "both")
     for seed, one in zip((0, 3), found, strict=True):
-        alone = Run(change(settings, seed=seed), tmp_path / f"{seed}", learner=shared, quiet=True).go()
-        assert one.keys() - alone.keys() == {"together"} and alone.keys() <= one.keys()
-        for (w, b), (x, c) in zip(*(Policy.load(made["policy"]).weights for made in (one, alone)), strict=True):
-            np.testing.assert_allclose(w, x, atol=2e-4)
-            np.testing.assert_allclose(b, c, atol=2e-4)
-        assert one["tune_return"] == pytest.approx(alone["tune_return"], abs=0.05)
+        alone = StopAt(change(settings, seed=seed), tmp_path / f"{seed}", n, learner=learner)
+        made = alone.go()
+        assert one.keys() - made.keys() == {"together"} and made.keys() <= one.keys() and one["steps"] == n
+        for (w, b), (x, c) in zip(*(Policy.load(run["policy"]).weights for run in (one, made)), strict=True):
+            np.testing.assert_allclose(w, x, atol=1e-3)
+            np.testing.assert_allclose(b, c, atol=1e-3)
+        assert one["tune_return"] == pytest.approx(made["tune_return"], abs=0.1)
     assert not same(*(Policy.load(one["policy"]) for one in found))
 
 
@@ -141,8 +151,9 @@ def test_seeds_trained_together_are_the_seeds_trained_alone(tmp_path):
 def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
     """`--memory 4` with SAC: the exported policy keeps the window that the environment kept, from the first step on."""
     settings = sac_run(steps=384, assess_every=10**9, task={"memory": 4})
-    env, sac, assess = learner_of(settings)
-    run = Run(settings, tmp_path, learner=(env, sac, assess), quiet=True)
+    env, sac, _ = learner_of(settings)
+    found = {"stayed": 1.0, "rmse_last10": 0.1}  # whatever an assessment says
+    run = Run(settings, tmp_path, learner=(env, sac, lambda *_: found), quiet=True)
     policy = Policy.load(run.go()["policy"])
     assert policy.memory == 4 and policy.weights[0][0].shape == (16, 4 * 11 + 3 * 3)
     louder = [(w * 2.0, b) for w, b in run.training.actor]  # so that the actions are not all near zero

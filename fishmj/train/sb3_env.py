@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from fishmj.gym.spaces import observation_space
 from fishmj.gym.vector import FishVectorEnv
 from fishmj.tasks.station_hold import visible
 from fishmj.train.learner import pick_engine, robot_for
@@ -29,7 +30,7 @@ class Shoal(VecEnv):
         self.fish = FishVectorEnv(n, engine=pick_engine(settings.engine), autoreset_mode="SameStep", **options)
         self.joints, self.reward_scale = robot.n_joints, reward_scale
         self.factor = np.array(visible(self.joints, hide), np.float32) / scale(self.joints).astype(np.float32)
-        one = self.fish.single_observation_space.high / scale(self.joints)
+        one = observation_space(self.fish.rules).high / scale(self.joints)
         high = np.concatenate([one] + [np.ones(self.joints), one] * (self.memory - 1)).astype(np.float32)
         self.render_mode = None
         super().__init__(n, spaces.Box(-high, high, dtype=np.float32), self.fish.single_action_space)
