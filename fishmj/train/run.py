@@ -168,7 +168,7 @@ class Run:
             )
         self.training = tree_of(found.arrays, self.training)
         for name in PROGRESS:
-            setattr(self, name, found.meta[name])
+            setattr(self, name, found.meta.get(name, getattr(self, name)))
         if found.note:
             console.warn(found.note)
             for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
