@@ -42,6 +42,7 @@ lint: $(INSTALLED)
 test: lint
 	@$(STEP) "import order" $(PY) -m pytest -q tests/test_architecture.py
 	@$(STEP) "tests" $(PY) -m pytest -q -n $(JOBS) --dist loadfile --durations 15 --ignore tests/test_architecture.py
+	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick
 	@$(MAKE) --no-print-directory wheel
 
 wheel: $(INSTALLED)
