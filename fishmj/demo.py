@@ -58,13 +58,14 @@ def judge(args, policy: str):
 
 def show(args, result) -> dict:
     """Report with pictures, and the replay of one trial against the stream."""
+    from fishmj.evaluate import summary
     from fishmj.evaluate.logs import trial_of
     from fishmj.evaluate.report import write
     from fishmj.evaluate.tables import condition
     from fishmj.log import write_trial
     from fishmj.replay import write_html
 
-    found = {"condition": condition(result), "results": [result.summary()], "paired": []}
+    found = {"condition": condition(result), "results": [summary(result)], "paired": []}
     report = write(args.out / "report", [result], found, plots=True)
     index = next(i for i, t in enumerate(result.trials.items) if t.speed == SPEED)
     trial = trial_of(result, index)

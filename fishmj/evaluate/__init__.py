@@ -1,14 +1,15 @@
 """Judgement: the decided 72 trials, one figure a trial for each key, intervals, paired comparisons, pictures.
 
     result = evaluate.run("dob", trials=evaluate.trials(turbulence="gust", intensity=0.10))
-    result.summary()["overall"]["rmse_last20"]
+    evaluate.summary(result)["overall"]["rmse_last20"]
 
 The protocol is in `protocol`, the loop in `driver`, the definitions in `metrics`, the intervals in `statistics`.
 """
 
-from fishmj.evaluate.driver import Result, run
+from fishmj.evaluate.driver import run
 from fishmj.evaluate.metrics import UNITS, figures
 from fishmj.evaluate.protocol import Trials, trials
+from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import Difference, Estimate, compare, summary
 
 __all__ = ["UNITS", "Difference", "Estimate", "Result", "Trials", "compare", "figures", "run", "summary", "trials"]

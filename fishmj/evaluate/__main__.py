@@ -6,8 +6,9 @@ from pathlib import Path
 from fishmj import console, controllers, engines
 from fishmj.errors import ConfigError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
-from fishmj.evaluate.driver import Result, run
-from fishmj.evaluate.statistics import compare
+from fishmj.evaluate.driver import run
+from fishmj.evaluate.result import Result
+from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
@@ -113,7 +114,7 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
 
 def report(results: list[Result], args) -> int:
     """Tables to the terminal, files where asked."""
-    summaries = [r.summary() for r in results]
+    summaries = [summary(r) for r in results]
     console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
     console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
     for s in summaries:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj import __version__
 from fishmj.engines.planar import link_centres
-from fishmj.evaluate.driver import Result
+from fishmj.evaluate.result import Result
 from fishmj.flow import sample, stack
 from fishmj.hydro_fit.chain import chain_of
 from fishmj.log import SCHEMA, Trial, numbered, write_trial

@@ -15,7 +15,7 @@ that leaves the domain keeps its distance from there on; power, way and heading 
 import numpy as np
 
 from fishmj.calib import constant
-from fishmj.evaluate.driver import Result, arrival_tick
+from fishmj.evaluate.result import Result, arrival_tick
 from fishmj.units import G, wrap
 
 BEAT = 1.0  # s, averaging window

@@ -12,8 +12,8 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.errors import MissingExtra
-from fishmj.evaluate.driver import Result
 from fishmj.evaluate.metrics import beat_mean, figures
+from fishmj.evaluate.result import Result
 from fishmj.units import wrap
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B", "#8C564B")

@@ -11,8 +11,8 @@ import numpy as np
 
 from fishmj import console
 from fishmj.evaluate import metrics, tables
-from fishmj.evaluate.driver import Result
 from fishmj.evaluate.logs import write_logs
+from fishmj.evaluate.result import Result
 from fishmj.store import write_text
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1320px;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}

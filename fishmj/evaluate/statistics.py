@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.errors import ConfigError
-from fishmj.evaluate.driver import Result
 from fishmj.evaluate.metrics import UNITS, figures
+from fishmj.evaluate.result import Result
 
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
 MEDIANS = ("approach_time",)

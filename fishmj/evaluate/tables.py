@@ -3,7 +3,7 @@
 from math import isfinite
 
 from fishmj import console
-from fishmj.evaluate.driver import Result
+from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare
 
 SHORT = {  # key -> heading, digits

@@ -15,8 +15,9 @@ import numpy as np
 
 from fishmj import store
 from fishmj.calib import calib_folder
-from fishmj.evaluate.driver import Result, run
+from fishmj.evaluate.driver import run
 from fishmj.evaluate.protocol import Trials
+from fishmj.evaluate.result import Result
 from fishmj.mjcf.description import Robot
 
 ARRAYS = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
