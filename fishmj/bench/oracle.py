@@ -1,4 +1,4 @@
-"""The oracle in million lattice updates a second, beside what the device's memory would allow.
+"""The oracle: the fluid beside what the device's memory would allow, and fish in it beside the fluid alone.
 
 A lattice update reads and writes nineteen populations, 152 bytes in single precision; the baseline copies that many bytes and
 counts them as updates, so that the ratio is the part of the copy bandwidth that the step turns into fluid.
@@ -71,3 +71,104 @@ def oracle_fluid_faces(quick: bool) -> Work:
 def oracle_fluid_half(quick: bool) -> Work:
     """Populations stored in sixteen bits: 76 bytes an update, so that the ratio may pass one."""
     return _updates(quick, subgrid="none", keep_velocity=False, dtype="float16")
+
+
+# with fish ----------------------------------------------------------------------------------------------------------
+
+TANKS, TANKS_CPU = 12, 2  # side by side
+TICKS, TICKS_CPU, TICKS_QUICK = 60, 6, 2  # a run of the benchmark
+
+
+def _place(quick: bool):
+    """Domain, device and ticks a run: the paper's tank on an accelerator, the small window on the CPU."""
+    from fishmj.lbm_oracle.device import device_of
+    from fishmj.lbm_oracle.domain import preset
+
+    device = device_of("auto")
+    name, ticks = ("paper", TICKS) if device.is_cuda else ("laptop", TICKS_QUICK if quick else TICKS_CPU)
+    return preset(name), device, ticks
+
+
+def _emptied(domain, device, steps: int, unit: float = 1.0) -> Work:
+    """Steps of the same box without a fish; `unit` of work each."""
+    import warp as wp
+
+    from fishmj.lbm_oracle.fluid import Fluid
+
+    water = Fluid(domain.lattice, domain.shape, device, boundaries=domain.boundaries)
+
+    def run():
+        water.run(steps)
+        wp.synchronize_device(device)
+
+    run()
+    return Work(run, steps * unit, f"{device}, {water.threads} slabs")
+
+
+def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
+    """Fish at rest in still water, all with their servos on; `unit` of work a step of one tank.
+
+    Raises:
+        SimDiverged: a tank stopped; its steps would have been counted without having been done.
+    """
+    import numpy as np
+    import warp as wp
+
+    from fishmj.errors import SimDiverged
+    from fishmj.lbm_oracle.stage import Stage
+    from fishmj.lbm_oracle.tanks import Tanks
+
+    stage = Stage(domain=domain, device=str(device))
+    side = Tanks([stage.run() for _ in range(tanks)])
+    first = side.runs[0]
+    commands = np.zeros((tanks, first.joints))
+
+    def run():
+        for _ in range(ticks):
+            if len(side.tick(commands)) < tanks:
+                raise SimDiverged("bench: " + "; ".join(one.stopped for one in side.runs if one.stopped))
+        wp.synchronize_device(device)
+
+    run()
+    water = first.coupled.fluid
+    return Work(run, ticks * first.steps * tanks * unit, f"{device}, tanks: {tanks}, {water.threads} slabs")
+
+
+def fluid_alone(quick: bool) -> Work:
+    """The box of the tanks without fish."""
+    domain, device, ticks = _place(quick)
+    return _emptied(domain, device, 5 * ticks)
+
+
+@benchmark("oracle_tank", "steps/s", baseline=fluid_alone)
+def oracle_tank(quick: bool) -> Work:
+    """One coupled fish by bus ticks: the paper's tank on an accelerator, the laptop's window on the CPU."""
+    domain, device, ticks = _place(quick)
+    return _resting(domain, device, ticks, 1)
+
+
+@benchmark("oracle_tanks", "tank-steps/s", baseline=fluid_alone)
+def oracle_tanks(quick: bool) -> Work:
+    """Several of them side by side in one process, their steps added up."""
+    domain, device, ticks = _place(quick)
+    return _resting(domain, device, ticks, TANKS if device.is_cuda else TANKS_CPU)
+
+
+def _laptop():
+    from fishmj.lbm_oracle.device import device_of
+    from fishmj.lbm_oracle.domain import preset
+
+    return preset("laptop"), device_of("cpu")
+
+
+def laptop_alone(quick: bool) -> Work:
+    """The laptop's window without a fish, on the CPU."""
+    domain, device = _laptop()
+    return _emptied(domain, device, 5 * (TICKS_QUICK if quick else TICKS_CPU), domain.dt)
+
+
+@benchmark("oracle_window_cpu", "simulated s/s", baseline=laptop_alone)
+def oracle_window_cpu(quick: bool) -> Work:
+    """The laptop preset with its fish on the CPU, simulated seconds a second."""
+    domain, device = _laptop()
+    return _resting(domain, device, TICKS_QUICK if quick else TICKS_CPU, 1, domain.dt)

@@ -13,7 +13,9 @@ The velocity goes back as   qfrc_applied = (M + dt D) (v+ - v) / dt - (passive +
 so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off in fishmj's models.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,6 +26,24 @@ from fishmj.mjcf import build, geometry_of, load_robot
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
 CROSS = np.array([[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]], float)  # r S = w x r
 EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
+
+
+class Motion(NamedTuple):
+    """Points (L, K, 3) m of the links, centres (L, 3) m and twists (L, 6) of their inside water, world frame."""
+
+    points: np.ndarray
+    centre: np.ndarray
+    twist: np.ndarray
+
+
+def fastest(motions: Sequence[Motion]) -> float:
+    """Greatest speed of the points, m/s: no marker inside the boxes that they span is faster."""
+    points, centre, twist = (np.array(part) for part in zip(*motions, strict=True))
+    spin = (twist[..., 3:] @ CROSS).reshape(*centre.shape, 3)
+    speed = (points - centre[..., None, :]) @ spin
+    speed += twist[..., None, :3]
+    speed *= speed
+    return float(np.add.reduce(speed, -1).max()) ** 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +81,25 @@ class Body:
         self.links, self.dofs = model.nbody - 1, model.nv
         if len(water.mass) != self.links:
             raise ConfigError(f"body: {self.links} moving bodies in the model, displaced water for {len(water.mass)}")
+        n, links = self.dofs, self.links
+        self.system = np.zeros((n, n))
+        self._diagonal = self.system.reshape(-1)[:: n + 1]
         self.set_step(dt)
         self.reach = np.array([[_moves(model, i + 1, d) for d in range(model.nv)] for i in range(self.links)], float)
         self.slides = np.array([_slides(model, d) for d in range(model.nv)], np.int32)
         self.applied = np.zeros(model.nv)  # a push from outside, generalised, N or N m
-        self._hinge = np.array([_hinge_address(model, i + 1) for i in range(self.links)])
+        hinge = np.array([_hinge_address(model, i + 1) for i in range(links)])
+        self._bent = np.flatnonzero(hinge >= 0)
+        self._hinge = hinge[self._bent]
+        own = np.array_equal(model.dof_jntid, np.arange(model.njnt))
+        self._joint = slice(None) if own else model.dof_jntid.copy()  # of every degree of freedom
         self._root = next((j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE), None)
-        self._diagonal = np.diag_indices(model.nv)
-        self._jac = np.zeros((self.links, 6, model.nv))
+        self.turn = self.data.xmat[1:].reshape(-1, 3, 3)  # a view
+        self._jac = np.zeros((links, 6, n))
+        self._rows = _rows(self._jac)
+        self._flat = self._jac.reshape(-1, n)
+        self._point = water.centre[:, :, None]
+        self._mass = water.mass[:, None]
         self.forward()
         self.momentum = self.water_momentum()  # (L, 6) at the end of the last step
 
@@ -93,17 +124,16 @@ class Body:
         """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the inside water."""
         d = self.data
         mujoco.mj_step1(self.model, d)
-        self.turn = d.xmat[1:].reshape(-1, 3, 3)
-        self.centre, self.twist = self._motion(self.water.centre, self._jac)
+        self.centre, self.twist = self._motion(self._point, self._rows, self._jac)
         self._posed: np.ndarray | None = None
+        self._bounds: tuple[np.ndarray, np.ndarray] | None = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
         d = self.data
         mujoco.mj_fwdActuation(self.model, d)  # ctrl may be newer than the state
-        self.system = np.zeros((self.dofs, self.dofs))
         mujoco.mj_fullM(self.model, d, self.system)
-        self.system[self._diagonal] += self.dt * self.model.dof_damping
+        self._diagonal += self.dt * self.model.dof_damping
         self.smooth = d.qfrc_passive + d.qfrc_actuator - d.qfrc_bias
         inside = self.interior_impulse(1.0 if interior else 0.0)
         return self.system, self.system @ d.qvel + self.dt * (self.smooth + self.applied) + inside
@@ -114,12 +144,12 @@ class Body:
         self.gain = now - self.momentum  # (L, 6)
         self.momentum = now
         push = share * self.gain
-        push[:, :3] -= self.dt * self.water.mass[:, None] * self.model.opt.gravity
-        return push.ravel() @ self._jac.reshape(-1, self.dofs)
+        push[:, :3] -= self.dt * self._mass * self.model.opt.gravity
+        return push.ravel() @ self._flat
 
     def water_momentum(self) -> np.ndarray:
         """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
-        return self._momentum(self.water.mass, self.water.inertia, self.twist)
+        return self._momentum(self._mass, self.water.inertia, self.twist)
 
     def solid_momentum(self) -> np.ndarray:
         """The same of the links themselves, (L, 6) kg m/s and kg m2/s."""
@@ -129,20 +159,24 @@ class Body:
             mujoco.mju_quat2Mat(axes[i], m.body_iquat[i + 1])
         axes = axes.reshape(-1, 3, 3)
         inertia = np.einsum("lab,lb,lcb->lac", axes, m.body_inertia[1:], axes)
-        _, twist = self._motion(m.body_ipos[1:], np.zeros_like(self._jac))
-        return self._momentum(m.body_mass[1:], inertia, twist)
+        jac = np.zeros_like(self._jac)
+        _, twist = self._motion(m.body_ipos[1:, :, None], _rows(jac), jac)
+        return self._momentum(m.body_mass[1:, None], inertia, twist)
 
-    def _motion(self, point: np.ndarray, jac: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World positions (L, 3) and twists (L, 6) of points in the links' frames; fills `jac` (L, 6, n)."""
+    def _motion(self, point: np.ndarray, rows: list, jac: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World positions (L, 3) and twists (L, 6) of points (L, 3, 1) in the links' frames; fills `jac` (L, 6, n)."""
         d = self.data
-        where = d.xpos[1:] + (self.turn @ point[:, :, None])[:, :, 0]
-        for i in range(self.links):
-            mujoco.mj_jac(self.model, d, jac[i, :3], jac[i, 3:], where[i], i + 1)
+        where = d.xpos[1:] + (self.turn @ point)[:, :, 0]
+        for (link, shift, turn), at in zip(rows, where, strict=True):
+            mujoco.mj_jac(self.model, d, shift, turn, at, link)
         return where, jac @ d.qvel
 
     def _momentum(self, mass, inertia, twist) -> np.ndarray:
         world = self.turn @ inertia @ self.turn.transpose(0, 2, 1)
-        return np.concatenate([mass[:, None] * twist[:, :3], (world @ twist[:, 3:, None])[:, :, 0]], -1)
+        out = np.empty((self.links, 6))
+        np.multiply(mass, twist[:, :3], out=out[:, :3])
+        np.matmul(world, twist[:, 3:, None], out=out[:, 3:, None])
+        return out
 
     def advance(self, velocity: np.ndarray) -> None:
         """MuJoCo's step to the velocity found, (n,); afterwards `forward` has been called on the new state.
@@ -151,36 +185,39 @@ class Body:
             SimDiverged: the velocity is not finite or runs away (the state is then the last good one), or MuJoCo disagrees.
         """
         d = self.data
-        if not np.abs(velocity).max() < RUNAWAY:
+        found = velocity.tolist()  # plain numbers: a handful is judged faster than by NumPy
+        if not all(-RUNAWAY < v < RUNAWAY for v in found):  # nan is not within
             at = int(np.nanargmax(np.abs(velocity))) if np.isfinite(velocity).any() else 0
             joint = self.model.joint(self.model.dof_jntid[at]).name
             message = f"oracle: velocity of joint {joint!r} is {velocity[at]:.3g} at t = {d.time:.4g} s (limit {RUNAWAY:g})"
             raise SimDiverged(message, time=float(d.time), term="coupling", link=joint)
         d.qfrc_applied[:] = self.system @ (velocity - d.qvel) / self.dt - self.smooth
         mujoco.mj_step2(self.model, d)
-        off = np.abs(d.qvel - velocity).max()
-        if not off < EXACT * (1 + np.abs(velocity).max()):
-            message = f"oracle: mj_step is {off:.3g} off the velocity found at t = {d.time:.4g} s"
+        limit = EXACT * (1 + max(map(abs, found)))
+        if not all(abs(got - v) < limit for got, v in zip(d.qvel.tolist(), found, strict=True)):
+            message = f"oracle: mj_step is {np.abs(d.qvel - velocity).max():.3g} off the velocity found at t = {d.time:.4g} s"
             raise SimDiverged(message, time=float(d.time), term="mj_step")
         self.forward()
 
     def posed(self, corners: np.ndarray) -> np.ndarray:
         """World positions (L, K, 3) m of points in the links' frames; kept until the body moves."""
         if self._posed is None:
-            self._posed = self.data.xpos[1:, None] + corners @ self.turn.transpose(0, 2, 1)
+            self._bounds = None
+            self._posed = corners @ self.turn.transpose(0, 2, 1)
+            self._posed += self.data.xpos[1:, None]
         return self._posed
 
     def bounds(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Low and high corner (3,) m of the upright box round `corners` (L, K, 3), points in the links' frames."""
-        where = self.posed(corners).reshape(-1, 3)
-        return where.min(0), where.max(0)
+        where = self.posed(corners)
+        if self._bounds is None:
+            where = where.reshape(-1, 3)
+            self._bounds = np.minimum.reduce(where), np.maximum.reduce(where)
+        return self._bounds
 
-    def fastest(self, corners: np.ndarray) -> float:
-        """Greatest speed of those points, m/s: no marker inside the boxes that they span is faster."""
-        arm = self.posed(corners) - self.centre[:, None]
-        spin = (self.twist[:, 3:] @ CROSS).reshape(-1, 3, 3)
-        speed = self.twist[:, None, :3] + arm @ spin
-        return float((speed * speed).sum(-1).max()) ** 0.5
+    def motion(self, corners: np.ndarray) -> Motion:
+        """How those points move now; the arrays are never written again."""
+        return Motion(self.posed(corners), self.centre, self.twist)
 
     def largest_extent(self, corners: np.ndarray) -> np.ndarray:
         """Size (3,) m that such a box cannot exceed, whatever the pose: the stretched chain from end to end."""
@@ -199,11 +236,16 @@ class Body:
         m, d = self.model, self.data
         frame, axis, anchor = view["frame"], view["axis"], view["anchor"]
         frame[:, :3], frame[:, 3:] = d.xpos[1:], d.xmat[1:]
-        view["angle"][:] = np.where(self._hinge >= 0, d.qpos[self._hinge], 0.0)
-        axis[:], anchor[:] = d.xaxis[m.dof_jntid], d.xanchor[m.dof_jntid]
+        view["angle"][self._bent] = d.qpos[self._hinge]
+        axis[:], anchor[:] = d.xaxis[self._joint], d.xanchor[self._joint]
         if self._root is not None:
             first, turn = m.jnt_dofadr[self._root], d.xmat[m.jnt_bodyid[self._root]].reshape(3, 3)
             axis[first : first + 3], axis[first + 3 : first + 6] = np.eye(3), turn.T  # a free joint spins about its body's axes
+
+
+def _rows(jac: np.ndarray) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Body number and the two halves of its Jacobian, views that MuJoCo fills."""
+    return [(i + 1, rows[:3], rows[3:]) for i, rows in enumerate(jac)]
 
 
 def _moves(model, body: int, dof: int) -> bool:

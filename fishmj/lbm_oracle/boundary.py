@@ -84,15 +84,17 @@ class Boundary:
         self.velocity, self.target = empty(self.dofs, wp.float64), empty(self.dofs, wp.float64)
         self.wrench_part = empty((chunks, self.links), wp.spatial_vectord)
         self.wrench = empty(self.links, wp.spatial_vectord)  # impulse of the water since the last `take_wrench`, N s and N m s
+        self.found = self.outbox.numpy()  # the velocity that was decided, a view
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
 
     def fill(self, body, system, right, fixed=None, value=None) -> None:
         """Write this step's numbers into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
         view, lat = self.view, self.lattice
         body.pack(view)
-        low, high = body.bounds(self.corners)
+        low, high = (ends.tolist() for ends in body.bounds(self.corners))
         view["origin"][:] = lat.corner
-        view["box"][:] = np.round((0.5 * (low + high) - lat.corner) / lat.dx - 0.5 * np.array(self.box_shape))
+        ends = zip(low, high, lat.corner, self.box_shape, strict=True)
+        view["box"][:] = [round((0.5 * (a + b) - corner) / lat.dx - 0.5 * n, 0) for a, b, corner, n in ends]
         view["system"][:], view["momentum"][:], view["before"][:] = system, right, body.data.qvel
         view["fixed"][:] = 0.0 if fixed is None else fixed
         view["value"][:] = 0.0 if value is None else value

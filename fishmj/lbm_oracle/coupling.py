@@ -21,6 +21,7 @@ from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
+NEXT, LAST = [1, 2, 0], [2, 0, 1]  # of x, y, z: (a x b)_i = a_next b_last - a_last b_next
 
 
 class Coupled:
@@ -86,7 +87,7 @@ class Coupled:
         """Wait for the velocity, (n,), and let MuJoCo take it."""
         if self._graphs is not None:
             self._graphs.wait()
-        velocity = self.boundary.outbox.numpy().copy()
+        velocity = self.boundary.found.copy()
         self.body.advance(velocity)
         self.steps += 1
         return velocity
@@ -113,7 +114,8 @@ class Coupled:
             raw = self.boundary.take_wrench() / seconds
         gain, self.gain = self.gain / seconds, np.zeros_like(self.gain)
         arm = self.body.centre - self.body.data.xpos[1:]
-        gain[:, 3:] += np.cross(arm, gain[:, :3])
+        push = gain[:, :3]
+        gain[:, 3:] += arm[:, NEXT] * push[:, LAST] - arm[:, LAST] * push[:, NEXT]
         return raw, raw + gain
 
 
@@ -123,6 +125,7 @@ class _Graphs:
     def __init__(self, coupled: Coupled):
         self.coupled, self.device = coupled, coupled.fluid.device
         self.stream, self.decided = wp.Stream(self.device), wp.Event(self.device)
+        self.here = wp.ScopedDevice(self.device)
         self.warm: set[int] = set()
         self.halves: dict[int, tuple] = {}
         self.flow = coupled.fluid.flow
@@ -133,19 +136,21 @@ class _Graphs:
         if fluid.flow is not self.flow:  # a new background flow has new launches
             self.flow, self.halves = fluid.flow, {}
         parity = fluid.parity
-        with wp.ScopedStream(self.stream):
-            if parity not in self.warm:  # loads the modules, which a capture must not
-                self.coupled.listen()
-                wp.record_event(self.decided)
-                self.coupled.answer()
-                self.warm.add(parity)
-                return
-            if parity not in self.halves:
+        if parity not in self.halves:
+            with wp.ScopedStream(self.stream):
+                if parity not in self.warm:  # loads the modules, which a capture must not
+                    self.coupled.listen()
+                    wp.record_event(self.decided)
+                    self.coupled.answer()
+                    self.warm.add(parity)
+                    return
                 self.halves[parity] = self._capture()
-            first, second = self.halves[parity]
-            wp.capture_launch(first)
-            wp.record_event(self.decided)
-            wp.capture_launch(second)
+        first, second = self.halves[parity]
+        with self.here:
+            self.stream.wait_stream(self.device.stream)  # what was queued outside `scope`
+            wp.capture_launch(first, self.stream)
+            self.stream.record_event(self.decided)
+            wp.capture_launch(second, self.stream)
         fluid.parity, fluid.steps = 1 - parity, fluid.steps + 1
 
     def wait(self) -> None:

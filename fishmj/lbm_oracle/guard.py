@@ -160,9 +160,13 @@ class Watch:
     densest: float = 0.0  # greatest |rho - 1| seen
     looks: int = 0
 
+    def due(self, fluid) -> bool:
+        """Whether this is a step to look after."""
+        return fluid.steps % self.every == 0
+
     def after_step(self, fluid) -> bool:
         """To be called after each step; True when it looked and found all well: the moment to keep a checkpoint."""
-        if fluid.steps % self.every:
+        if not self.due(fluid):
             return False
         self.look(fluid)
         return True

@@ -19,6 +19,7 @@ import numpy as np
 
 from fishmj import __version__
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
+from fishmj.lbm_oracle.body import fastest
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.guard import MACH, Watch
 from fishmj.lbm_oracle.substep import FACTORS, Checkpoint, checkpoint, finer, hand_over, restore
@@ -44,7 +45,8 @@ class Run:
         tethered: the root does not move over ground.
         prescribed: joint angles as a function of time [s] -> (J,) rad, in place of the servos.
         latency: of commands, s; the robot's nominal one by default.
-        follow: called with the coupled fish after every step: a window moves, a tank looks after its walls.
+        follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
+            water in `Coupled.scope` only.
 
     Raises:
         ConfigError: the fluid's step does not divide the bus tick.
@@ -116,10 +118,10 @@ class Run:
         """The same, pausing whenever the device has work and the host could look after another tank (see `tanks`)."""
         servo = self.robot.servo
         wanted = self.prescribed(self.time) if self.prescribed else command
-        sent = np.clip(np.asarray(wanted, float), -servo.range, servo.range)
+        sent = np.minimum(np.maximum(np.asarray(wanted, float), -servo.range), servo.range)
         if sent.shape != (self.joints,) or not np.isfinite(sent).all():
             raise ConfigError(f"run: command {np.asarray(wanted).tolist()}; expected {self.joints} finite joint angles in rad")
-        sent = np.round(sent / servo.resolution) * servo.resolution
+        sent = np.rint(sent / servo.resolution) * servo.resolution
         self.commands.append(sent)
         began, kept, done = self.time, None, None
         if self.fastest > CAUTION * self.limit or self.ticks < self.alert:
@@ -145,25 +147,36 @@ class Run:
         With `stop` it gives up, and returns None, as soon as a marker is too fast for them.
         """
         coupled = self.coupled if factor == 1 else self._finer[factor]
-        body, servo, dt = coupled.body, self.robot.servo, coupled.body.dt
-        power, self.fastest, count = 0.0, 0.0, self.steps * factor
+        body, dt = coupled.body, coupled.body.dt
+        self.fastest, count, corners = 0.0, self.steps * factor, coupled.boundary.corners
+        drives, rates, motions = [], [], []
         for i in range(count):
             if self.prescribed is None:
                 body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i // factor)
-            rates = self.rates()
+            rates.append(self.rates())
             coupled.begin(*self._held(dt))
             yield
             coupled.finish()
-            drive = body.data.actuator_force
-            power += float(np.maximum(drive * (drive - servo.kb * rates) / servo.kb, 0.0).sum()) / count
-            self.fastest = max(self.fastest, body.fastest(coupled.boundary.corners))
-            if stop and self.fastest > factor * self.limit:
-                return None
-            with coupled.scope():
-                self.watch.after_step(coupled.fluid)
-                if self.follow is not None:
-                    self.follow(coupled)
-        return power, *coupled.take_wrench(count * dt)
+            drives.append(body.data.actuator_force.copy())
+            motions.append(body.motion(corners))
+            if stop:
+                self.fastest = max(self.fastest, fastest(motions[-1:]))
+                if self.fastest > factor * self.limit:
+                    return None
+            if self.watch.due(coupled.fluid):
+                with coupled.scope():
+                    self.watch.look(coupled.fluid)
+            if self.follow is not None:
+                self.follow(coupled)
+        self.fastest = fastest(motions)
+        return self._power(np.array(drives), np.array(rates)), *coupled.take_wrench(count * dt)
+
+    def _power(self, drive: np.ndarray, rate: np.ndarray) -> float:
+        """Mean W that the servos draw with torques (steps, J) N m at rates (steps, J) rad/s."""
+        kb, power = self.robot.servo.kb, 0.0
+        for watts in np.maximum(drive * (drive - kb * rate) / kb, 0.0).sum(1).tolist():
+            power += watts / len(drive)
+        return power
 
     def _again(self, kept: Checkpoint) -> Generator[None, None, Tick]:
         """The tick from its checkpoint with finer steps; counted in `refined`.

@@ -81,7 +81,9 @@ class Edge:
         """Raises LeftDomain when a marker is nearer than the margin."""
         if coupled.steps % LOOK:
             return
-        self.follow(coupled)
+        if self.domain.follows:
+            with coupled.scope():
+                self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
         if room < guard.CLEARANCE:
