@@ -1,0 +1,106 @@
+"""Pictures of force maps and drifts: PNG, one idea each."""
+
+from collections.abc import Sequence
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import MissingExtra
+from fishmj.mjcf.geometry import geometry_of
+
+COLOURS = ("#0B3C5D", "#328CC1", "#3A9D5D", "#D9902F", "#B3392F", "#7A4B94")
+LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("yaw", "yaw moment [N m]", "Nm"))
+STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 11}
+
+
+def _pyplot():
+    try:
+        import matplotlib
+    except ModuleNotFoundError as error:
+        raise MissingExtra("matplotlib", "dev", "pictures of the oracle") from error
+    matplotlib.use("Agg")
+    matplotlib.rcParams.update(STYLE)
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def _save(figure, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    _pyplot().close(figure)
+    return path
+
+
+def forces(rows: Sequence[dict], folder: Path) -> list[Path]:
+    """One picture a map: drag, lateral force and yaw moment with standard errors against the angle, a line a speed."""
+    plt, drawn = _pyplot(), []
+    for what, key, label in (("joint", "joint_deg", "joint angle [deg]"), ("aoa", "aoa_deg", "angle of attack [deg]")):
+        here = sorted((row for row in rows if row["what"] == what), key=lambda row: row[key])
+        if not here:
+            continue
+        figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
+        for i, speed in enumerate(sorted({row["speed"] for row in here})):
+            line = [row for row in here if row["speed"] == speed]
+            for axis, (name, title, unit) in zip(axes, LABELS, strict=True):
+                x, y = [row[key] for row in line], [row[f"{name}_{unit}"] for row in line]
+                error = np.nan_to_num([row[f"{name}_sem_{unit}"] for row in line])
+                colour = COLOURS[i % len(COLOURS)]
+                axis.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.4, capsize=2, label=f"{speed:g} m/s")
+                axis.set(xlabel=label, ylabel=title)
+        for axis in axes:
+            axis.axhline(0, color="#C9CED6", lw=0.8, zorder=0)
+        held = "AoA 0 deg" if what == "joint" else f"joints {here[0]['joint_deg']:g} deg"
+        axes[0].set_title(held, loc="left")
+        axes[0].legend(frameon=False, fontsize=8)
+        drawn.append(_save(figure, folder / f"forces_{what}.png"))
+    return drawn
+
+
+def velocity(run, path: Path, title: str) -> Path:
+    """Magnitude of the horizontal velocity at mid-depth at the end of a run, with the outline of its fish."""
+    plt, coupled = _pyplot(), run.coupled
+    with coupled.scope():
+        field = coupled.fluid.velocity()
+    fluid, middle = coupled.fluid, field.shape[2] // 2
+    speed = np.hypot(field[:, :, middle, 0], field[:, :, middle, 1])
+    low = fluid.lattice.to_si(fluid.origin_lu)
+    high = low + (np.array(fluid.shape) - 1) * fluid.lattice.dx
+    figure, axis = plt.subplots(figsize=(9, 9 * fluid.shape[1] / fluid.shape[0] + 0.4), layout="constrained")
+    extent = (low[0], high[0], low[1], high[1])
+    top = 1.6 * fluid.flow.speed or None
+    image = axis.imshow(speed.T, origin="lower", extent=extent, vmin=0, vmax=top, cmap="viridis", aspect="equal")
+    for link in outline(run):
+        axis.fill(link[:, 0], link[:, 1], facecolor="#EEEEEE", edgecolor="#222222", lw=0.6)
+    axis.set(xlabel="x [m]", ylabel="y [m]", title=f"{title} (the water moves to the left)")
+    figure.colorbar(image, ax=axis, label="|u| [m/s]", shrink=0.8)
+    return _save(figure, path)
+
+
+def outline(run) -> list[np.ndarray]:
+    """Each link seen from above, (P, 2) m."""
+    data, shape, made = run.coupled.body.data, geometry_of(run.robot), []
+    for i, link in enumerate(run.robot.links):
+        station, _, width = np.array(link.sections).T
+        ahead = (shape.reference if i == 0 else 0.0) - station
+        side = np.stack([ahead, shape.width_scale * width / 2, np.zeros_like(ahead)], -1)
+        rim = np.concatenate([side, side[::-1] * (1, -1, 1)])
+        made.append((data.xpos[i + 1] + rim @ data.xmat[i + 1].reshape(3, 3).T)[:, :2])
+    return made
+
+
+def drifts(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
+    """Tracks (T, 4) of t s, x m, y m, heading rad: seen from above, and heading against time since release."""
+    plt = _pyplot()
+    figure, (above, turn) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    for i, track in enumerate(tracks):
+        colour = plt.get_cmap("viridis")(i / max(len(tracks) - 1, 1))
+        above.plot(track[:, 1], track[:, 2], color=colour, lw=1)
+        turn.plot(track[:, 0] - track[0, 0], np.degrees(track[:, 3]), color=colour, lw=1)
+    above.set(xlabel="x [m]", ylabel="y [m]", title=title)
+    above.set_aspect("equal", adjustable="datalim")
+    for limit in (-degrees(2 * np.pi), degrees(2 * np.pi)):
+        turn.axhline(limit, color="#B3392F", lw=0.8, ls="--")
+    turn.set(xlabel="time since release [s]", ylabel="heading [deg]", title="dashed: one full turn")
+    return _save(figure, path)
