@@ -83,6 +83,21 @@ def test_wrenches_add_up_to_what_moves_the_fish():
         np.testing.assert_allclose(force[:2], (after - before)[:2] / 0.02, atol=0.05 * largest)
 
 
+def test_a_wrench_that_was_taken_starts_anew_and_one_that_was_set_is_found():
+    one, two = pond("cpu"), pond("cpu")
+    for coupled in (one, two):
+        beat(coupled, 0.1, every=1000)
+    first, whole = one.take_wrench(1.0)[0], two.boundary.wrench.numpy().copy()
+    np.testing.assert_array_equal(first, whole)
+    assert np.abs(first).max() > 0 and not one.take_wrench(1.0)[0].any() and not one.boundary.wrench.numpy().any()
+    for coupled in (one, two):
+        coupled.step()
+    second, whole = one.take_wrench(1.0)[0], two.take_wrench(1.0)[0]
+    np.testing.assert_allclose(first + second, whole, rtol=1e-9, atol=1e-15)
+    one.boundary.wrench.assign(first)
+    np.testing.assert_array_equal(one.take_wrench(1.0)[0], first)
+
+
 def test_a_run_that_leaves_its_box_keeps_what_it_recorded():
     def fence(coupled):
         if coupled.body.data.qpos[0] > 0.6001:

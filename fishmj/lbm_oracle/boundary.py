@@ -2,7 +2,8 @@
 
     listen   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
     decide   (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
-    answer   F = F0 + sum v_j F_j -> G, link wrenches    the force field of this step
+             F = F0 + sum v_j F_j -> link wrenches       v and wrenches go to the host in one copy
+    answer   F -> G                                      the force field of this step
 
 All three are queues of launches without a look at the host; a GPU captures them in one graph.
 """
@@ -70,7 +71,9 @@ class Boundary:
         empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)  # noqa: E731
         self.host = empty(self.layout.size, wp.float64)
         self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        self.outbox = wp.zeros(self.dofs, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        told = self.dofs + 6 * self.links
+        self.inbox = wp.zeros(told, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.outbox = self.inbox[: self.dofs]  # the velocity on the host
         self.world, self.cell, self.normal = empty(n, wp.vec3d), empty(n, wp.vec3), empty(n, wp.vec3)
         self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
         self.box_u, self.box_rho = empty(self.box_shape, wp.vec3), empty(self.box_shape, wp.float32)
@@ -81,10 +84,13 @@ class Boundary:
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
         self.matrix = empty((self.dofs, self.rhs), wp.float64)
-        self.velocity, self.target = empty(self.dofs, wp.float64), empty(self.dofs, wp.float64)
+        self.told, self.target = empty(told, wp.float64), empty(self.dofs, wp.float64)
+        self.velocity, self._wrench = self.told[: self.dofs], self.told[self.dofs :].reshape((self.links, 6))
         self.wrench_part = empty((chunks, self.links), wp.spatial_vectord)
-        self.wrench = empty(self.links, wp.spatial_vectord)  # impulse of the water since the last `take_wrench`, N s and N m s
-        self.found = self.outbox.numpy()  # the velocity that was decided, a view
+        self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
+        self._heard = True  # `inbox` holds what is in `_wrench`
+        heard = self.inbox.numpy()
+        self.found, self._impulse = heard[: self.dofs], heard[self.dofs :].reshape(self.links, 6)  # views
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
 
     def fill(self, body, system, right, fixed=None, value=None) -> None:
@@ -98,6 +104,7 @@ class Boundary:
         view["system"][:], view["momentum"][:], view["before"][:] = system, right, body.data.qvel
         view["fixed"][:] = 0.0 if fixed is None else fixed
         view["value"][:] = 0.0 if value is None else value
+        view["fresh"][:], self._taken, self._heard = self._taken, False, True
 
     def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
         """Queue everything up to K and b0.
@@ -135,21 +142,22 @@ class Boundary:
         self._launch(solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
 
     def decide(self, implicit: bool = True) -> None:
-        """Queue the solve, and the copy of the velocity to the host."""
+        """Queue the solve, the wrench on every link, and the copy of both to the host."""
+        lat = self.lattice
         self._launch(
             solve.solve, 1, [self.host, self.layout, self.water, int(implicit)], [self.matrix, self.velocity, self.target]
         )
-        wp.copy(self.outbox, self.velocity)
-
-    def answer(self, acceleration: wp.array) -> None:
-        """Queue the final force into the fluid's `acceleration`, and the wrench on every link."""
-        lat = self.lattice
         self._launch(immersed.combine, self.count, [self.force, self.target], [self.final])
-        args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
-        self._launch(immersed.push, self.count, args, [acceleration])
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(solve.wrench, self.wrench_part.shape, args, [self.wrench_part])
-        self._launch(solve.add_wrench, self.links, [self.wrench_part, lat.mass * lat.velocity], [self.wrench])
+        args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]
+        self._launch(solve.add_wrench, self.links, args, [self._wrench])
+        wp.copy(self.inbox, self.told)
+
+    def answer(self, acceleration: wp.array) -> None:
+        """Queue the final force into the fluid's `acceleration`."""
+        args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
+        self._launch(immersed.push, self.count, args, [acceleration])
 
     def clear(self, acceleration: wp.array) -> None:
         """Queue G = 0 where the last answer pushed."""
@@ -157,10 +165,25 @@ class Boundary:
         self._launch(immersed.clear, (self.count, self.width**3), args, [acceleration])
 
     def take_wrench(self) -> np.ndarray:
-        """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin."""
-        out = self.wrench.numpy().reshape(self.links, 6).copy()
-        self.wrench.zero_()
-        return out
+        """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin.
+
+        It came with the velocity of the last step, so that nobody waits for the water.
+        """
+        if self._taken:
+            return np.zeros((self.links, 6))
+        self._taken = True
+        if self._heard:
+            return self._impulse.copy()
+        wp.synchronize_device(self.device)
+        return self._wrench.numpy().copy()
+
+    @property
+    def wrench(self) -> wp.array:
+        """That impulse on the device, (L, 6), to be kept or set between two steps."""
+        if self._taken:
+            self._wrench.zero_()
+        self._taken = self._heard = False
+        return self._wrench
 
     @property
     def answer_matrix(self) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +199,7 @@ def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
     """Fields of the host block in their order."""
     shapes: dict[str, tuple[int, ...]] = {"frame": (links, 12), "angle": (links,), "axis": (dofs, 3), "anchor": (dofs, 3)}
     shapes |= {"origin": (3,), "box": (3,), "system": (dofs, dofs), "momentum": (dofs,)}
-    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")}
+    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"fresh": (1,)}
 
 
 def _layout(links: int, dofs: int) -> immersed.Layout:

@@ -65,11 +65,18 @@ class Coupled:
             SimDiverged: the body's velocity is not finite.
         """
         self.begin(fixed, value)
-        return self.finish()
+        velocity = self.finish()
+        self.join()
+        return velocity
 
     def scope(self):
         """The stream of this tank: whatever else looks at its arrays or moves them does so inside."""
         return nullcontext() if self._graphs is None else wp.ScopedStream(self._graphs.stream)
+
+    def join(self) -> None:
+        """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""
+        if self._graphs is not None:
+            self._graphs.device.stream.wait_stream(self._graphs.stream)
 
     def begin(self, fixed=None, value=None) -> None:
         """The host's half: the body's equation, and the launches of the whole step. Several tanks begin before one finishes."""
@@ -110,8 +117,7 @@ class Coupled:
         World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
         momentum of the inside water added: the force of the real water on a hull that holds none.
         """
-        with self.scope():
-            raw = self.boundary.take_wrench() / seconds
+        raw = self.boundary.take_wrench() / seconds
         gain, self.gain = self.gain / seconds, np.zeros_like(self.gain)
         arm = self.body.centre - self.body.data.xpos[1:]
         push = gain[:, :3]

@@ -43,6 +43,7 @@ class Layout:
     before: int  # n: velocity at the start of the step
     fixed: int  # n: 1 where the velocity is prescribed
     value: int  # n: the prescribed velocity
+    fresh: int  # 1 where the sum of the wrenches starts anew
     size: int
 
 

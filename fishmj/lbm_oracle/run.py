@@ -168,6 +168,7 @@ class Run:
                     self.watch.look(coupled.fluid)
             if self.follow is not None:
                 self.follow(coupled)
+        coupled.join()
         self.fastest = fastest(motions)
         return self._power(np.array(drives), np.array(rates)), *coupled.take_wrench(count * dt)
 

@@ -127,10 +127,18 @@ def wrench(
 
 
 @wp.kernel
-def add_wrench(part: wp.array2d(dtype=wp.spatial_vectord), scale: wp.float64, total: wp.array(dtype=wp.spatial_vectord)):
-    """total[l] += scale sum_c part[c, l]."""
+def add_wrench(
+    part: wp.array2d(dtype=wp.spatial_vectord),
+    scale: wp.float64,
+    host: wp.array(dtype=wp.float64),
+    at: Layout,
+    total: wp.array2d(dtype=wp.float64),
+):
+    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far."""
     l = wp.tid()
     s = wp.spatial_vectord()
     for c in range(part.shape[0]):
         s += part[c, l]
-    total[l] = total[l] + scale * s
+    for i in range(6):
+        before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
+        total[l, i] = before + scale * s[i]
