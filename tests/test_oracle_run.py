@@ -15,6 +15,7 @@ from fishmj.lbm_oracle.gait import Gait
 from fishmj.lbm_oracle.markers import sphere_markers
 from fishmj.lbm_oracle.run import LeftDomain, Run
 from fishmj.lbm_oracle.stage import Stage
+from fishmj.lbm_oracle.substep import checkpoint, restore
 from fishmj.lbm_oracle.tanks import Tanks
 from fishmj.lbm_oracle.units import Lattice
 from fishmj.log import read_trial, write_trial
@@ -147,6 +148,28 @@ def test_a_tick_too_fast_for_the_step_is_done_again_with_finer_ones(monkeypatch)
         assert (run.refined >= 5) == (limit < 1)
     np.testing.assert_allclose(ends[1][:3], ends[0][:3], atol=3e-3)
     np.testing.assert_allclose(ends[1][3:], ends[0][3:], atol=0.02)
+
+
+def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch):
+    """Too fast for two and four steps in one; then the same tick is taken with two and must log what a first attempt would."""
+    logged = []
+    for given_up in (False, True):
+        monkeypatch.setattr(Run, "limit", 10.0)
+        run = Run(pond("cpu"), prescribed=Gait(ramp=0.2))
+        for _ in range(5):
+            run.tick()
+        kept = checkpoint(run.coupled)
+        if given_up:
+            monkeypatch.setattr(Run, "limit", 0.05)
+            with pytest.raises(OracleUnstable, match="sub-steps take"):
+                list(run._again(kept))
+            monkeypatch.setattr(Run, "limit", 10.0)
+        attempt = run._again(kept)
+        with pytest.raises(StopIteration) as done:
+            while True:
+                next(attempt)
+        logged.append(done.value.value[1:])
+    np.testing.assert_allclose(logged[1], logged[0], rtol=1e-9, atol=1e-12)
 
 
 def test_a_window_keeps_its_place_when_a_tick_is_done_again(monkeypatch):

@@ -190,6 +190,7 @@ class Run:
             if factor not in self._finer:
                 self._finer[factor] = finer(self.coupled, factor)
             hand_over(self.coupled, self._finer[factor])
+            self._finer[factor].take_wrench(1.0)  # what an attempt that was given up had summed
             try:
                 done = yield from self._steps(factor)
             except (SimDiverged, OracleUnstable):
