@@ -15,7 +15,7 @@ from fishmj.lbm_oracle.gait import Gait
 from fishmj.lbm_oracle.markers import sphere_markers
 from fishmj.lbm_oracle.run import LeftDomain, Run
 from fishmj.lbm_oracle.stage import Stage
-from fishmj.lbm_oracle.substep import checkpoint, restore
+from fishmj.lbm_oracle.substep import checkpoint
 from fishmj.lbm_oracle.tanks import Tanks
 from fishmj.lbm_oracle.units import Lattice
 from fishmj.log import read_trial, write_trial
