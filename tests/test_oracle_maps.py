@@ -76,6 +76,26 @@ def test_a_point_that_diverges_or_leaves_is_a_row_and_the_others_go_on():
     assert 0 < rows[bad]["seconds"] < 0.2 and np.isfinite(rows[bad]["drag_N"])
 
 
+def test_water_that_fails_leaves_the_forces_before_it_in_the_row():
+    def make(point):
+        run = held(point)
+
+        def spoil(coupled):
+            if coupled.steps == 180:
+                values = coupled.fluid.f.numpy()
+                values[:, 20:30, 20:30] = np.nan
+                coupled.fluid.f.assign(values)
+
+        run.follow = spoil
+        return run
+
+    point = Point("joint", 0.0, 0.0, 0.3)
+    row, sound = sweep([point], make)[point], sweep([point])[point]
+    assert row["status"] != "ok"
+    assert 0 < row["seconds"] < 0.33
+    assert row["drag_N"] == pytest.approx(sound["drag_N"], rel=0.5)
+
+
 def test_the_command_keeps_its_rows_and_does_only_what_is_missing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(forcemap, "preset", lambda name: TINY)
     started, run = [], Run.begin

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import StringIO
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,8 +143,14 @@ def loads(run: Run, first: int = 0) -> np.ndarray:
 
 
 def row_of(point: Point, run: Run, settle: int) -> dict:
-    """The table's row: means over the ticks after `settle`, or over what there is of them where the run stopped early."""
+    """The table's row: means over the ticks after `settle`, or over what there is of them where the run stopped early.
+
+    Water that failed was last seen sound at the look before: ticks since then are left out.
+    """
     record, tick = loads(run, settle), run.robot.timing.bus_dt
+    if run.stopped and not run.stopped.startswith("left_domain"):
+        record = record[: max(0, len(record) - ceil(run.watch.every / run.steps))]
+    record = record[np.isfinite(record).all(1)]
     drag, lateral, yaw = (average(record[:, i]) for i in range(3))
     values = (drag.mean, drag.sem, lateral.mean, lateral.sem, yaw.mean, yaw.sem, drag.rms, lateral.rms)
     row = dict(zip(KEYS, point, strict=True)) | dict(zip(FIGURES, map(float, values), strict=True))

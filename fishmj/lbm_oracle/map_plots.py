@@ -48,6 +48,8 @@ def forces(rows: Sequence[dict], folder: Path) -> list[Path]:
                 error = np.nan_to_num([row[f"{name}_sem_{unit}"] for row in line])
                 colour = COLOURS[i % len(COLOURS)]
                 axis.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.4, capsize=2, label=f"{speed:g} m/s")
+                early = [row["status"] != "ok" for row in line]  # crossed: the run stopped before its time
+                axis.plot(np.array(x)[early], np.array(y)[early], "x", color="#222222", ms=8)
                 axis.set(xlabel=label, ylabel=title)
         for axis in axes:
             axis.axhline(0, color="#C9CED6", lw=0.8, zorder=0)
