@@ -18,7 +18,7 @@ class Settings:
     engine: str = "auto"
     robot: str = "fish"
     command_path: str = "linear"
-    steps: int = 10_000_000  # control steps of 0.2 s, all fish together
+    steps: int = 13_000_000  # control steps of 0.2 s, all fish together
     seed: int = 0
     assess_every: int = 1_000_000  # control steps
     assess_episodes: int = 256
