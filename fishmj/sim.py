@@ -24,6 +24,7 @@ from fishmj.hydro_fit.inject import checked_step, inject
 from fishmj.hydro_fit.passive import PlanarWater
 from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.log import Trial
+from fishmj.mjcf.bus import arrived, on_the_bus
 from fishmj.mjcf.description import Servo, check_timing
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 
@@ -133,12 +134,7 @@ class Sim:
 
         With the path "move_time" the servo moves linearly from one command to the next in one tick.
         """
-        whole, part = divmod(step - self.delay, self.steps)
-        newest = self.commands[max(whole + 1, 0)]
-        if self.robot.timing.command_path != "move_time":
-            return newest
-        before = self.commands[max(whole, 0)]
-        return before + (part + 1) / self.steps * (newest - before)
+        return arrived(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
 
     def links(self) -> np.ndarray:
         """World positions of the link centres, (N, 3) m."""
@@ -174,4 +170,4 @@ def bus_command(servo: Servo, command) -> np.ndarray:
     command = np.asarray(command, float)
     if not np.isfinite(command).all():
         raise ConfigError(f"Sim.step: command {command.tolist()} is not finite; expected joint angles in rad")
-    return np.round(np.clip(command, -servo.range, servo.range) / servo.resolution) * servo.resolution
+    return on_the_bus(servo, command)

@@ -17,7 +17,6 @@ from fishmj.mjcf.description import Robot, load_robot
 
 NAMES = ("planar", "compiled", "batch", "mjx")
 BUFFER = 9  # bus commands remembered, newest last: latencies up to 7 ticks
-COEFFICIENTS = "k and cn of every link, then the scalars of terms.Coefficients in their order"
 
 
 class FishState(NamedTuple):

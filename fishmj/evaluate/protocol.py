@@ -21,7 +21,6 @@ from fishmj.tasks import station_hold as task
 
 HEADINGS = ("upstream", "uniform")
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
-FIELDS = 4  # independent streams of one trial: fish, flow, heading, sensor noise
 
 
 class Trial(NamedTuple):
@@ -33,7 +32,7 @@ class Trial(NamedTuple):
     seed: tuple[int, ...]  # (seed, box, speed in 0.1 mm/s, los in 0.01 deg, repeat)
 
     def draw(self, stream: int) -> np.random.Generator:
-        """A fresh generator of one of this trial's streams."""
+        """A fresh generator of one of this trial's streams: 0 fish, 1 flow, 2 heading, 3 sensor noise."""
         return np.random.default_rng([*self.seed, stream])
 
 

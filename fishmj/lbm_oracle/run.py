@@ -25,6 +25,7 @@ from fishmj.lbm_oracle.guard import MACH, Watch
 from fishmj.lbm_oracle.substep import FACTORS, Checkpoint, checkpoint, finer, hand_over, restore
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.bus import arrived, on_the_bus
 from fishmj.mjcf.model import reference_pose
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
@@ -116,12 +117,10 @@ class Run:
 
     def ticking(self, command=None) -> Iterator[None]:
         """The same, pausing whenever the device has work and the host could look after another tank (see `tanks`)."""
-        servo = self.robot.servo
-        wanted = self.prescribed(self.time) if self.prescribed else command
-        sent = np.minimum(np.maximum(np.asarray(wanted, float), -servo.range), servo.range)
-        if sent.shape != (self.joints,) or not np.isfinite(sent).all():
-            raise ConfigError(f"run: command {np.asarray(wanted).tolist()}; expected {self.joints} finite joint angles in rad")
-        sent = np.rint(sent / servo.resolution) * servo.resolution
+        wanted = np.asarray(self.prescribed(self.time) if self.prescribed else command, float)
+        if wanted.shape != (self.joints,) or np.isnan(wanted).any():
+            raise ConfigError(f"run: command {wanted.tolist()}; expected {self.joints} finite joint angles in rad")
+        sent = on_the_bus(self.robot.servo, wanted)
         self.commands.append(sent)
         began, kept, done = self.time, None, None
         if self.fastest > CAUTION * self.limit or self.ticks < self.alert:
@@ -206,12 +205,7 @@ class Run:
 
     def arrived(self, step: int) -> np.ndarray:
         """What the servos aim at in step `step`, (J,) rad: the newest command that is old enough."""
-        whole, part = divmod(step - self.delay, self.steps)
-        newest = self.commands[max(whole + 1, 0)]
-        if self.robot.timing.command_path != "move_time":
-            return newest
-        before = self.commands[max(whole, 0)]
-        return before + (part + 1) / self.steps * (newest - before)
+        return arrived(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
 
     def _held(self, dt: float):
         """Prescribed velocities of this step, or nothing."""

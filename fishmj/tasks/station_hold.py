@@ -18,7 +18,6 @@ from fishmj.mjcf.description import Robot
 from fishmj.tracker import delayed, estimate
 
 JOINTS = 3
-OBSERVATIONS = ("target_x", "target_y", "velocity_x", "velocity_y", "yaw_rate", "joint", "joint_rate")
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
 MAX_CAMERA_TICKS = 5  # 100 ms
 N_START, N_FLOW = 7, 4
