@@ -17,6 +17,7 @@ MJX and the compiled CPU evaluator, which is generated from it.
 from typing import Any, NamedTuple
 
 from fishmj.hydro_fit import terms
+from fishmj.hydro_fit.linear import solve
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
@@ -32,6 +33,7 @@ class Chain(NamedTuple):
     strips: terms.Strips
     torque: float  # servo stall torque, N m
     dt: float  # physics step, s
+    motor: float = 1.0  # servo torque constant, V s/rad = N m/A
 
 
 class Swimmer(NamedTuple):
@@ -69,6 +71,7 @@ def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
         strips=terms.strips(g, robot.density_water),
         torque=robot.servo.torque,
         dt=robot.timing.physics_dt,
+        motor=robot.servo.constant,
     )
 
 
@@ -198,32 +201,6 @@ def electrical_power(xp, sw: Swimmer, v, drive):
     return power
 
 
-def solve(m, rhs):
-    """x in A x = rhs for a symmetric positive definite A given by its lower triangle (LDL^T, unrolled)."""
-    size = len(rhs)
-    low = [[None] * size for _ in range(size)]
-    inv = [None] * size
-    for j in range(size):
-        pivot = m[j][j]
-        for k in range(j):
-            pivot = pivot - low[j][k][0] * low[j][k][1]
-        inv[j] = 1.0 / pivot
-        for i in range(j + 1, size):
-            value = m[i][j]
-            for k in range(j):
-                value = value - low[i][k][1] * low[j][k][0]
-            low[i][j] = (value * inv[j], value)  # (L_ij, L_ij D_j)
-    x = list(rhs)
-    for i in range(size):
-        for k in range(i):
-            x[i] = x[i] - low[i][k][0] * x[k]
-    for i in reversed(range(size)):
-        x[i] = x[i] * inv[i]
-        for k in range(i + 1, size):
-            x[i] = x[i] - low[k][i][0] * x[k]
-    return x
-
-
 def to_world(xp, ch: Chain, heading, a):
     """(ax, ay, alpha_i) in head axes -> (x, y, psi, j) accelerations in the world."""
     cp, sp = xp.cos(heading), xp.sin(heading)
@@ -251,9 +228,10 @@ class Step(NamedTuple):
     power: Any  # servos only, W
     applied: list  # generalised force that makes MuJoCo take the same step, N and N m
     accel: list  # (ax, ay, alpha_i) in head axes
+    memory: tuple = ()  # what hooks remember
 
 
-def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient) -> Step:
+def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hooks=None) -> Step:
     """One physics step of ch.dt.
 
     Args:
@@ -262,26 +240,60 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient) -> S
         target: commanded encoder angle of each joint, rad.
         flow: N pairs, water velocity at each link, m/s, world frame.
         ambient: pair, DU/Dt of the uniform part of the flow, m/s2.
+        hooks: what is added to the fish at the sites of hooks.py; None adds nothing and costs nothing.
     """
     h = ch.dt
+    given = (ch, sw)
+    if hooks is not None:
+        ch, sw = hooks.fish(ch, sw)
+        flow = hooks.flow(ch, q, flow)
     k = kinematics(xp, ch, q, v, flow)
-    drive = servo_drive(xp, ch, sw, q, v, target)
+    if hooks is None:
+        drive, resist = servo_drive(xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
+    else:
+        drive, resist = hooks.servos(ch, sw, q, v, target)
     hydro = water_forces(xp, ch, sw, k, q[2], ambient, attached)
+    if hooks is not None:
+        hydro = hooks.water(ch, sw, q, k, hydro)
     rigid = bias_forces(ch, sw, k, water=False)
     rhs = gather(ch, k, [tuple(a + b for a, b in zip(f, r, strict=True)) for f, r in zip(hydro, rigid, strict=True)])
     m = mass_matrix(ch, sw, k)
-    for j in range(ch.n - 1):  # joint j sits between links j and j + 1; damping implicit, as MuJoCo's Euler does
-        torque, hb = drive[j] - sw.kb[j] * v[3 + j], h * sw.kb[j]
-        rhs[3 + j], rhs[2 + j] = rhs[3 + j] + torque, rhs[2 + j] - torque
-        m[3 + j][3 + j], m[2 + j][2 + j] = m[3 + j][3 + j] + hb, m[2 + j][2 + j] + hb
-        m[3 + j][2 + j] = m[3 + j][2 + j] - hb
+    if hooks is not None:
+        hooks.body(ch, sw, q, k, rhs, m)
+    damp_joints(ch, v, drive, [kb + r for kb, r in zip(sw.kb, resist, strict=True)], rhs, m)
     a = solve(m, rhs)
-    added = mass_matrix(ch, sw, k, rigid=False)
-    inertia = [sum(added[max(r, c)][min(r, c)] * a[c] for c in range(ch.n + 2)) for r in range(ch.n + 2)]
-    applied = generalised(xp, ch, q[2], [f - g for f, g in zip(gather(ch, k, hydro), inertia, strict=True)])
+    if hooks is None:
+        added = mass_matrix(ch, sw, k, rigid=False)
+        inertia = [sum(added[max(r, c)][min(r, c)] * a[c] for c in range(ch.n + 2)) for r in range(ch.n + 2)]
+        applied = generalised(xp, ch, q[2], [f - g for f, g in zip(gather(ch, k, hydro), inertia, strict=True)])
+    else:
+        applied = generalised(xp, ch, q[2], missing(xp, *given, q, v, target, k, a))
     accel = to_world(xp, ch, q[2], a)
     v_new = [vi + h * ai for vi, ai in zip(v, accel, strict=True)]
     q_new = [qi + h * vi for qi, vi in zip(q, v_new, strict=True)]
     last = ch.n - 1
     x_new = terms.attachment(xp, ch.strips, sw.water, k.u[last], k.w[last], k.omega[last], attached, h)
-    return Step(q_new, v_new, x_new, electrical_power(xp, sw, v, drive), applied, a)
+    power = electrical_power(xp, sw, v, drive)
+    memory = () if hooks is None else tuple(hooks.end(ch, sw, v, drive))
+    return Step(q_new, v_new, x_new, power, applied, a, memory)
+
+
+def damp_joints(ch: Chain, v, drive, damping, rhs, m) -> None:
+    """Add each joint's torque, drive - D w, to rhs and its damping h D to m; implicit, as MuJoCo's Euler does.
+
+    Joint j sits between links j and j + 1.
+    """
+    for j in range(ch.n - 1):
+        torque, hb = drive[j] - damping[j] * v[3 + j], ch.dt * damping[j]
+        rhs[3 + j], rhs[2 + j] = rhs[3 + j] + torque, rhs[2 + j] - torque
+        m[3 + j][3 + j], m[2 + j][2 + j] = m[3 + j][3 + j] + hb, m[2 + j][2 + j] + hb
+        m[3 + j][2 + j] = m[3 + j][2 + j] - hb
+
+
+def missing(xp, ch: Chain, sw: Swimmer, q, v, target, k: Links, a) -> list:
+    """What MuJoCo, which knows the rigid fish and its servos, lacks of the acceleration a: (M + h D) a - drive + D w - c."""
+    rhs = gather(ch, k, bias_forces(ch, sw, k, water=False))
+    m = mass_matrix(ch, sw, k, water=False)
+    damp_joints(ch, v, servo_drive(xp, ch, sw, q, v, target), sw.kb, rhs, m)
+    size = range(ch.n + 2)
+    return [sum(m[max(r, c)][min(r, c)] * a[c] for c in size) - rhs[r] for r in size]

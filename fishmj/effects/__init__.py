@@ -1,0 +1,37 @@
+"""The catalogue: every imperfection that fishmj knows by name, one small file each, by the stage at which it acts.
+
+    effects.CATALOGUE["command_latency"].formula
+    active = effects.Active([effects.get("coulomb_friction")], joints=3)
+
+The same entries are what domain randomisation draws, what a calibration lists, and what the discrepancy workflow may name.
+"""
+
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+
+from fishmj.effects.active import Active
+from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter
+from fishmj.errors import UnknownName
+
+
+@cache
+def catalogue() -> dict[str, Effect]:
+    """All effects by name, in order of stage, then of name."""
+    found = {}
+    for stage in STAGES:
+        room = import_module(f"fishmj.effects.{stage}")
+        for module in sorted(m.name for m in iter_modules(room.__path__)):
+            effect = import_module(f"{room.__name__}.{module}").EFFECT
+            found[effect.name] = effect
+    return found
+
+
+def get(name: str) -> Effect:
+    """One effect. Raises UnknownName, which lists them all."""
+    if name not in catalogue():
+        raise UnknownName("effect", name, catalogue())
+    return catalogue()[name]
+
+
+__all__ = ["CHANNELS", "STAGES", "Active", "Confusion", "Effect", "Parameter", "catalogue", "get"]

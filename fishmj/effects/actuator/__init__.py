@@ -1,0 +1,1 @@
+"""Effects of the stage `actuator`, one file each."""

@@ -1,0 +1,131 @@
+"""What an effect is: one imperfection of a robot, its water, its tank or its sensors that a simulation may be missing.
+
+An effect is data plus small pure functions at named sites (sites.py). At the null values of its parameters it is the identity,
+bit for bit. The functions use arithmetic and the array namespace `xp` only, so one definition serves the planar chain, its
+compiled form, JAX, the beat-averaged body and the servo on a bench.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from fishmj.errors import ConfigError
+
+STAGES = ("actuator", "timing", "inertia", "hydrodynamics", "environment", "measurement")
+CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
+CLOCKS = ("command", "joint", "pose", "power")  # what a transport delay may delay
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One number of an effect, SI.
+
+    null: value at which the effect is not there. low, high: physical bounds. typical: (small, large) magnitude to expect, what a
+    search probes with and domain randomisation draws from. signed: it may lie on either side of the null.
+    """
+
+    name: str
+    unit: str
+    null: float = 0.0
+    low: float
+    high: float
+    typical: tuple[float, float]
+    about: str = ""
+
+    def __post_init__(self):
+        if not (self.low <= self.null <= self.high and self.typical[0] < self.typical[1]):
+            raise ConfigError(
+                f"effect parameter {self.name}: needs low <= null <= high and typical[0] < typical[1], got low = {self.low},"
+                f" null = {self.null}, high = {self.high}, typical = {self.typical}"
+            )
+
+    @property
+    def signed(self) -> bool:
+        """Whether both sides of the null make sense."""
+        return self.low < self.null < self.high
+
+    @property
+    def probe(self) -> float:
+        """A value of typical size."""
+        return self.typical[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Confusion:
+    """Another effect that looks alike, and the experiment that tells them apart."""
+
+    other: str
+    separates: str
+    excitations: tuple[str, ...] = ()  # ids of fishmj.excitation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """One entry of the catalogue.
+
+    about, formula: one line each. source: where formula and magnitudes come from. shows: channels. native: how MuJoCo itself can
+    hold it, "" when only a hook can. Sites (None = not there), called with p, a namespace of this effect's parameters:
+
+        servo(xp, p, Servo, memory, h) -> (Servo, memory)       one joint, before the drive
+        gear(xp, p, Gear, memory, h) -> (Gear, memory)          one joint, after the drive
+        fish(xp, p, Constants) -> Constants                     masses, coefficients
+        flow(xp, p, Place) -> Place                             water velocity at a place
+        body(xp, p, Body, memory, h) -> (Body, memory)          forces on the whole body at the reference point
+        water(xp, p, Water, memory, h) -> (Water, memory)       forces of the water on each link
+        command(xp, p, command, memory, h) -> (command, memory) one joint's command, rad, on its way to the servo
+        measure(xp, p, Seen) -> Seen                            what the sensors report, whole records
+        delays {clock: parameter}                               transport delay of a clock, s
+
+    memory: initial values of what a site remembers, one set a joint at the sites servo, gear and command.
+    stochastic: it changes the scatter between replicates, not their mean.
+    """
+
+    name: str
+    stage: str
+    about: str
+    formula: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    shows: tuple[str, ...]
+    confusions: tuple[Confusion, ...] = ()
+    native: str = ""
+    memory: tuple[float, ...] = ()
+    stochastic: bool = False
+    servo: Callable | None = None
+    gear: Callable | None = None
+    fish: Callable | None = None
+    flow: Callable | None = None
+    body: Callable | None = None
+    water: Callable | None = None
+    command: Callable | None = None
+    measure: Callable | None = None
+    delays: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        if self.stage not in STAGES:
+            raise ConfigError(f"effect {self.name}: stage {self.stage!r}; choose one of {', '.join(STAGES)}")
+        wrong = set(self.shows) - set(CHANNELS) | set(self.delays) - set(CLOCKS)
+        if wrong:
+            raise ConfigError(f"effect {self.name}: unknown channels or clocks {sorted(wrong)}")
+        unknown = set(self.delays.values()) - {p.name for p in self.parameters}
+        if unknown:
+            raise ConfigError(f"effect {self.name}: delays name {sorted(unknown)}, which are no parameters of it")
+        if len(self.sites) + len(self.delays) == 0:
+            raise ConfigError(f"effect {self.name}: acts at no site")
+        if self.memory and len(self.remembering) != 1:
+            raise ConfigError(f"effect {self.name}: memory belongs to one site, got {self.sites}")
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        """Names of the sites at which it acts, delays aside."""
+        names = ("servo", "gear", "fish", "flow", "body", "water", "command", "measure")
+        return tuple(name for name in names if getattr(self, name) is not None)
+
+    @property
+    def remembering(self) -> tuple[str, ...]:
+        """Sites that take memory."""
+        return tuple(s for s in self.sites if s in ("servo", "gear", "body", "water", "command"))
+
+    @property
+    def null(self) -> tuple[float, ...]:
+        """Parameters at which it is not there."""
+        return tuple(p.null for p in self.parameters)

@@ -1,0 +1,1 @@
+"""Effects of the stage `environment`, one file each."""

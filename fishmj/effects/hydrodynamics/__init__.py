@@ -1,0 +1,1 @@
+"""Effects of the stage `hydrodynamics`, one file each."""

@@ -1,0 +1,1 @@
+"""Effects of the stage `inertia`, one file each."""

@@ -1,0 +1,1 @@
+"""Effects of the stage `measurement`, one file each."""

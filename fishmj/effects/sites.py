@@ -1,0 +1,92 @@
+"""What an effect sees at each site, and changes with `_replace`. Scalars or equal-shaped arrays, SI."""
+
+from typing import Any, NamedTuple
+
+
+class Servo(NamedTuple):
+    """One joint before the drive torque is formed: drive = clip(kp error - kv rate, -limit, limit)."""
+
+    error: Any  # commanded minus measured angle, rad
+    angle: Any  # hinge angle, rad
+    rate: Any  # rad/s
+    kp: Any  # N m/rad
+    kv: Any  # N m s/rad, damping added by the controller
+    kb: Any  # N m s/rad, back-EMF slope
+    limit: Any  # N m, stall torque
+    current: Any  # A, all servos together, one step ago
+    time: Any  # s since the session began
+
+
+class Gear(NamedTuple):
+    """One joint after the drive. torque is added explicitly; resist is a damping [N m s/rad] taken implicitly, so friction
+    written as the secant F(|rate|)/|rate| is stable at any step."""
+
+    drive: Any  # N m, may be changed
+    angle: Any
+    rate: Any
+    torque: Any  # N m
+    resist: Any  # N m s/rad, >= 0
+    wet: Any  # 1 in water, 0 in air
+
+
+class Constants(NamedTuple):
+    """Masses and coefficients of the planar chain, changed before anything is computed from them."""
+
+    chain: Any  # hydro_fit.chain.Chain
+    swimmer: Any  # hydro_fit.chain.Swimmer
+
+
+class Place(NamedTuple):
+    """Water at one place of the tank, world frame."""
+
+    x: Any  # m
+    y: Any  # m
+    time: Any  # s
+    u: Any  # m/s
+    v: Any  # m/s
+
+
+class Body(NamedTuple):
+    """The whole body at its reference point, head axes. Forces and added masses add up over the effects.
+
+    The added mass of a moving ideal fluid also carries Kirchhoff's velocity terms; the effect adds them to the forces.
+    """
+
+    u: Any  # surge relative to the water, m/s
+    w: Any  # sway relative to the water, m/s
+    r: Any  # yaw rate, rad/s
+    heading: Any  # rad
+    x: Any  # m, world
+    y: Any  # m, world
+    time: Any  # s
+    tail: Any  # normal velocity of the tail tip relative to the water, m/s
+    sway_mass: Any  # kg, added mass that the base model has in sway
+    fx: Any  # N, ahead
+    fy: Any  # N, to the left
+    n: Any  # N m
+    mx: Any  # kg
+    my: Any  # kg
+    mn: Any  # kg m2
+
+
+class Water(NamedTuple):
+    """Forces of the water on the links, except those proportional to their acceleration; lists, one entry a link."""
+
+    forces: Any  # [(F_t N, F_n N, moment N m about the link's origin)]
+    u: Any  # [m/s] relative to the water, along the link
+    w: Any  # [m/s] across it
+    omega: Any  # [rad/s]
+    x: Any  # m, reference point, world
+    y: Any  # m
+    time: Any  # s
+
+
+class Seen(NamedTuple):
+    """What the sensors report at the times of one record, arrays (..., T); joints (..., T, J)."""
+
+    t: Any  # s
+    x: Any  # m
+    y: Any  # m
+    yaw: Any  # rad
+    joint: Any  # rad
+    power: Any  # W

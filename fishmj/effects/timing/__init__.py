@@ -1,0 +1,1 @@
+"""Effects of the stage `timing`, one file each."""

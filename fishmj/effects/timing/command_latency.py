@@ -1,0 +1,27 @@
+"""Commands arrive later than the model believes."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+EFFECT = Effect(
+    name="command_latency",
+    stage="timing",
+    about="radio and firmware hold a command back, so joints and body both lag behind it",
+    formula="c_servo(t) = c(t - delay)",
+    source="paper, calibration of latency; wireless links have 10 to 80 ms",
+    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.15, typical=(0.01, 0.06)),),
+    shows=("joint", "position", "heading", "power"),
+    native="actuator delay",
+    confusions=(
+        Confusion(
+            other="joint_sensor_delay",
+            separates="the body lags too, not only the joint channel",
+            excitations=("chirp", "turn_left"),
+        ),
+        Confusion(
+            other="servo_gain",
+            separates="a delay's phase grows with frequency without changing amplitude",
+            excitations=("chirp",),
+        ),
+    ),
+    delays={"command": "delay"},
+)

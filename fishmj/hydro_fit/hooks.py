@@ -1,0 +1,85 @@
+"""Where something may be added to the swimming fish: the sites that `chain.step` calls when it is given hooks.
+
+    fish(ch, sw)                masses and coefficients
+    flow(ch, q, flow)           water velocity at each link
+    servos(ch, sw, q, v, target) -> (drive, damping beyond back-EMF) of each joint
+    water(ch, sw, q, k, hydro)  forces of the water on each link
+    body(ch, sw, q, k, rhs, m)  forces and added masses of the whole body, into rhs and m
+    end(ch, sw, v, drive)       memory for the next step
+
+`Effects` puts the effects of the catalogue there.
+"""
+
+from fishmj.effects import Active
+from fishmj.effects.sites import Body, Constants, Gear, Place, Servo, Water
+from fishmj.hydro_fit import chain
+
+
+class Effects:
+    """The sites of one physics step for an ordered set of effects.
+
+    Args:
+        active: the effects. parameters, memory: flat lists in its order, scalars or arrays of one batch shape.
+        wet: 0 on a bench in air.
+    """
+
+    def __init__(self, xp, active: Active, parameters, memory, wet: float = 1.0):
+        self.xp, self.wet = xp, wet
+        self.session = active.begin(xp, parameters, memory)
+
+    def fish(self, ch: chain.Chain, sw: chain.Swimmer):
+        return tuple(self.session.fish(Constants(ch, sw)))
+
+    def flow(self, ch: chain.Chain, q, flow):
+        if not self.session.acts("flow"):
+            return flow
+        out = []
+        for (x, y), (u, v) in zip(centres(self.xp, ch, q), flow, strict=True):
+            place = self.session.flow(Place(x, y, self.session.time, u, v))
+            out.append((place.u, place.v))
+        return out
+
+    def servos(self, ch: chain.Chain, sw: chain.Swimmer, q, v, target):
+        drives, resists, xp = [], [], self.xp
+        for j in range(ch.n - 1):
+            angle, rate = q[3 + j], v[3 + j]
+            error = target[j] + sw.zero[j] - angle
+            s = Servo(error, angle, rate, sw.kp[j], sw.kv[j], sw.kb[j], ch.torque, self.session.current, self.session.time)
+            s = self.session.servo(j, s, ch.dt)
+            drive = xp.minimum(xp.maximum(s.kp * s.error - s.kv * s.rate, -s.limit), s.limit)
+            g = self.session.gear(j, Gear(drive, angle, rate, 0.0, s.kb - sw.kb[j], self.wet), ch.dt)
+            drives.append(g.drive + g.torque)
+            resists.append(g.resist)
+        return drives, resists
+
+    def water(self, ch: chain.Chain, sw: chain.Swimmer, q, k: chain.Links, hydro):
+        given = Water(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time)
+        return self.session.water(given, ch.dt).forces
+
+    def body(self, ch: chain.Chain, sw: chain.Swimmer, q, k: chain.Links, rhs, m) -> None:
+        if not self.session.acts("body"):
+            return
+        sway = sum(sw.water.k[i] * ch.strips.mu[i][0] for i in range(ch.n))
+        tail = k.w[-1] + k.omega[-1] * ch.strips.tail_x
+        still = (0.0,) * 6
+        b = Body(k.u[0], k.w[0], k.omega[0], q[2], q[0], q[1], self.session.time, tail, sway, *still)
+        b = self.session.body(b, ch.dt)
+        for i, (force, mass) in enumerate(((b.fx, b.mx), (b.fy, b.my), (b.n, b.mn))):
+            rhs[i], m[i][i] = rhs[i] + force, m[i][i] + mass
+
+    def end(self, ch: chain.Chain, sw: chain.Swimmer, v, drive):
+        current = sum(self.xp.abs(d - sw.kb[j] * v[3 + j]) for j, d in enumerate(drive)) / ch.motor
+        return self.session.end(current, ch.dt)
+
+
+def centres(xp, ch: chain.Chain, q) -> list:
+    """World positions of the link centres, N pairs of m."""
+    heading, x, y = q[2], q[0], q[1]
+    out = []
+    for i in range(ch.n):
+        if i > 0:
+            x, y = x + ch.d[i - 1] * xp.cos(heading), y + ch.d[i - 1] * xp.sin(heading)
+            heading = heading + q[2 + i]
+        mid = sum(ch.strips.x[i]) / len(ch.strips.x[i])
+        out.append((x + mid * xp.cos(heading), y + mid * xp.sin(heading)))
+    return out
