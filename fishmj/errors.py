@@ -33,6 +33,10 @@ class StoreError(FishmjError, OSError):
     """A file is truncated, changed, of the wrong kind, or could not be written."""
 
 
+class DatasetError(StoreError):
+    """Data for a fit are missing, changed or do not belong together; lists the files, expected and got."""
+
+
 class SimDiverged(FishmjError, ArithmeticError):
     """The simulation left the finite numbers. Carries time, term, link and the last states."""
 

@@ -31,7 +31,12 @@ LEVELS = levels()
 
 
 def room(path: Path) -> str:
-    """`fishmj/log/trial.py` -> `log`; `fishmj/calib.py` -> `calib`; the package's own `__init__` -> ``."""
+    """`fishmj/log/trial.py` -> `log`; `fishmj/calib.py` -> `calib`; the package's own `__init__` -> ``.
+
+    A `__main__.py` is command line, whatever folder it lies in: nothing imports it, so it may tie rooms together.
+    """
+    if path.name == "__main__.py":
+        return "__main__"
     first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
     return "" if first == "__init__" else first
 
@@ -81,6 +86,8 @@ def test_an_import_that_goes_up_is_found():
     assert wrong_way(water, "from fishmj.lbm_oracle import guard")
     assert wrong_way(water, "from ..tasks import env")
     assert not wrong_way(water, "from fishmj.flow import Flow\nfrom . import chain")
+    assert not wrong_way(water.with_name("__main__.py"), "from fishmj.campaign import command")
+    assert wrong_way(water, "from fishmj.campaign import command")
 
 
 def test_rooms_of_one_level_do_not_import_in_circles():

@@ -1,0 +1,145 @@
+"""One segment of a campaign on disk: `<id>.npz` with the arrays and `<id>.json` with everything else, written in this order.
+
+The JSON holds the sha256 of the arrays, so a pair is complete or not there. SI units, tank frame; T ticks of 20 ms, N links,
+J = N - 1 joints. Row k is the tick from t_k - 20 ms to t_k.
+
+    q, v     (T, 3 + J)   pose of the reference point and joint angles, and their rates, at the end of the tick
+    command  (T, J)       on the bus at the start of the tick, rad
+    wrench   (T, N, 3)    mean over the tick of the water's F_x, F_y [N] and M_z [N m]; M_z about the link's front joint, the
+                          head's about the reference point
+    raw      (T, N, 3)    the same without the momentum of the water inside the hull: what the immersed boundary exchanged
+    flow     (T, N, 2)    undisturbed flow at the link's centre at the start of the tick, m/s
+    power    (T,)         electrical, with electronics, mean over the tick, W; absent where no servo drives the joints
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import DatasetError, StoreError
+from fishmj.store import read_json, read_npz, sha256, write_json, write_npz
+
+SCHEMA = "fishmj.segment/1"
+UNITS = {
+    "q": "m, rad",
+    "v": "m/s, rad/s",
+    "command": "rad",
+    "wrench": "N, N m",
+    "raw": "N, N m",
+    "flow": "m/s",
+    "power": "W",
+}
+PRECISE = ("q", "v")  # never in 16 bits: accelerations are their differences over a tick
+HALF = 1e-3  # greatest error of a channel kept in 16 bits, over its range
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One segment in memory, arrays in float64 as in the table above; `power` is nan where it is not known.
+
+    meta: id, episode, block, split, segment (how it was made), robot, grid, start (q, v before row 0), tick, stopped, ...
+    """
+
+    meta: dict
+    q: np.ndarray
+    v: np.ndarray
+    command: np.ndarray
+    wrench: np.ndarray
+    raw: np.ndarray
+    flow: np.ndarray
+    power: np.ndarray
+
+    @property
+    def id(self) -> str:
+        return self.meta["id"]
+
+    @property
+    def tick(self) -> float:
+        """s."""
+        return float(self.meta["tick"])
+
+    @property
+    def t(self) -> np.ndarray:
+        """(T,) s, ends of the ticks, counted from the start of the recorded part."""
+        return (np.arange(len(self.q)) + 1) * self.tick
+
+    @property
+    def seconds(self) -> float:
+        return len(self.q) * self.tick
+
+    @property
+    def before(self) -> tuple[np.ndarray, np.ndarray]:
+        """q and v at the start of every tick, (T, 3 + J) each."""
+        q, v = (np.asarray(self.meta["start"][name], float)[None] for name in ("q", "v"))
+        return np.concatenate([q, self.q[:-1]]), np.concatenate([v, self.v[:-1]])
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Mean v' over every tick, (T, 3 + J), m/s2 and rad/s2: to be set against the mean wrenches."""
+        return (self.v - self.before[1]) / self.tick
+
+
+def narrow(values: np.ndarray) -> np.ndarray:
+    """(T, ...) in 16 bits where this moves no channel by more than `HALF` of its range, else in 32."""
+    half = values.astype(np.float16)
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = np.abs(half.astype(float) - values).max(0)
+    return half if bool((error <= HALF * np.ptp(values, 0)).all()) else values.astype(np.float32)
+
+
+def files(folder: Path, name: str) -> tuple[Path, Path]:
+    """Arrays and description of segment `name`."""
+    return folder / f"{name}.npz", folder / f"{name}.json"
+
+
+def write_record(folder: Path, meta: dict, arrays: dict[str, np.ndarray]) -> dict:
+    """Keep one segment; returns its meta data with `file`. No arrays: the description alone says why.
+
+    Raises:
+        StoreError: the disk refuses.
+    """
+    path, about = files(folder, meta["id"])
+    meta = {"schema": SCHEMA, "units": UNITS, **meta}
+    if arrays:
+        kept = {name: value.astype(np.float32) if name in PRECISE else narrow(value) for name, value in arrays.items()}
+        write_npz(path, kept)
+        meta["file"] = {"sha256": sha256(path), "bytes": path.stat().st_size}
+    write_json(about, meta)
+    return meta
+
+
+def read_record(folder: Path, name: str) -> Record:
+    """One segment, its arrays checked against the sha256 beside them.
+
+    Raises:
+        DatasetError: one of the two files is missing, or they do not belong together.
+    """
+    path, about = files(folder, name)
+    meta = described(about)
+    if "file" not in meta:
+        raise DatasetError(f"{about}: this segment has no arrays: {meta.get('stopped') or 'nothing was recorded'}")
+    expected, got = meta["file"]["sha256"], sha256(path) if path.is_file() else None
+    if got != expected:
+        raise DatasetError(f"{path}: expected sha256 {expected}, got {got or 'no such file'}; collect the segment again")
+    arrays = {key: value.astype(float) for key, value in read_npz(path).items()}
+    arrays.setdefault("power", np.full(len(arrays["q"]), np.nan))
+    lacking, rows = [key for key in UNITS if key not in arrays], {key: len(value) for key, value in arrays.items()}
+    if lacking or len(set(rows.values())) != 1:
+        raise DatasetError(f"{path}: expected {', '.join(UNITS)} of one length; missing {lacking}, rows {rows}")
+    return Record(meta, **{key: arrays[key] for key in UNITS})
+
+
+def described(about: Path) -> dict:
+    """The JSON of a segment.
+
+    Raises:
+        DatasetError: missing, damaged, or no segment.
+    """
+    try:
+        meta = read_json(about)
+    except StoreError as error:
+        raise DatasetError(str(error)) from error
+    if not isinstance(meta, dict) or not {"id", "schema", "split", "episode"} <= set(meta):
+        raise DatasetError(f"{about}: no description of a segment; expected id, schema, split and episode. Collect it again")
+    return meta
