@@ -8,7 +8,7 @@ from fishmj.lbm_oracle.device import device_of
 def main(argv: list[str]) -> int:
     parser = console.parser("lbm_oracle cases", "Known answers, each beside its reference; exit 1 on a miss.")
     parser.add_argument("names", nargs="*", metavar="NAME", help="default: the quick ones")
-    parser.add_argument("--all", action="store_true", help="every case")
+    parser.add_argument("--all", action="store_true", help="every case; on the CPU without those marked gpu")
     parser.add_argument("--quick", action="store_true", help="those that fit three minutes on two cores (the default)")
     parser.add_argument("--list", action="store_true", help="name the cases and stop")
     parser.add_argument("--device", default="cpu", help="cpu, cuda or auto")
@@ -17,7 +17,7 @@ def main(argv: list[str]) -> int:
         return _list(args.json)
     device = str(device_of(args.device))
     outcomes, table = [], []
-    for case in cases.pick(args.names, quick=not args.all, everything=args.all):
+    for case in cases.pick(args.names, quick=not args.all, everything=args.all, gpu=device.startswith("cuda")):
         done = cases.solve(case, device)
         outcomes.append(done)
         table += cases.rows(done)
@@ -36,7 +36,8 @@ def main(argv: list[str]) -> int:
 
 def _list(as_json: bool) -> int:
     table = [
-        {"rung": case.rung, "case": case.name, "quick": case.quick, "grid": case.grid, "what": case.summary}
+        {"rung": case.rung, "case": case.name, "quick": case.quick, "gpu": case.gpu, "grid": case.grid, "cost": case.cost}
+        | {"what": case.summary}
         for case in cases.known().values()
     ]
     console.say(console.table(table))

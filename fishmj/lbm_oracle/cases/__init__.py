@@ -9,7 +9,8 @@ A case is one small file in this folder:
         yield about("profile error, H = 32", error, 0.0, 1e-3, absolute=True)
 
 `rung` is its number on the validation ladder of docs/oracle.md; `quick` puts it into `cases --quick`, three minutes in all on
-two cores. A check without a reference that was read is `reported`, not gated.
+two cores. `cost` is the time expected on two cores; a case marked `gpu` is left out of `--all` on the CPU and runs there by name.
+A check without a reference that was read is `reported`, not gated.
 """
 
 import time
@@ -69,6 +70,8 @@ class Case(NamedTuple):
     source: str
     quick: bool
     solve: Solve
+    cost: str = ""
+    gpu: bool = False
 
     @property
     def summary(self) -> str:
@@ -90,11 +93,13 @@ class Outcome(NamedTuple):
 REGISTRY: dict[str, Case] = {}
 
 
-def register(name: str, *, rung: float, grid: str, source: str, quick: bool = False) -> Callable[[Solve], Solve]:
+def register(
+    name: str, *, rung: float, grid: str, source: str, quick: bool = False, cost: str = "", gpu: bool = False
+) -> Callable[[Solve], Solve]:
     """Put `solve(device)` on the ladder."""
 
     def keep(solve: Solve) -> Solve:
-        REGISTRY[name] = Case(name, rung, grid, source, quick, solve)
+        REGISTRY[name] = Case(name, rung, grid, source, quick, solve, cost, gpu)
         return solve
 
     return keep
@@ -107,8 +112,8 @@ def known() -> dict[str, Case]:
     return dict(sorted(REGISTRY.items(), key=lambda item: (item[1].rung, item[0])))
 
 
-def pick(names: list[str], *, quick: bool = False, everything: bool = False) -> list[Case]:
-    """The cases of these names; without names the quick ones, or all.
+def pick(names: list[str], *, quick: bool = False, everything: bool = False, gpu: bool = True) -> list[Case]:
+    """The cases of these names; without names the quick ones, or all, those marked `gpu` only where there is one.
 
     Raises:
         UnknownName: a case that does not exist.
@@ -119,7 +124,7 @@ def pick(names: list[str], *, quick: bool = False, everything: bool = False) -> 
             raise UnknownName("case", name, table)
     if names:
         return [table[name] for name in names]
-    return [case for case in table.values() if everything or (case.quick and quick)]
+    return [case for case in table.values() if (everything and (gpu or not case.gpu)) or (case.quick and quick)]
 
 
 def solve(case: Case, device: str) -> Outcome:

@@ -1,0 +1,128 @@
+"""A cylinder held in a stream: the steady wake at Re 40 and the vortex street at Re 100, in a strip one cell deep.
+
+    C_D = 2 F_x / (rho U^2 D),   C_L = 2 F_y / (rho U^2 D),   St = f D / U,   l = from the rear to where u = 0 on the axis
+
+The box is 30 D square with free slip at its sides, as wide as that of the reference; it blocks 1/30 of the stream.
+
+Sources: Taira and Colonius 2007, J. Comput. Phys. 225:2118, table 2 (Re 40); Liu, Zheng and Sung 1998 and Park, Kwon and
+Choi 1998 (Re 100) as tabulated beside its own figures by the validation pages of the solver Mallard, read 2026-11-20.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.boundaries import Axis, Boundaries
+from fishmj.lbm_oracle.cases import about, register, reported
+from fishmj.lbm_oracle.cases.cylinder_strip import cylinder
+from fishmj.lbm_oracle.coupling import Coupled
+
+STREAM = 0.06  # lattice units: Mach 0.1
+BOX, AT = (30.0, 30.0), (0.4, 0.5)  # diameters; share of the box
+KICK = 4.0  # D / U; a push to the side and back, so that the street need not wait for round-off
+
+TAIRA = {"C_D": 1.54, "l / D": 2.30}
+STREET = {"C_D": 1.34, "C_L": 0.335, "St": 0.1645}  # middle of 1.33 and 1.350, 0.33 and 0.339, 0.164 and 0.165
+
+
+class Held(NamedTuple):
+    """A record of a held cylinder: force coefficients (T, 2) and the time between two, in D / U; the water at the end."""
+
+    force: np.ndarray
+    interval: float
+    coupled: Coupled
+
+
+def hold(cells: int, reynolds: float, times: float, device: str, *, box=BOX, kick: float = 0.0, **options) -> Held:
+    """Hold a cylinder of `cells` cells for `times` D / U, from undisturbed flow; `kick` is its first swing aside, of U."""
+    faces = Boundaries(x=Axis("open", "open"), y=Axis("slip", "slip"), sponge=max(8, cells))
+    held = cylinder(cells, STREAM, reynolds, box, AT, device, faces=faces, flow=Flow(speed=STREAM), **options)
+    every = max(1, round(cells / STREAM / 50))
+    steps, swing, record = round(times * cells / STREAM / every), round(KICK * cells / STREAM), []
+    fixed = np.ones(2)
+    for n in range(steps):
+        for i in range(n * every, (n + 1) * every):
+            aside = kick * STREAM * np.sin(2 * pi * i / swing) if i < swing else 0.0
+            held.step(fixed, [0.0, aside])
+        raw, _ = held.take_wrench(every)
+        record.append(raw[0, :2] / (0.5 * STREAM**2 * cells))
+    return Held(np.array(record), every * STREAM / cells, held)
+
+
+def bubble(held: Held, cells: int) -> float:
+    """Length of the recirculation behind the cylinder, in D; NaN where the water does not return within the box."""
+    x, y = held.coupled.body.data.qpos
+    u = held.coupled.fluid.velocity()[:, :, 0, 0]
+    row = int(np.floor(y))
+    axis = u[:, row] + (y - row) * (u[:, row + 1] - u[:, row])
+    rear = x + cells / 2
+    first = int(np.ceil(rear)) + 2
+    ahead = np.flatnonzero(axis[first:] > 0)
+    if len(ahead) == 0 or ahead[0] == 0:
+        return float("nan")
+    i = first + int(ahead[0])
+    return float((i - axis[i] / (axis[i] - axis[i - 1]) - rear) / cells)
+
+
+def street(force: np.ndarray, interval: float) -> tuple[float, float, float, int]:
+    """Mean C_D, half the swing of C_L, St and the number of whole periods of a record (T, 2): from rising zero to rising zero."""
+    lift = force[:, 1] - force[:, 1].mean()
+    rise = np.flatnonzero((lift[:-1] < 0) & (lift[1:] >= 0))
+    if len(rise) < 2:
+        return float(force[:, 0].mean()), float(np.ptp(lift) / 2), float("nan"), 0
+    crossing = rise - lift[rise] / (lift[rise + 1] - lift[rise])
+    periods = len(rise) - 1
+    whole = force[rise[0] : rise[-1]]
+    swing = np.mean([np.ptp(force[a:b, 1]) for a, b in zip(rise[:-1], rise[1:], strict=True)])
+    return float(whole[:, 0].mean()), float(swing / 2), periods / ((crossing[-1] - crossing[0]) * interval), periods
+
+
+def steady(cells: int, device: str, room: dict[str, float], times: float = 45.0, box=BOX):
+    """The checks of the steady wake."""
+    found = hold(cells, 40.0, times, device, box=box)
+    last, before = found.force[-50:, 0].mean(), found.force[-100:-50, 0].mean()  # the last two D / U
+    yield about(f"C_D at Re 40, D = {cells}", last, TAIRA["C_D"], room["C_D"])
+    yield about(f"bubble l / D at Re 40, D = {cells}", bubble(found, cells), TAIRA["l / D"], room["l / D"])
+    yield reported("change of C_D in the last D / U", last / before - 1)
+    yield reported("blockage D / breadth", 1 / box[1])
+
+
+def shedding(cells: int, device: str, room: dict[str, float], times: float = 130.0, settle: float = 70.0, box=BOX):
+    """The checks of the vortex street."""
+    found = hold(cells, 100.0, times, device, box=box, kick=0.3)
+    drag, lift, frequency, periods = street(found.force[round(settle / found.interval) :], found.interval)
+    yield about(f"mean C_D at Re 100, D = {cells}", drag, STREET["C_D"], room["C_D"])
+    yield about(f"amplitude of C_L at Re 100, D = {cells}", lift, STREET["C_L"], room["C_L"])
+    yield about(f"Strouhal number at Re 100, D = {cells}", frequency, STREET["St"], room["St"])
+    yield reported("periods averaged", periods)
+    yield reported("blockage D / breadth", 1 / box[1])
+
+
+TAIRA_SOURCE = "Taira and Colonius 2007, table 2"
+STREET_SOURCE = "Liu et al. 1998, Park et al. 1998, as tabulated by Mallard's validation pages"
+
+
+@register("cylinder_40_coarse", rung=5, grid="300 x 300 x 1, D = 10", source=TAIRA_SOURCE, cost="30 s")
+def cylinder_40_coarse(device):
+    """The steady wake of a cylinder at Re 40, ten cells across."""
+    yield from steady(10, device, {"C_D": 0.06, "l / D": 0.06})
+
+
+@register("cylinder_40", rung=5.1, grid="600 x 600 x 1, D = 20", source=TAIRA_SOURCE, cost="3 min")
+def cylinder_40(device):
+    """The steady wake of a cylinder at Re 40."""
+    yield from steady(20, device, {"C_D": 0.03, "l / D": 0.05})
+
+
+@register("cylinder_100_coarse", rung=6, grid="300 x 300 x 1, D = 10", source=STREET_SOURCE, cost="90 s")
+def cylinder_100_coarse(device):
+    """The vortex street of a cylinder at Re 100, ten cells across."""
+    yield from shedding(10, device, {"C_D": 0.08, "C_L": 0.12, "St": 0.04})
+
+
+@register("cylinder_100", rung=6.1, grid="600 x 600 x 1, D = 20", source=STREET_SOURCE, cost="8 min", gpu=True)
+def cylinder_100(device):
+    """The vortex street of a cylinder at Re 100."""
+    yield from shedding(20, device, {"C_D": 0.04, "C_L": 0.06, "St": 0.02})
