@@ -21,6 +21,14 @@ def whole_trial(seconds=4.0, joints=3, **meta):
         "joint": {"t": t + 0.004, **log.numbered("j#", angles), **log.numbered("w#", rates)},
         "pose": {"t": t + 0.03, **pose},
         "power": {"t": t, "V": np.full_like(t, 7.4), "I": 0.4 + 0.1 * np.sin(t)},
+        "gait": {"t": slow, "amplitude": np.full_like(slow, 0.5), "bias": np.zeros_like(slow), "frequency": np.ones_like(slow)},
+        "velocity": {"t": t, "surge": np.full_like(t, 0.1), "sway": 0.01 * np.cos(t), "yaw_rate": 0.4 * np.cos(t)},
+        "imu": {"t": t, "ax": 0.1 * np.sin(t), "ay": 0.1 * np.cos(t), "wz": 0.4 * np.cos(t)},
+        "markers": {
+            "t": t,
+            **log.numbered("p#x", 0.1 * t[:, None] + 0.1 * np.arange(joints)),
+            **log.numbered("p#y", 0.1 * angles),
+        },
         "truth": {
             "t": t,
             **pose,

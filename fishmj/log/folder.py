@@ -22,8 +22,16 @@ from fishmj.log.trial import Table, Trial
 from fishmj.store import sync_folder, write_text
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
-_FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
-_FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd"}
+FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
+FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd", "on#": "cmd", "temp#": "joint"}
+FLAT |= {
+    "amplitude": "gait",
+    "bias": "gait",
+    "frequency": "gait",
+    "surge": "velocity",
+    "sway": "velocity",
+    "yaw_rate": "velocity",
+}
 
 
 def read_trial(path: str | Path) -> Trial:
@@ -151,13 +159,13 @@ def _read_flat(path: Path) -> Trial:
     meta, notes = _read_meta(path.with_name(META_FILE), required=False)
     tables: dict[str, Table] = {}
     for column, values in samples.items():
-        name = _FLAT.get(column) or _FLAT.get(re.sub(r"\d+\Z", "#", column))
+        name = FLAT.get(column) or FLAT.get(re.sub(r"\d+\Z", "#", column))
         if name:
             tables.setdefault(name, {"t": samples["t"]})[column] = values
         elif column != "t":
-            notes.append(f"{path.name}: column {column!r} belongs to no table; left out. Known: {', '.join(_FLAT)}")
+            notes.append(f"{path.name}: column {column!r} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
-        raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(_FLAT)}, # = 1, 2, ..")
+        raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
     for name, table in tables.items():
         notes += check.check_table(name, table, place)
     return Trial(meta, tables, name=path.parent.name, notes=(*notes, *check.check_counts(tables)))

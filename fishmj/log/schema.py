@@ -40,7 +40,7 @@ TABLES = {
         about="commanded joint angles at the time of sending, rad",
         fixed=("t",),
         numbered=("c#",),
-        optional=("seq", "t_rx"),
+        optional=("seq", "t_rx", "on#"),  # on: 1 while the servo's torque is on
         kinds={"c#": "angle"},
         continuous=True,
     ),
@@ -48,7 +48,7 @@ TABLES = {
         about="measured joint angles, rad; w rad/s; load as the servo reports it",
         fixed=("t",),
         numbered=("j#",),
-        optional=("w#", "load#"),
+        optional=("w#", "load#", "temp#"),
         kinds={"j#": "angle", "w#": "rate"},
         continuous=True,
     ),
@@ -59,7 +59,36 @@ TABLES = {
         kinds=_POSE,
         continuous=True,
     ),
-    "power": TableSpec(about="electrical supply, V and A", fixed=("t", "V", "I"), kinds={}),
+    "power": TableSpec(
+        about="electrical supply, V and A; a bus that tells no current leaves I out", fixed=("t", "V"), optional=("I",), kinds={}
+    ),
+    "gait": TableSpec(
+        about="parameters of a tail beat that the robot makes by itself, rad and Hz; hold until the next row",
+        fixed=("t", "amplitude", "bias"),
+        optional=("frequency",),
+        kinds={"amplitude": "angle", "bias": "angle"},
+    ),
+    "velocity": TableSpec(
+        about="measured velocity over ground in the body frame, m/s and rad/s",
+        fixed=("t", "surge"),
+        optional=("sway", "yaw_rate"),
+        kinds={"surge": "speed", "sway": "speed", "yaw_rate": "rate"},
+        continuous=True,
+    ),
+    "imu": TableSpec(
+        about="inertial sensor in its own frame, m/s^2 and rad/s; az, wx, wy, wz where the sensor has them",
+        fixed=("t", "ax", "ay"),
+        optional=("az", "wx", "wy", "wz"),
+        kinds={"wx": "rate", "wy": "rate", "wz": "rate"},
+        continuous=True,
+    ),
+    "markers": TableSpec(
+        about="points tracked on the body, numbered from the nose, m",
+        fixed=("t",),
+        numbered=("p#x", "p#y"),
+        kinds={"p#x": "position", "p#y": "position"},
+        continuous=True,
+    ),
     "truth": TableSpec(
         about="simulator's exact state: pose, its rates in the tank frame, joint angles j and rates k",
         fixed=("t", "x", "y", "yaw", "vx", "vy", "wz"),

@@ -146,7 +146,7 @@ def _mean_flow(trial: Trial) -> np.ndarray:
 
 
 def _power(trial: Trial, t: np.ndarray) -> np.ndarray:
-    if "power" not in trial.tables:
+    if "I" not in trial.tables.get("power", {}):
         return np.full(len(t), np.nan)
     table = trial.tables["power"]
     return np.interp(t, table["t"], table["V"] * table["I"])
