@@ -14,7 +14,7 @@ LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("ya
 STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 11}
 
 
-def _pyplot():
+def pyplot():
     try:
         import matplotlib
     except ModuleNotFoundError as error:
@@ -29,13 +29,13 @@ def _pyplot():
 def _save(figure, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
-    _pyplot().close(figure)
+    pyplot().close(figure)
     return path
 
 
 def forces(rows: Sequence[dict], folder: Path) -> list[Path]:
     """One picture a map: drag, lateral force and yaw moment with standard errors against the angle, a line a speed."""
-    plt, drawn = _pyplot(), []
+    plt, drawn = pyplot(), []
     for what, key, label in (("joint", "joint_deg", "joint angle [deg]"), ("aoa", "aoa_deg", "angle of attack [deg]")):
         here = sorted((row for row in rows if row["what"] == what), key=lambda row: row[key])
         if not here:
@@ -62,7 +62,7 @@ def forces(rows: Sequence[dict], folder: Path) -> list[Path]:
 
 def velocity(run, path: Path, title: str) -> Path:
     """Magnitude of the horizontal velocity at mid-depth at the end of a run, with the outline of its fish."""
-    plt, coupled = _pyplot(), run.coupled
+    plt, coupled = pyplot(), run.coupled
     with coupled.scope():
         field = coupled.fluid.velocity()
     fluid, middle = coupled.fluid, field.shape[2] // 2
@@ -94,7 +94,7 @@ def outline(run) -> list[np.ndarray]:
 
 def drifts(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
     """Tracks (T, 4) of t s, x m, y m, heading rad: seen from above, and heading against time since release."""
-    plt = _pyplot()
+    plt = pyplot()
     figure, (above, turn) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     for i, track in enumerate(tracks):
         colour = plt.get_cmap("viridis")(i / max(len(tracks) - 1, 1))

@@ -2,24 +2,34 @@
 
 python -m fishmj.lbm_oracle swim --preset laptop --beats 5
 python -m fishmj.lbm_oracle swim --tethered --prescribed --speed 0.3 --direction 180 --seconds 4 --out thrust
+python -m fishmj.lbm_oracle swim --preset laptop --out runs/a --fields runs/a_fields
+
+Ctrl-C ends the run after the tick that is under way; trial, state and fields up to then are kept.
 """
 
+import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from math import degrees, radians
 
 import numpy as np
 
 from fishmj import console
-from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
+from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle import state
 from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.lbm_oracle.field_options import STRONG, add_fields
 from fishmj.lbm_oracle.gait import Gait
+from fishmj.lbm_oracle.rescue import LastGood
 from fishmj.lbm_oracle.run import LeftDomain, Run
 from fishmj.lbm_oracle.stage import Stage
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
+
+INTERRUPTED = "interrupted"  # of `Run.stopped`
 
 
 def main(argv: list[str]) -> int:
@@ -34,36 +44,90 @@ def main(argv: list[str]) -> int:
         run.begin()
     if args.preset in PREVIEWS:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
-    wall = drive(run, gait, seconds, quiet=args.json)
+    recorder, kept = _recorder(args, run), LastGood()
+    wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
     if args.out:
         found["out"] = str(write_trial(args.out, run.trial(), overwrite=args.overwrite))
-    if args.save:
+    if recorder:
+        found |= {"fields": str(recorder.folder), "frames": recorder.frames}
+    if lost := run.stopped.startswith("diverged"):
+        found["last_good"] = kept.save(args.save or f"{args.out or 'swim'}.last_good.safetensors", run)
+    elif args.save:
         found["state"] = str(state.save(args.save, run.coupled, robot=robot.name))
     console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
     if args.json:
         console.emit_json(found)
-    return console.FAILED_CHECK if run.stopped and not run.stopped.startswith("left_domain") else console.OK
+    if run.stopped == INTERRUPTED:
+        return console.INTERRUPTED
+    return console.FAILED_CHECK if lost or run.stopped.startswith("fields") else console.OK
 
 
-def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False) -> float:
-    """Swim with progress; returns seconds of wall time. A run that stops early says why in `run.stopped`."""
+def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder=None, kept: "LastGood | None" = None) -> float:
+    """Swim with progress; returns seconds of wall time. A run that stops early says why in `run.stopped`.
+
+    Args:
+        recorder: writes fields between ticks (see `record_fields`). kept: looks after the last sound state.
+    """
     start, ticks = time.perf_counter(), round(seconds / run.robot.timing.bus_dt)
-    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar:
-        for _ in range(ticks):
+    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar, _between_ticks() as asked:
+        for n in range(ticks + 1):
             try:
-                run.tick(gait(run.time))
+                if recorder:
+                    recorder.look(run)
+                if n < ticks:
+                    run.tick(gait(run.time))
+                    if kept:
+                        kept.look(run)
             except LeftDomain as error:
                 run.stopped = f"{error}"
             except (SimDiverged, OracleUnstable) as error:
                 run.stopped = f"diverged: {error}"
-            except KeyboardInterrupt:
-                run.stopped = "interrupted"
+            except StoreError as error:
+                run.stopped = f"fields: {error}"
+            if asked and not run.stopped:
+                run.stopped = INTERRUPTED
             if run.stopped:
                 console.warn(f"stopped after {run.time:.2f} s, everything before is kept: {run.stopped}")
                 break
-            bar.update(run.time, speed=float(np.hypot(*run.pose[3:5])))
+            if n < ticks:
+                bar.update(run.time, speed=float(np.hypot(*run.pose[3:5])))
+    if recorder:
+        recorder.close()
     return time.perf_counter() - start
+
+
+@contextmanager
+def _between_ticks() -> Iterator[list[int]]:
+    """A list that fills on Ctrl-C or SIGTERM, so that no tick is left half done; asked twice, Ctrl-C interrupts at once."""
+    asked: list[int] = []
+
+    def hear(number, frame) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    old = {}
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            old[number] = signal.signal(number, hear)
+    except ValueError:  # not the main thread: the caller keeps its own handlers
+        pass
+    try:
+        yield asked
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def _recorder(args, run: Run):
+    """What writes the fields, or None."""
+    if args.fields is None:
+        return None
+    from fishmj.lbm_oracle.record_fields import Recorder
+
+    options = {"every": args.every, "z": args.slice, "whole": args.volume, "overwrite": args.overwrite}
+    return Recorder(args.fields, run, strong=args.strong, **options)
 
 
 def figures(run: Run, frequency: float) -> dict:
@@ -167,5 +231,8 @@ def _parser():
     p.add_argument("--start", metavar="FILE", help="continue from a saved state")
     p.add_argument("--save", metavar="FILE", help="save the state at the end")
     p.add_argument("--out", metavar="FOLDER", help="trial folder to write")
-    p.add_argument("--overwrite", action="store_true")
+    p.add_argument("--overwrite", action="store_true", help="trial and fields of another run are replaced")
+    add_fields(p)
+    p.add_argument("--every", type=float, default=0.1, metavar="S", help="between two frames of the fields")
+    p.add_argument("--strong", type=float, default=STRONG, metavar="1/S", help="vorticity at the ends of the colour scale")
     return p
