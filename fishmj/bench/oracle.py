@@ -4,7 +4,16 @@ A lattice update reads and writes nineteen populations, 152 bytes in single prec
 counts them as updates, so that the ratio is the part of the copy bandwidth that the step turns into fluid.
 """
 
-from fishmj.bench import Work, benchmark
+import os
+import subprocess
+import tempfile
+import threading
+import weakref
+from math import prod
+from pathlib import Path
+
+from fishmj.bench import NotHere, Work, benchmark
+from fishmj.engines.native import cache_folder
 
 MEGA = 1e6
 
@@ -172,3 +181,84 @@ def oracle_window_cpu(quick: bool) -> Work:
     """The laptop preset with its fish on the CPU, simulated seconds a second."""
     domain, device = _laptop()
     return _resting(domain, device, TICKS_QUICK if quick else TICKS_CPU, 1, domain.dt)
+
+
+# beside another solver ------------------------------------------------------------------------------------------------
+
+PEER = ("xlb==0.3.1", "warp-lang==1.10.0")  # the last Warp that this XLB was tried with
+PEER_SHAPE, PEER_STEPS, PEER_QUICK = (80, 56, 30), 20, 4
+PEER_WAIT = 300.0  # s; it compiles when it starts
+
+
+def peer_interpreter() -> Path:
+    """Python of the environment that holds XLB: `FISHMJ_XLB_PYTHON`, or `xlb` in the cache folder.
+
+    Raises:
+        NotHere: there is none; the message says how to make it.
+    """
+    chosen = os.environ.get("FISHMJ_XLB_PYTHON")
+    home = cache_folder() / "xlb"
+    python = Path(chosen) if chosen else home / "bin" / "python"
+    if not python.is_file():
+        make = f"python -m venv {home} && {home}/bin/pip install {' '.join(PEER)}"
+        raise NotHere(f"XLB: no interpreter at {python}; {make}")
+    return python
+
+
+def xlb(quick: bool) -> Work:
+    """XLB's periodic step on the same box, on the CPU.
+
+    Raises:
+        NotHere: it is not installed, or does not start; the message has its last words.
+    """
+    steps = PEER_QUICK if quick else PEER_STEPS
+    command = [str(peer_interpreter()), str(Path(__file__).with_name("peer_xlb.py")), *map(str, PEER_SHAPE)]
+    said = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115  lives as long as the worker
+    worker = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True)
+    watchdog = threading.Timer(PEER_WAIT, worker.kill)
+    weakref.finalize(run := _Asked(worker, steps, said), worker.kill)
+    watchdog.start()
+    try:
+        run()
+    finally:
+        watchdog.cancel()
+    return Work(run, steps * prod(PEER_SHAPE) / MEGA, "cpu, XLB 0.3.1 in one thread")
+
+
+class _Asked:
+    """A run of the worker: so many steps asked for, and the answer waited for."""
+
+    def __init__(self, worker, steps: int, said):
+        self.worker, self.steps, self.said = worker, steps, said
+
+    def __call__(self) -> None:
+        try:
+            self.worker.stdin.write(f"{self.steps}\n")
+            self.worker.stdin.flush()
+        except BrokenPipeError:  # read below why
+            pass
+        for line in self.worker.stdout:  # XLB may greet first
+            if line.strip() == "done":
+                return
+        self.said.seek(0)
+        last = self.said.read().strip().splitlines()[-1:] or [f"exit code {self.worker.wait()}"]
+        raise NotHere(f"XLB: {last[0]}")
+
+
+@benchmark("oracle_peer_cpu", "MLUPS", baseline=xlb)
+def oracle_peer_cpu(quick: bool) -> Work:
+    """The fluid alone in the laptop's box on the CPU, no eddy viscosity, beside XLB's."""
+    import warp as wp
+
+    from fishmj.lbm_oracle.fluid import Fluid
+    from fishmj.lbm_oracle.units import Lattice
+
+    water = Fluid(Lattice(dx=0.02, dt=0.004), PEER_SHAPE, "cpu", subgrid="none", keep_velocity=False)
+    steps = PEER_QUICK if quick else PEER_STEPS
+
+    def run():
+        water.run(steps)
+        wp.synchronize_device("cpu")
+
+    run()
+    return Work(run, steps * water.cells / MEGA, f"cpu, {water.threads} slabs")
