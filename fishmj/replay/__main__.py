@@ -14,10 +14,11 @@ EXAMPLES = """examples:
   python -m fishmj.replay runs/sim runs/robot --open          two logs overlaid, in the browser
   python -m fishmj.replay runs/trial_07 --mp4 swim.mp4        a top-view film too (no screen needed)
   python -m fishmj.replay runs/trial_07 --out a.html --speed 0.25
+  python -m fishmj.replay runs/a --fields runs/a_fields       a flow-solver run with its vorticity
 
 A LOG is a trial folder (meta.toml and tables) or a flat samples.csv; see docs/logs.md. Add #t=3.5&play=0&view=top to the
 address of a page to start it at 3.5 s, paused, seen from above. Keys in the page: space plays and pauses, the arrows step,
-f follows the fish."""
+f follows the fish, v shows and hides the vorticity."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -26,6 +27,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.epilog, parser.formatter_class = EXAMPLES, argparse.RawDescriptionHelpFormatter
     parser.add_argument("logs", nargs="+", metavar="LOG", help="trial folder or samples.csv; more than one are overlaid")
     parser.add_argument("--out", default="replay.html", help="the page to write (default: %(default)s)")
+    parser.add_argument("--fields", metavar="FOLDER", help="of the first log: vorticity slices by `lbm_oracle swim --fields`")
     parser.add_argument("--mp4", metavar="FILE", help="write a top-view film as well")
     parser.add_argument("--png", metavar="FILE", help="write a top-view picture as well, at --at seconds")
     parser.add_argument("--at", type=float, default=0.0, metavar="S", help="time of the picture, s (default: %(default)s)")
@@ -36,11 +38,11 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     trials = [read_trial(path) for path in args.logs]
     title = args.title or " and ".join(trial.name or Path(path).stem for trial, path in zip(trials, args.logs, strict=True))
-    written = [write_html(trials, args.out, args.robot, title, speed=args.speed)]
+    written = [write_html(trials, args.out, args.robot, title, speed=args.speed, fields=args.fields)]
     if args.mp4:
-        written.append(write_mp4(trials, args.mp4, args.robot, speed=args.speed, title=title))
+        written.append(write_mp4(trials, args.mp4, args.robot, speed=args.speed, title=title, fields=args.fields))
     if args.png:
-        written.append(write_png(trials, args.png, args.at, args.robot, title=title))
+        written.append(write_png(trials, args.png, args.at, args.robot, title=title, fields=args.fields))
     report(trials, written, as_json=args.json)
     if args.open:
         webbrowser.open(written[0].resolve().as_uri())

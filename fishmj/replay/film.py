@@ -9,6 +9,7 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import posed, skin
 from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
+from fishmj.replay.wake import Wake, colours, read_wake
 
 WATER, LINE, METRE, INK = (150, 112, 36), (176, 140, 66), (206, 180, 122), (250, 244, 236)  # BGR
 CHART = 120  # px, height of the distance strip
@@ -25,8 +26,11 @@ def write_mp4(
     speed: float = 1.0,
     size: tuple[int, int] = (960, 720),
     title: str = "",
+    fields: str | Path | None = None,
 ) -> Path:
     """Write a film of one trial, or of several overlaid; `speed` times real time. The codec is mp4v.
+
+    `fields`: folder with the vorticity slices of the first trial.
 
     Raises:
         LogError: no trial, or one without a pose. StoreError: OpenCV could not write the file.
@@ -35,7 +39,7 @@ def write_mp4(
     out = Path(out)
     if not 0 < speed <= 100 or fps <= 0:
         raise ConfigError(f"speed = {speed}, fps = {fps}; expected a speed in (0, 100] and a positive frame rate")
-    view = TopView(trials, robot, size=size, title=title)
+    view = TopView(trials, robot, size=size, title=title, fields=fields)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -70,7 +74,7 @@ def write_png(trials: list[Trial], out: str | Path, time: float, robot: "Robot |
 class TopView:
     """Draws frames (H, W, 3) uint8 BGR of overlaid trials, seen from above with north (+y) up."""
 
-    def __init__(self, trials, robot=None, *, size: tuple[int, int] = (960, 720), title: str = ""):
+    def __init__(self, trials, robot=None, *, size: tuple[int, int] = (960, 720), title: str = "", fields=None):
         if not trials:
             raise LogError("nothing to replay: give at least one trial")
         self.cv2, self.size, self.title = _cv2(), size, title
@@ -86,6 +90,8 @@ class TopView:
         self.centre = (low + high) / 2
         self.middle = np.array([width / 2, height / 2])
         self.still = self._background()
+        self.wake = None if fields is None else read_wake(fields, trials[0], self.tracks[0])
+        self.table = colours()
 
     def pixel(self, xy) -> np.ndarray:
         """World (.., 2) m -> image (.., 2) px."""
@@ -94,6 +100,8 @@ class TopView:
     def frame(self, time: float) -> np.ndarray:
         """The picture at `time`, s from the start."""
         image = self.still.copy()
+        if self.wake is not None:
+            self._vorticity(image, time, self.wake)
         for t, skin_, colour in reversed(list(zip(self.tracks, self.skins, self.colours, strict=True))):
             i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
             self._trail(image, t, i, colour)
@@ -118,6 +126,28 @@ class TopView:
         if np.isfinite(flow).all() and np.hypot(*flow) > 1e-3:
             self._arrows(image, flow)
         return image
+
+    def _vorticity(self, image, time: float, wake: Wake) -> None:
+        """The slices before and after, mixed, over the water; the scale in the corner."""
+        size = (self.size[0], self.size[1] - CHART)
+        a, share = wake.between(time)
+        value, there = 0.0, 0.0
+        for i, part in ((a, 1 - share), (min(a + 1, len(wake.t) - 1), share)):
+            west, east, south, north = wake.rect[i]
+            cell = self.scale * (east - west) / wake.values[i].shape[1]  # px
+            corner = self.pixel((west, north)) + 0.5 * cell - 0.5  # middle of the first cell
+            place = np.array([[cell, 0, corner[0]], [0, cell, corner[1]]])
+            warp = lambda field, place=place: self.cv2.warpAffine(field, place, size, flags=self.cv2.INTER_LINEAR)  # noqa: E731
+            there = there + part * warp(np.ones(wake.values[i].shape, np.float32))
+            value = value + part * warp(wake.values[i].astype(np.float32) - 128)
+        rgba = self.table[np.clip(value / np.maximum(there, 1e-3) + 128.5, 0, 255).astype(np.uint8)].astype(np.float32)
+        cover = (there * rgba[..., 3] / 255)[..., None]
+        water = image[: size[1]]
+        water[:] = (1 - cover) * water + cover * rgba[..., 2::-1] + 0.5
+        left, bar = size[0] - 224, np.linspace(1, 255, 208).astype(np.uint8)
+        water[14:24, left : left + 208] = self.table[bar][:, 2::-1]
+        for at, words in ((0, f"-{wake.strong:g}"), (88, "vorticity 1/s"), (176, f"+{wake.strong:g}")):
+            self._text(image, words, (left + at - (36 if at == 88 else 0), 42), 0.45)
 
     def _arrows(self, image, flow) -> None:
         layer = image.copy()

@@ -17,10 +17,11 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, skin
 from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
+from fishmj.replay.wake import page_data, read_wake
 from fishmj.store import plain, write_text
 
 _PAGE = Path(__file__).parent / "page"
-SCRIPTS = ("scene.js", "fish.js", "chart.js", "player.js")
+SCRIPTS = ("scene.js", "fish.js", "wake.js", "chart.js", "player.js")
 TANK = 4.0  # m, side of the tank that is drawn
 
 
@@ -32,15 +33,18 @@ def write_html(
     *,
     speed: float = 1.0,
     robots: "list[Robot | str | None] | None" = None,
+    fields: str | Path | None = None,
 ) -> Path:
     """Write a replay of one trial, or of several overlaid (the first solid, the others translucent).
 
     Args:
         robot: description for all trials; default, the one that each trial names. `robots` sets it one by one.
         speed: playing speed at the start, 1 = real time.
+        fields: folder with the vorticity slices of the first trial, as `lbm_oracle swim --fields` writes it.
 
     Raises:
-        LogError: no trial, or one without a pose. ConfigError: joints do not match. StoreError: the file cannot be written.
+        LogError: no trial, or one without a pose. ConfigError: joints do not match, or the fields are of another run.
+        StoreError: the file cannot be written.
     """
     if not trials:
         raise LogError("nothing to replay: give at least one trial")
@@ -55,6 +59,7 @@ def write_html(
         "tank": TANK,
         "tracks": [_track_data(t, TRACKS[i % len(TRACKS)]) for i, t in enumerate(tracks)],
         "skins": [_skin_data(skin(one, smooth=True)) for one in chosen],
+        "wake": None if fields is None else page_data(read_wake(fields, trials[0], tracks[0])),
     }
     return write_text(out, page(title, data))
 

@@ -11,6 +11,7 @@ const duration = Math.max(...data.tracks.map(track => track.duration));
 const frames = Math.max(...data.tracks.map(track => track.frames));
 const tank = middle(), sun = buildTank(tank), ripple = buildSurface(tank), stream = buildFlow(tank, data.tracks[0]);
 const fishes = data.tracks.map((track, i) => new Fish(i, track, data.skins[i]));
+const wake = data.wake && new Wake(data.wake);
 const wish = new URLSearchParams(location.hash.slice(1));
 
 const clock = {time: Number(wish.get("t") || 0), speed: data.speed, playing: wish.get("play") !== "0", then: null, followed: null};
@@ -25,7 +26,8 @@ function legend() {
   const water = isFinite(speed) ? `current ${speed.toFixed(2)} m/s towards ${Math.round(Math.atan2(uy, ux) * 180 / Math.PI)}&deg;` : "current not in the log";
   el("legend").innerHTML = `<h1>${safe(data.title)}</h1>${fish}<div class="marks">
     <i style="background:#ff9d2e"></i>target, ring ${data.arrival} m (green inside)<br>
-    <i style="background:#7ef0ff"></i>water at the fish<br><i style="background:#e9fbff"></i>${water}</div>`;
+    <i style="background:#7ef0ff"></i>water at the fish<br><i style="background:#e9fbff"></i>${water}<br>
+    <i class="tile"></i>floor tiles 0.25 m</div>${wake ? wake.legend() : ""}`;
 }
 
 function seek(time) {
@@ -53,6 +55,7 @@ function show() {
   sun.target.position.set(x, y, 0);
   stream(clock.time / first.track.duration * (first.track.frames - 1));
   ripple(clock.time);
+  if (wake) wake.show(clock.time);
   follow(x, y);
   chart.cursor(clock.time);
   el("time").value = clock.time;
@@ -119,13 +122,16 @@ const speeds = [...new Set([0.25, 0.5, 1, 2, 4, data.speed])].sort((a, b) => a -
 buttons("speeds", speeds.map(s => s + "x"), name => { clock.speed = parseFloat(name); }, data.speed + "x");
 buttons("views", Object.keys(VIEWS), look, wish.get("view") || "3-D");
 document.addEventListener("keydown", event => {
-  const act = {" ": () => play(!clock.playing), ArrowLeft: () => seek(clock.time - 0.1), ArrowRight: () => seek(clock.time + 0.1), f: () => el("follow").click()}[event.key];
+  const act = {" ": () => play(!clock.playing), ArrowLeft: () => seek(clock.time - 0.1), ArrowRight: () => seek(clock.time + 0.1), f: () => el("follow").click(), v: () => el("wake").click()}[event.key];
   if (act && event.target.type !== "range") { event.preventDefault(); act(); }
 });
+el("sheet").hidden = !wake;
+el("wake").addEventListener("change", event => { if (wake) wake.plane.visible = event.target.checked; viewer.set_dirty(); });
 play(clock.playing);
 el("follow").checked = wish.get("follow") === "1";
 seek(clock.time);
 look(VIEWS[wish.get("view")] ? wish.get("view") : "3-D");
+if (wake) wake.loaded.then(() => { document.body.dataset.wake = `${wake.t.length} slices`; });
 requestAnimationFrame(() => requestAnimationFrame(now => {
   document.body.dataset.ready = `ready: ${frames} frames`;
   tick(now);
