@@ -50,7 +50,7 @@ def read_trial(path: str | Path) -> Trial:
         raise LogError(f"{path}: no such trial; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
-    meta, notes = _read_meta(path / META_FILE, required=True)
+    meta, notes = read_meta(path / META_FILE, required=True)
     tables: dict[str, Table] = {}
     for file in sorted(path.iterdir()):
         if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
@@ -136,7 +136,8 @@ def _checked_meta(folder: Path, meta: dict) -> str:
     return text
 
 
-def _read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
+def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
+    """The dictionary of a `meta.toml` and the notes of its check; an absent one is empty unless `required`."""
     if not path.is_file():
         if required:
             raise LogError(f'{path}: missing; write at least schema = "{SCHEMA}" and origin = "measured" (or "synthetic")')
@@ -152,12 +153,17 @@ def _read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
 
 
 def _read_flat(path: Path) -> Trial:
-    """Split the columns of a flat file over the tables; every table gets the common `t`."""
     samples, place = read_csv(path)
+    meta, notes = read_meta(path.with_name(META_FILE), required=False)
+    return flat_trial(samples, place, path, meta, notes)
+
+
+def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes: list[str]) -> Trial:
+    """Split the columns of a flat file over the tables; every table gets the common `t`."""
     if "t" not in samples:
         raise LogError(f"{place(-1, '')}: column 't' is missing; it has {', '.join(samples)}. Add time stamps in s")
-    meta, notes = _read_meta(path.with_name(META_FILE), required=False)
     tables: dict[str, Table] = {}
+    notes = list(notes)
     for column, values in samples.items():
         name = FLAT.get(column) or FLAT.get(re.sub(r"\d+\Z", "#", column))
         if name:

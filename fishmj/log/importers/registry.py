@@ -1,0 +1,78 @@
+"""The formats by name, and the one `read` that finds out which it is."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fishmj.errors import LogError, UnknownName
+from fishmj.log.importers import flat_csv, mcap, servo_xl330, tail_fish, tendon_fish_markers, usv_coastdown
+from fishmj.log.trial import Trial
+
+
+@dataclass(frozen=True)
+class Importer:
+    """`sniff(path)` is cheap and never raises on foreign bytes; `read(path)` gives trials by name."""
+
+    name: str
+    about: str
+    sniff: Callable[[Path], bool]
+    read: Callable[..., dict[str, Trial]]
+
+
+FORMATS: dict[str, Importer] = {
+    made.name: made
+    for made in (
+        Importer("mcap", "MCAP recording with JSON messages (extra: logs)", mcap.sniff, mcap.read),
+        Importer("servo_xl330", "XL330 servo on a pendulum, JSON of Rhoban's bam", servo_xl330.sniff, servo_xl330.read),
+        Importer("tail_fish", "tail-actuated fish of Mamakoukas et al., STATES*.txt", tail_fish.sniff, tail_fish.read),
+        Importer(
+            "tendon_fish_markers", "marker tracks of the tendon-driven fish", tendon_fish_markers.sniff, tendon_fish_markers.read
+        ),
+        Importer("usv_coastdown", "twin-hull boat, semicolon rows", usv_coastdown.sniff, usv_coastdown.read),
+        Importer("flat_csv", "our flat samples.csv on a common clock", flat_csv.sniff, flat_csv.read),
+    )
+}
+
+
+def sniff(path: str | Path) -> str:
+    """The name of the format that `path` is in.
+
+    Raises:
+        LogError: there is no such file or folder, or no format fits; the formats are listed.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
+    for name, importer in FORMATS.items():
+        try:
+            if importer.sniff(path):
+                return name
+        except OSError as error:
+            raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+    told = "; ".join(f"{name}: {importer.about}" for name, importer in FORMATS.items())
+    raise LogError(f"{path}: none of the known formats ({told}). Say which with --format, or write a trial folder")
+
+
+def read(path: str | Path, format: str | None = None, *, topics: str | Path | None = None) -> dict[str, Trial]:
+    """Trials by name from a file or folder in a foreign format.
+
+    Args:
+        format: one of `FORMATS`; found out when None.
+        topics: for "mcap": the TOML that says which topic is which table.
+
+    Raises:
+        LogError: nothing there, unknown format, or a breach of it at file:line:column with the fix.
+        MissingExtra: the format needs a package that is not installed.
+    """
+    path = Path(path)
+    name = format or sniff(path)
+    if name not in FORMATS:
+        raise UnknownName("format", name, FORMATS)
+    if topics and name != "mcap":
+        raise LogError(f"{path}: a topic mapping is for MCAP recordings only, this is {name}; leave it out")
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
+    trials = mcap.read(path, topics) if name == "mcap" else FORMATS[name].read(path)
+    if not trials:
+        raise LogError(f"{path}: nothing in format {name} ({FORMATS[name].about}) found there")
+    return trials

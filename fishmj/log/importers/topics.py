@@ -1,0 +1,123 @@
+"""Which topic of a message recording is which table: a small TOML beside the recording.
+
+    [meta]
+    origin = "measured"
+    robot = "swift"
+
+    [tables.cmd]
+    topic = "/fish/command"
+    t = "publish_time"                        # or "log_time" (the default), or a field
+    columns = { c1 = "position.0", c2 = "position.1" }
+
+    [tables.pose]
+    topic = "/camera/pose"
+    t = { field = "header.stamp", unit = "ns" }
+    columns = { x = "pose.x", y = "pose.y", yaw = { field = "heading", unit = "deg" } }
+
+A field is a path of keys and list indices with dots between. Units are converted because they are said here.
+"""
+
+import math
+import re
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fishmj.errors import LogError
+from fishmj.log.schema import TABLES
+from fishmj.log.text import read_text
+
+CLOCKS = ("log_time", "publish_time")
+UNITS = {  # unit -> factor to the schema's
+    **{"": 1.0, "rad": 1.0, "rad/s": 1.0, "m": 1.0, "m/s": 1.0, "s": 1.0, "V": 1.0, "A": 1.0, "Hz": 1.0, "m/s^2": 1.0},
+    **{"deg": math.pi / 180, "deg/s": math.pi / 180, "rpm": 2 * math.pi / 60, "g": 9.80665},
+    **{"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "cm/s": 1e-2, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "mV": 1e-3, "mA": 1e-3},
+}
+
+
+@dataclass(frozen=True)
+class Field:
+    """A path into a message and the factor to SI."""
+
+    path: tuple[str, ...]
+    unit: str = ""
+
+    @property
+    def factor(self) -> float:
+        return UNITS[self.unit]
+
+    def __str__(self) -> str:
+        return ".".join(self.path)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One table: its topic, the clock of its stamps ("log_time", "publish_time" or a field), its columns (None: all keys)."""
+
+    topic: str
+    clock: str | Field = "log_time"
+    columns: dict[str, Field] | None = None
+
+
+@dataclass(frozen=True)
+class Topics:
+    """The whole mapping, and the meta data to write."""
+
+    tables: dict[str, Topic]
+    meta: dict = field(default_factory=dict)
+
+
+def by_name(topics: set[str]) -> Topics:
+    """Without a TOML: a topic that ends in a table's name is that table, and its keys are the columns."""
+    return Topics({name: Topic(topic) for topic in sorted(topics) for name in [topic.rsplit("/", 1)[-1]] if name in TABLES})
+
+
+def read_topics(path: str | Path) -> Topics:
+    """Read the TOML.
+
+    Raises:
+        LogError: not TOML (line and column), or a key, table or unit that is not known (named).
+    """
+    path = Path(path)
+    try:
+        spec = tomllib.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: not valid TOML: {error}") from error
+    unknown = sorted(set(spec) - {"tables", "meta"})
+    tables, meta = spec.get("tables"), spec.get("meta", {})
+    if unknown or not isinstance(tables, dict) or not tables or not isinstance(meta, dict):
+        told = f"key {unknown[0]!r} is not known" if unknown else "no [tables.<name>]"
+        raise LogError(f"{path}: {told}; expected [meta] and one [tables.<name>] each for some of {', '.join(TABLES)}")
+    return Topics({name: _topic(path, name, entry) for name, entry in tables.items()}, meta)
+
+
+def _topic(path: Path, name: str, entry) -> Topic:
+    where = f"{path}: [tables.{name}]"
+    if name not in TABLES:
+        raise LogError(f"{where}: no such table; known: {', '.join(TABLES)}")
+    if not isinstance(entry, dict) or not isinstance(entry.get("topic"), str):
+        raise LogError(f'{where}: topic is missing; write topic = "/name/of/the/topic"')
+    if extra := sorted(set(entry) - {"topic", "t", "columns"}):
+        raise LogError(f"{where}: key {extra[0]!r} is not known; expected topic, t, columns")
+    clock = entry.get("t", "log_time")
+    columns = entry.get("columns")
+    if columns is not None and (not isinstance(columns, dict) or not columns or "t" in columns):
+        raise LogError(f'{where}: columns must be a table such as {{ x = "pose.x" }}; the stamp goes into t')
+    return Topic(
+        entry["topic"],
+        clock if clock in CLOCKS else _field(where, "t", clock),
+        None if columns is None else {column: _field(where, column, value) for column, value in columns.items()},
+    )
+
+
+def _field(where: str, key: str, value) -> Field:
+    value = {"field": value} if isinstance(value, str) else value
+    if not isinstance(value, dict) or not isinstance(value.get("field"), str) or not value["field"]:
+        raise LogError(f'{where}: {key} = {str(value)[:60]!r}; expected "a.field" or {{ field = "a.field", unit = "deg" }}')
+    unit = value.get("unit", "")
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise LogError(
+            f"{where}: {key}: unit {str(unit)[:20]!r} is not known; expected one of {', '.join(u for u in UNITS if u)}"
+        )
+    return Field(tuple(value["field"].split(".")), unit)
