@@ -1,0 +1,121 @@
+"""The command line of the campaign, for whoever offers it as a verb: `add_arguments(parser)` and `run(args)`.
+
+python -m fishmj.hydro_fit collect --device cuda
+python -m fishmj.hydro_fit collect --preview --out data/hydro/preview
+python -m fishmj.hydro_fit collect --fish my_fish.toml --scale 0.2 --out runs/my_fish
+python -m fishmj.hydro_fit collect --ray auto --tanks 12
+"""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from fishmj import console
+from fishmj.campaign import plan as plans
+from fishmj.campaign.collect import Collected, Local, Pool, collect
+from fishmj.campaign.plan import Plan
+from fishmj.campaign.tank import Setup
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.device import device_of
+from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.mjcf.description import Robot, load_robot
+
+ON_GPU = 12  # tanks of two million cells that fill one
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `collect`; `--json` is the caller's."""
+    parser.add_argument("--fish", default="fish", metavar="NAME|FILE", help="description of the robot")
+    parser.add_argument("--out", metavar="FOLDER", help="data set to write or continue; data/hydro/<fish>[-...] by default")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, metavar="X", help="as many times the episodes; 1 is the whole campaign"
+    )
+    parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
+    parser.add_argument("--fresh-test", type=int, metavar="SEED", help="new test episodes and nothing else")
+    parser.add_argument("--seed", type=int, default=0, help="of the draws")
+    parser.add_argument("--policy", action="append", default=[], metavar="NAME|FILE", help="what steers on-policy episodes")
+    parser.add_argument("--domain", help="box of water: window (default), paper, laptop, window_fine, ...")
+    parser.add_argument("--dt", type=float, metavar="S", help="another time step")
+    parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
+    parser.add_argument("--tanks", type=int, metavar="N", help=f"segments side by side on a device; {ON_GPU} on a GPU, else 1")
+    parser.add_argument("--ray", metavar="ADDRESS", help="run on a Ray cluster: an address, auto, or local:N for N workers here")
+    parser.add_argument("--budget", type=float, metavar="SECONDS", help="of wall time; what is finished then is kept")
+    parser.add_argument("--retry", action="store_true", help="run segments that stopped early again")
+    parser.add_argument("--dry-run", action="store_true", help="print the plan and stop")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Collect; exit code 0 when the data set is complete, 1 when segments are missing or nothing of one was sound."""
+    robot = load_robot(args.fish)
+    plan = plan_of(args, robot)
+    out = Path(args.out) if args.out else default_folder(plan)
+    domain = preset(args.domain or ("laptop" if args.preview else "window"))
+    if args.dt is not None:
+        domain = domain.changed(dt=args.dt)
+    device = args.device if args.ray else str(device_of(args.device))
+    setup = Setup(robot=robot, domain=domain, device=device)
+    console.say(
+        f"{plan.label}: {len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}", console.table(plan.rows())
+    )
+    if domain.name in PREVIEWS:
+        console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
+    if not any(segment.block == "policy" for segment in plan.segments):
+        console.say(f"no shipped controller is made for {robot.name}: no on-policy episodes; name one with --policy")
+    if args.dry_run:
+        if args.json:
+            console.emit_json(
+                {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows(), "split_sha256": plan.split_sha256}
+            )
+        return console.OK
+    found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
+    report(found)
+    if args.json:
+        console.emit_json({**asdict(found), "complete": found.complete})
+    return console.OK if found.complete and not found.lost else console.FAILED_CHECK
+
+
+def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
+    """The plan that the options ask for.
+
+    Raises:
+        ConfigError: two kinds of plan at once.
+    """
+    if args.preview and args.fresh_test is not None:
+        raise ConfigError("collect: --preview and --fresh-test are two plans; choose one")
+    if args.preview:
+        return plans.preview(robot, seed=args.seed, policies=args.policy)
+    if args.fresh_test is not None:
+        return plans.fresh_test(robot, seed=args.fresh_test, policies=args.policy, scale=args.scale)
+    return plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
+
+
+def default_folder(plan: Plan) -> Path:
+    """data/hydro/<fish> for the whole campaign; everything else apart from it."""
+    suffix = "" if plan.label == "full" else "-" + plan.label.replace(" ", "-")
+    return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
+
+
+def pool_of(args: argparse.Namespace, device: str) -> Pool:
+    """Tanks here, or workers of a Ray cluster."""
+    tanks = args.tanks
+    if tanks is not None and tanks < 1:
+        raise ConfigError(f"collect: {tanks} tanks; expected at least 1")
+    if args.ray:
+        from fishmj.campaign.ray_pool import RayPool
+
+        return RayPool(args.ray, tanks=tanks or 1)
+    return Local(tanks or (ON_GPU if device.startswith("cuda") else 1))
+
+
+def report(found: Collected) -> None:
+    """What was done, in words."""
+    console.say(
+        f"{found.folder}: {found.segments - found.missing} of {found.segments} segments, {found.recorded_s:.0f} s recorded,"
+        f" {found.bytes / 1e6:.2f} MB ({found.bytes / max(found.recorded_s, 1e-9) / 1e3:.1f} kB/s);"
+        f" {found.run} run now: {found.water_s:.0f} s of water in {console.duration(found.wall_s)}"
+    )
+    for name, why in found.stopped.items():
+        kept = "nothing was sound" if name in found.lost else "kept as far as it was sound"
+        console.warn(f"{name} stopped, {kept}: {why}")
+    if found.missing:
+        console.warn(f"{found.missing} segments are missing; the same command goes on with them")
