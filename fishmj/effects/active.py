@@ -63,12 +63,15 @@ class Active:
         """The sites for one physics step."""
         return Session(self, xp, list(parameters), list(memory))
 
-    def delay(self, xp, parameters, clock: str):
-        """Sum of the transport delays of a clock, s."""
+    def delay(self, xp, parameters, clock: str, t=0.0):
+        """Sum of the transport delays of a clock at the times t [s] since the session began, s. Negative: its stamps are late."""
         total = 0.0
         for slot in self.slots:
-            for name in (p for c, p in slot.effect.delays.items() if c == clock):
-                total = total + getattr(_values(slot, parameters), name)
+            p = vars(_values(slot, parameters))
+            if clock in slot.effect.delays:
+                total = total + p[slot.effect.delays[clock]]
+            if clock in slot.effect.drifts:
+                total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
         return total
 
     def measure(self, xp, parameters, seen):

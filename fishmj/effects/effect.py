@@ -8,19 +8,21 @@ compiled form, JAX, the beat-averaged body and the servo on a bench.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, UnknownName
 
 STAGES = ("actuator", "timing", "inertia", "hydrodynamics", "environment", "measurement")
 CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
-CLOCKS = ("command", "joint", "pose", "power")  # what a transport delay may delay
+CLOCKS = ("command", "joint", "pose", "power", "velocity")  # what a transport delay may delay
+STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
     """One number of an effect, SI.
 
-    null: value at which the effect is not there. low, high: physical bounds. typical: (small, large) magnitude to expect, what a
-    search probes with and domain randomisation draws from. signed: it may lie on either side of the null.
+    null: value at which the effect is not there. low, high: physical bounds. typical: (small, large) values to expect, what a
+    search probes with and domain randomisation draws from; a signed parameter may lie on either side of its null, mirrored there.
+    shape: it shapes the effect but does not make it; while the others are at their null, any value of it is the identity.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Parameter:
     high: float
     typical: tuple[float, float]
     about: str = ""
+    shape: bool = False
 
     def __post_init__(self):
         if not (self.low <= self.null <= self.high and self.typical[0] < self.typical[1]):
@@ -41,7 +44,7 @@ class Parameter:
     @property
     def signed(self) -> bool:
         """Whether both sides of the null make sense."""
-        return self.low < self.null < self.high
+        return self.low < self.null < self.high and not self.shape
 
     @property
     def probe(self) -> float:
@@ -74,9 +77,11 @@ class Effect:
         command(xp, p, command, memory, h) -> (command, memory) one joint's command, rad, on its way to the servo
         measure(xp, p, Seen) -> Seen                            what the sensors report, whole records
         delays {clock: parameter}                               transport delay of a clock, s
+        drifts {clock: parameter}                               rate of a clock, 1 = true: the delay grows by (rate - 1) t
 
     memory: initial values of what a site remembers, one set a joint at the sites servo, gear and command.
-    stochastic: it changes the scatter between replicates, not their mean.
+    stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
+        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (scatter.py).
     """
 
     name: str
@@ -99,17 +104,25 @@ class Effect:
     command: Callable | None = None
     measure: Callable | None = None
     delays: dict[str, str] = field(default_factory=dict)
+    drifts: dict[str, str] = field(default_factory=dict)
+    stream: str = ""
+    scatter: Callable | None = None
 
     def __post_init__(self):
         if self.stage not in STAGES:
             raise ConfigError(f"effect {self.name}: stage {self.stage!r}; choose one of {', '.join(STAGES)}")
-        wrong = set(self.shows) - set(CHANNELS) | set(self.delays) - set(CLOCKS)
+        wrong = set(self.shows) - set(CHANNELS) | set(self.delays | self.drifts) - set(CLOCKS)
         if wrong:
             raise ConfigError(f"effect {self.name}: unknown channels or clocks {sorted(wrong)}")
-        unknown = set(self.delays.values()) - {p.name for p in self.parameters}
+        unknown = {*self.delays.values(), *self.drifts.values()} - {p.name for p in self.parameters}
         if unknown:
             raise ConfigError(f"effect {self.name}: delays name {sorted(unknown)}, which are no parameters of it")
-        if len(self.sites) + len(self.delays) == 0:
+        drawn = self.scatter is not None
+        if drawn != self.stochastic or drawn != (self.stream in STREAMS):
+            raise ConfigError(
+                f"effect {self.name}: a stochastic effect has scatter and a stream of {', '.join(STREAMS)}; no other has"
+            )
+        if len(self.sites) + len(self.delays) == 0 and not drawn:
             raise ConfigError(f"effect {self.name}: acts at no site")
         if self.memory and len(self.remembering) != 1:
             raise ConfigError(f"effect {self.name}: memory belongs to one site, got {self.sites}")
@@ -124,6 +137,13 @@ class Effect:
     def remembering(self) -> tuple[str, ...]:
         """Sites that take memory."""
         return tuple(s for s in self.sites if s in ("servo", "gear", "body", "water", "command"))
+
+    def parameter(self, name: str) -> Parameter:
+        """One parameter by name. Raises UnknownName."""
+        found = {p.name: p for p in self.parameters}
+        if name not in found:
+            raise UnknownName(f"parameter of {self.name}", name, found)
+        return found[name]
 
     @property
     def null(self) -> tuple[float, ...]:

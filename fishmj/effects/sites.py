@@ -27,6 +27,8 @@ class Gear(NamedTuple):
     torque: Any  # N m
     resist: Any  # N m s/rad, >= 0
     wet: Any  # 1 in water, 0 in air
+    kb: Any  # N m s/rad, back-EMF slope, part of the joint's damping already
+    limit: Any  # N m, stall torque
 
 
 class Constants(NamedTuple):
@@ -70,7 +72,10 @@ class Body(NamedTuple):
 
 
 class Water(NamedTuple):
-    """Forces of the water on the links, except those proportional to their acceleration; lists, one entry a link."""
+    """Forces of the water on the links, except those proportional to their acceleration; lists, one entry a link.
+
+    forces - instant is what vortices, drag and the trailing edge do: what a wake may hold back and a wall may raise.
+    """
 
     forces: Any  # [(F_t N, F_n N, moment N m about the link's origin)]
     u: Any  # [m/s] relative to the water, along the link
@@ -79,6 +84,7 @@ class Water(NamedTuple):
     x: Any  # m, reference point, world
     y: Any  # m
     time: Any  # s
+    instant: Any  # part of the forces that belongs to the added mass and follows the motion at once, same form
 
 
 class Seen(NamedTuple):

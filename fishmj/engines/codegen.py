@@ -13,7 +13,9 @@ from typing import Any, NamedTuple
 from fishmj.errors import ConfigError
 
 BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}"}
-CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {name: name for name in ("sqrt", "sin", "cos", "exp", "atan2")}
+CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {
+    name: name for name in ("sqrt", "sin", "cos", "exp", "atan2", "floor")
+}
 COMPARE = {"gt": ">", "lt": "<", "ge": ">=", "le": "<="}
 FOLD: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -25,6 +27,7 @@ FOLD: dict[str, Callable[..., float]] = {
     "sin": math.sin,
     "cos": math.cos,
     "exp": math.exp,
+    "floor": math.floor,
     "abs": abs,
     "max": max,
     "min": min,

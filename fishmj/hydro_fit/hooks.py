@@ -12,7 +12,7 @@
 
 from fishmj.effects import Active
 from fishmj.effects.sites import Body, Constants, Gear, Place, Servo, Water
-from fishmj.hydro_fit import chain
+from fishmj.hydro_fit import chain, terms
 
 
 class Effects:
@@ -26,6 +26,7 @@ class Effects:
     def __init__(self, xp, active: Active, parameters, memory, wet: float = 1.0):
         self.xp, self.wet = xp, wet
         self.session = active.begin(xp, parameters, memory)
+        self.passive: list = []  # N m, torques of each joint that do not come from its motor
 
     def fish(self, ch: chain.Chain, sw: chain.Swimmer):
         return tuple(self.session.fish(Constants(ch, sw)))
@@ -47,16 +48,24 @@ class Effects:
             s = Servo(error, angle, rate, sw.kp[j], sw.kv[j], sw.kb[j], ch.torque, self.session.current, self.session.time)
             s = self.session.servo(j, s, ch.dt)
             drive = xp.minimum(xp.maximum(s.kp * s.error - s.kv * s.rate, -s.limit), s.limit)
-            g = self.session.gear(j, Gear(drive, angle, rate, 0.0, s.kb - sw.kb[j], self.wet), ch.dt)
-            drives.append(g.drive + g.torque)
+            g = self.session.gear(j, Gear(drive, angle, rate, 0.0, s.kb - sw.kb[j], self.wet, s.kb, s.limit), ch.dt)
+            drives.append(g.drive)  # the motor's alone: current and power follow it
             resists.append(g.resist)
+            self.passive.append(g.torque)
         return drives, resists
 
     def water(self, ch: chain.Chain, sw: chain.Swimmer, q, k: chain.Links, hydro):
-        given = Water(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time)
+        if not self.session.acts("water"):
+            return hydro
+        bias = chain.bias_forces(ch, sw, k, rigid=False)
+        parts = [terms.reactive(ch.strips, sw.water, i, k.u[i], k.w[i], k.omega[i]) for i in range(ch.n)]
+        instant = [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(bias, parts, strict=True)]
+        given = Water(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, instant)
         return self.session.water(given, ch.dt).forces
 
     def body(self, ch: chain.Chain, sw: chain.Swimmer, q, k: chain.Links, rhs, m) -> None:
+        for j, torque in enumerate(self.passive):
+            rhs[3 + j], rhs[2 + j] = rhs[3 + j] + torque, rhs[2 + j] - torque
         if not self.session.acts("body"):
             return
         sway = sum(sw.water.k[i] * ch.strips.mu[i][0] for i in range(ch.n))

@@ -1,0 +1,31 @@
+"""Commands come in coarse steps."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def command(xp, p, value, memory, h):
+    """c' = q floor(c / q + 1/2)."""
+    size = xp.where(p.step > 0.0, p.step, 1.0)
+    return xp.where(p.step > 0.0, size * xp.floor(value / size + 0.5), value), memory
+
+
+EFFECT = Effect(
+    name="command_quantisation",
+    stage="actuator",
+    about="counts are coarser than the model's: slow motion goes in steps",
+    formula="c' = q round(c/q)",
+    source="open hardware: 240 deg over 1000 counts; one degree where firmware sends whole degrees",
+    parameters=(Parameter(name="step", unit="rad", low=0.0, high=0.1, typical=(0.004, 0.035)),),
+    shows=("joint", "power"),
+    confusions=(
+        Confusion(
+            other="servo_deadband",
+            separates="width of the stairs against a constant error",
+            excitations=("slow_triangle", "staircase"),
+        ),
+        Confusion(
+            other="gear_backlash", separates="stairs all along the way, not only at reversals", excitations=("slow_triangle",)
+        ),
+    ),
+    command=command,
+)

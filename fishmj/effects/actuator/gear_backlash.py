@@ -1,0 +1,41 @@
+"""Play in the gears; the encoder sits on the output side, behind the play."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def gear(xp, p, g, memory, h):
+    """The motor runs through the gap x at its no-load speed, drive / k_b, and turns the link only in the part of the step in
+    which the gap is taken up: x' = clip(x + h (drive / k_b - w), +-b), share = (what was cut off) / (the whole way)."""
+    (x,) = memory
+    way = h * (g.drive / g.kb - g.rate)
+    taken = xp.minimum(xp.maximum(x + way, -p.half_gap), p.half_gap)
+    whole = xp.abs(x + way - x)
+    share = xp.where(whole > 0.0, xp.abs(x + way - taken) / xp.where(whole > 0.0, whole, 1.0), 1.0)
+    share = xp.minimum(share, 1.0)
+    return g._replace(drive=share * g.drive, resist=g.resist - (1.0 - share) * g.kb), (taken,)
+
+
+EFFECT = Effect(
+    name="gear_backlash",
+    stage="actuator",
+    about="the link floats in a gap at each reversal until the motor has taken it up; the encoder sees the link",
+    formula="x' = clip(x + h (drive/k_b - w), +-b); torque reaches the link only at the ends of the gap",
+    source="play operator with memory; small gear trains have 0.3 to 2 deg",
+    parameters=(Parameter(name="half_gap", unit="rad", low=0.0, high=0.1, typical=(0.005, 0.035)),),
+    shows=("joint", "power"),
+    native="a second hinge with a range of +-b behind the motor's",
+    confusions=(
+        Confusion(
+            other="command_latency",
+            separates="lost motion at reversals only; a delay acts all the time and also on the first move",
+            excitations=("slow_triangle", "chirp"),
+        ),
+        Confusion(
+            other="servo_deadband",
+            separates="a gap holds no position at rest and shrinks under one-sided load",
+            excitations=("hold_angles", "staircase"),
+        ),
+    ),
+    memory=(0.0,),
+    gear=gear,
+)

@@ -1,0 +1,52 @@
+"""Encoders read zero where the joint is not straight."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+OFFSETS = ("offset1", "offset2", "offset3")
+
+
+def of(p, joint: int):
+    """The offset of one joint; joints beyond the third share its value."""
+    return getattr(p, OFFSETS[min(joint, len(OFFSETS) - 1)])
+
+
+def servo(xp, p, s, memory, h):
+    """The controller closes its loop on the encoder: e' = e + o."""
+    return s._replace(error=s.error + of(p, p.joint)), memory
+
+
+def measure(xp, p, seen):
+    """The log has what the encoder reads: angle - o."""
+    offsets = xp.stack([of(p, j) + 0.0 for j in range(seen.joint.shape[-1])], axis=-1)
+    return seen._replace(joint=seen.joint - offsets)
+
+
+EFFECT = Effect(
+    name="joint_zero_offset",
+    stage="actuator",
+    about="a servo horn one tooth off: the fish is bent while its encoders say straight, so it turns",
+    formula="hinge angle = encoder angle + o",
+    source="paper randomises +-5 deg; open hardware's centre counts are 2.4 to 4.8 deg off",
+    parameters=tuple(Parameter(name=name, unit="rad", low=-0.2, high=0.2, typical=(0.02, 0.087)) for name in OFFSETS),
+    shows=("position", "heading"),
+    native="joint ref",
+    confusions=(
+        Confusion(
+            other="steady_current",
+            separates="an offset turns with the fish, a current does not",
+            excitations=("drift_0", "gait_mirrored"),
+        ),
+        Confusion(
+            other="camera_yaw",
+            separates="a turned camera turns straight tracks, an offset bends them",
+            excitations=("gait", "gait_mirrored"),
+        ),
+        Confusion(
+            other="servo_deadband",
+            separates="does not change sign with the direction of approach",
+            excitations=("staircase",),
+        ),
+    ),
+    servo=servo,
+    measure=measure,
+)

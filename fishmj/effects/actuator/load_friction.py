@@ -1,0 +1,30 @@
+"""Friction that grows with the load on the teeth."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+CREEP = 0.02  # rad/s, as for coulomb_friction
+
+
+def gear(xp, p, g, memory, h):
+    """tau = -K |tau_m| sign(w), tau_m = drive - k_b w the torque that the motor puts on the teeth; secant, implicit."""
+    load = xp.abs(g.drive - g.kb * g.rate)
+    return g._replace(resist=g.resist + p.ratio * load / xp.sqrt(g.rate * g.rate + CREEP * CREEP)), memory
+
+
+EFFECT = Effect(
+    name="load_friction",
+    stage="actuator",
+    about="teeth under load rub harder: lifting costs more than lowering gives back, holding has a hysteresis",
+    formula="tau = -K |tau_motor| sign(w)",
+    source="Rhoban BAM M3; 0.1 to 0.3, 0.15 on an XL330",
+    parameters=(Parameter(name="ratio", unit="1", low=0.0, high=0.8, typical=(0.1, 0.3)),),
+    shows=("joint", "power"),
+    confusions=(
+        Confusion(
+            other="coulomb_friction", separates="vary the load at equal speed", excitations=("hold_angles", "slow_triangle")
+        ),
+        Confusion(other="voltage_sag", separates="vary the speed at equal load", excitations=("chirp", "steps")),
+        Confusion(other="servo_gain", separates="acts on the moving joint only", excitations=("staircase", "chirp")),
+    ),
+    gear=gear,
+)

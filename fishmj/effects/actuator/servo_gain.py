@@ -1,0 +1,34 @@
+"""The position controller is stiffer or softer than the model's."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def servo(xp, p, s, memory, h):
+    """k_p' = (1 + g) k_p, k_v' = (1 + g) k_v."""
+    return s._replace(kp=(1.0 + p.gain) * s.kp, kv=(1.0 + p.gain) * s.kv), memory
+
+
+EFFECT = Effect(
+    name="servo_gain",
+    stage="actuator",
+    about="bandwidth of the joint is off: amplitude and phase change with frequency",
+    formula="(k_p, k_v)' = (1 + g) (k_p, k_v)",
+    source="spread of gains between servos of one type: 10 to 30 %",
+    parameters=(Parameter(name="gain", unit="1", low=-0.7, high=2.0, typical=(0.1, 0.3)),),
+    shows=("joint", "position", "power"),
+    native="actuator gainprm, biasprm",
+    confusions=(
+        Confusion(
+            other="command_latency",
+            separates="amplitude changes too; two frequencies a decade apart",
+            excitations=("chirp", "staircase"),
+        ),
+        Confusion(
+            other="skin_stiffness",
+            separates="power needed to hold a constant angle",
+            excitations=("hold_angles", "staircase"),
+        ),
+        Confusion(other="viscous_friction", separates="error of a held angle under load", excitations=("hold_angles", "chirp")),
+    ),
+    servo=servo,
+)

@@ -1,0 +1,38 @@
+"""The torque left at speed falls faster than the model's."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def gear(xp, p, g, memory, h):
+    """drive along the motion <= limit (1 - s |w|), on top of back-EMF; the slope s limit is taken implicitly."""
+    ahead = xp.where(g.drive >= 0.0, 1.0, -1.0)
+    along = xp.maximum(g.rate * ahead, 0.0)
+    over = g.drive * ahead > g.limit * (1.0 - p.slowness * along)
+    drive = xp.where(over, ahead * g.limit, g.drive)
+    return g._replace(drive=drive, resist=g.resist + xp.where(over, p.slowness * g.limit, 0.0)), memory
+
+
+EFFECT = Effect(
+    name="speed_limit",
+    stage="actuator",
+    about="an extra torque-speed line: fast joints lose torque, a large fast sine becomes a triangle",
+    formula="drive <= limit (1 - s |w|) along the motion; 1/s is the speed at which nothing is left",
+    source="paper: 0.2 s per 60 deg without load; low voltage and stiff grease halve it",
+    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.15, 0.5)),),
+    shows=("joint", "position", "power"),
+    native="actuator dcmotor",
+    confusions=(
+        Confusion(
+            other="torque_saturation",
+            separates="a speed limit is the same in air and in water",
+            excitations=("square", "chirp"),
+        ),
+        Confusion(other="rate_limit", separates="load dependent: same move in air and water", excitations=("steps", "square")),
+        Confusion(
+            other="move_time_ramp",
+            separates="the same slope for every step size; a ramp's slope grows with the step",
+            excitations=("steps", "staircase"),
+        ),
+    ),
+    gear=gear,
+)

@@ -1,0 +1,34 @@
+"""Extra friction at creep speed."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+CREEP = 0.02  # rad/s, below which friction grows linearly, as for coulomb_friction
+
+
+def gear(xp, p, g, memory, h):
+    """tau = -F_s exp(-(w / w_s)^2) sign(w), as a secant, taken implicitly."""
+    slow = g.rate / p.speed
+    return g._replace(resist=g.resist + p.torque * xp.exp(-slow * slow) / xp.sqrt(g.rate * g.rate + CREEP * CREEP)), memory
+
+
+EFFECT = Effect(
+    name="stribeck",
+    stage="actuator",
+    about="friction that is higher at creep speed than in motion: stick and slip",
+    formula="tau = -F_s exp(-(w/w_s)^2) sign(w)",
+    source="Stribeck curve as in LuGre and Rhoban BAM M2; half to one and a half times Coulomb friction",
+    parameters=(
+        Parameter(name="torque", unit="N m", low=0.0, high=0.8, typical=(0.03, 0.2)),
+        Parameter(name="speed", unit="rad/s", null=0.1, low=0.01, high=1.0, typical=(0.05, 0.2), shape=True),
+    ),
+    shows=("joint", "power"),
+    confusions=(
+        Confusion(
+            other="coulomb_friction",
+            separates="vanishes at speed: needs a decade of low speeds",
+            excitations=("slow_triangle", "staircase", "chirp"),
+        ),
+        Confusion(other="servo_deadband", separates="depends on speed at small error", excitations=("slow_triangle",)),
+    ),
+    gear=gear,
+)

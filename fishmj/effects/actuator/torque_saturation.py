@@ -1,0 +1,33 @@
+"""The servo gives less than its stall torque."""
+
+from fishmj.calib import constant
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+STALL = constant("servo", "torque")  # N m, of the paper's servo: the null, at which any servo keeps its own limit
+
+
+def servo(xp, p, s, memory, h):
+    """limit' = min(limit, tau_max) where tau_max is below the paper's stall torque."""
+    return s._replace(limit=xp.where(p.limit < STALL, xp.minimum(s.limit, p.limit), s.limit)), memory
+
+
+EFFECT = Effect(
+    name="torque_saturation",
+    stage="actuator",
+    about="torque is cut off earlier: brown-out, firmware limit, worn battery",
+    formula="|drive| <= tau_max",
+    source="paper: 17 kg cm at 7.4 V; 0.8 to 1.2 N m in a brown-out",
+    parameters=(Parameter(name="limit", unit="N m", null=STALL, low=0.2, high=STALL, typical=(0.8, 1.2)),),
+    shows=("joint", "position", "power"),
+    native="actuator forcerange",
+    confusions=(
+        Confusion(
+            other="speed_limit",
+            separates="saturation scales with inertia, air against water; a speed limit does not",
+            excitations=("square", "chirp"),
+        ),
+        Confusion(other="voltage_sag", separates="does not depend on the other joints", excitations=("steps", "gait")),
+        Confusion(other="thermal_derating", separates="the same from the first second", excitations=("gait", "burst_and_coast")),
+    ),
+    servo=servo,
+)

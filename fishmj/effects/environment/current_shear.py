@@ -1,0 +1,25 @@
+"""The current differs across the tank."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def flow(xp, p, place):
+    """u' = u + rate y."""
+    return place._replace(u=place.u + p.rate * place.y)
+
+
+EFFECT = Effect(
+    name="current_shear",
+    stage="environment",
+    about="faster water on one side of the tank: drift depends on the station, and a slow turning",
+    formula="u' = u + rate y",
+    source="pumped tanks: 0.02 to 0.2 1/s",
+    parameters=(Parameter(name="rate", unit="1/s", low=-0.5, high=0.5, typical=(0.02, 0.1)),),
+    shows=("position", "heading"),
+    confusions=(
+        Confusion(other="wall_effect", separates="changes sign with the direction of travel", excitations=("out_and_back",)),
+        Confusion(other="swirl", separates="u only: no cross drift at other x", excitations=("two_station_shear", "drift_90")),
+        Confusion(other="steady_current", separates="the same run at two stations", excitations=("two_station_shear",)),
+    ),
+    flow=flow,
+)

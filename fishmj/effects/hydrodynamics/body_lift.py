@@ -1,0 +1,28 @@
+"""Side force of a body at a drift angle."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def body(xp, p, b, memory, h):
+    """fy = -Y |u| w: against the sway whether it swims ahead or astern, so it never feeds energy."""
+    return b._replace(fy=b.fy - p.coefficient * xp.abs(b.u) * b.w), memory
+
+
+EFFECT = Effect(
+    name="body_lift",
+    stage="hydrodynamics",
+    about="a hull that moves askew sheds lift at its end: side force with speed times sway",
+    formula="fy = -Y |u| w",
+    source="published models of robotic fish: 5 to 30 N s2/m2",
+    parameters=(Parameter(name="coefficient", unit="N s2/m2", low=0.0, high=100.0, typical=(4.0, 20.0)),),
+    shows=("position", "heading"),
+    native="body fluidcoef (Kutta lift)",
+    confusions=(
+        Confusion(
+            other="munk_moment", separates="a force, not a moment: heading keeps", excitations=("burst_and_coast", "turn_left")
+        ),
+        Confusion(other="crossflow_drag", separates="vanishes without speed ahead", excitations=("drift_90", "burst_and_coast")),
+        Confusion(other="sway_added_mass", separates="does not need acceleration", excitations=("impulse", "turn_left")),
+    ),
+    body=body,
+)

@@ -1,0 +1,26 @@
+"""Drag across the body is off."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def fish(xp, p, c):
+    """c_n' = (1 + g) c_n on every link."""
+    water = c.swimmer.water
+    return c._replace(swimmer=c.swimmer._replace(water=water._replace(cn=[(1.0 + p.gain) * cn for cn in water.cn])))
+
+
+EFFECT = Effect(
+    name="crossflow_drag",
+    stage="hydrodynamics",
+    about="every link is harder or easier to push sideways: turns, side slip",
+    formula="c_n' = (1 + g) c_n, all links",
+    source="cross-flow coefficients of ellipses and plates: 1.1 to 2; this hull has 30 N s2/m2",
+    parameters=(Parameter(name="gain", unit="1", low=-0.8, high=2.0, typical=(0.1, 0.4)),),
+    shows=("position", "heading"),
+    confusions=(
+        Confusion(other="yaw_drag", separates="shows in a side drift without turning", excitations=("drift_90", "spin_in_place")),
+        Confusion(other="body_lift", separates="no speed ahead needed", excitations=("drift_90", "burst_and_coast")),
+        Confusion(other="tail_normal_force", separates="acts on the head as on the tail", excitations=("drift_90", "gait")),
+    ),
+    fish=fish,
+)

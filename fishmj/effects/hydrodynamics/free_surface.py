@@ -1,0 +1,27 @@
+"""Waves at the surface cost drag."""
+
+from fishmj.calib import constant
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+GRAVITY_LENGTH = 9.81 * constant("robot", "length")  # m2/s2: Froude number 1
+
+
+def body(xp, p, b, memory, h):
+    """fx = -c Fr^2 |u| u, Fr^2 = u^2 / (g L)."""
+    return b._replace(fx=b.fx - p.gain * (b.u * b.u / GRAVITY_LENGTH) * xp.abs(b.u) * b.u), memory
+
+
+EFFECT = Effect(
+    name="free_surface",
+    stage="hydrodynamics",
+    about="a fish close under the surface makes waves: drag that grows with the fourth power of speed",
+    formula="fx = -c Fr^2 |u| u, Fr^2 = u^2/(g L)",
+    source="hulls close under the surface; Froude numbers here are 0.04 to 0.2",
+    parameters=(Parameter(name="gain", unit="N s2/m2", low=0.0, high=100.0, typical=(3.0, 20.0)),),
+    shows=("position",),
+    confusions=(
+        Confusion(other="quadratic_drag", separates="only at speed; two depths", excitations=("burst_and_coast", "gait")),
+        Confusion(other="wall_effect", separates="the same everywhere in the tank", excitations=("out_and_back",)),
+    ),
+    body=body,
+)

@@ -1,0 +1,26 @@
+"""Drag in proportion to speed."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def body(xp, p, b, memory, h):
+    """fx = -c u."""
+    return b._replace(fx=b.fx - p.coefficient * b.u), memory
+
+
+EFFECT = Effect(
+    name="linear_surge_drag",
+    stage="hydrodynamics",
+    about="laminar drag along the body: what is left of a coast when it is slow",
+    formula="fx = -c u",
+    source="boundary layer of a body of 0.5 m: 0.1 to 0.8 N s/m",
+    parameters=(Parameter(name="coefficient", unit="N s/m", low=0.0, high=5.0, typical=(0.1, 0.8)),),
+    shows=("position",),
+    native="option viscosity",
+    confusions=(
+        Confusion(other="quadratic_drag", separates="speeds of 3 to 1, coast to rest", excitations=("burst_and_coast",)),
+        Confusion(other="steady_current", separates="coast in two headings", excitations=("burst_and_coast", "out_and_back")),
+        Confusion(other="tether", separates="does not depend on where the fish is", excitations=("out_and_back",)),
+    ),
+    body=body,
+)

@@ -1,0 +1,25 @@
+"""The moment that turns a body broadside is off."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def body(xp, p, b, memory, h):
+    """n = -g m_sway u w, m_sway the base model's added mass in sway: turns the nose away from where the fish drifts."""
+    return b._replace(n=b.n - p.gain * b.sway_mass * b.u * b.w), memory
+
+
+EFFECT = Effect(
+    name="munk_moment",
+    stage="hydrodynamics",
+    about="a body that moves askew is turned further askew; viscosity leaves 0.7 to 1.1 of the ideal moment",
+    formula="n = -g m_sway u w",
+    source="Munk 1924; factors of 0.7 to 1.1 on hulls",
+    parameters=(Parameter(name="gain", unit="1", low=-1.0, high=1.0, typical=(0.1, 0.3)),),
+    shows=("heading", "position"),
+    confusions=(
+        Confusion(other="body_lift", separates="a moment, not a force", excitations=("burst_and_coast", "turn_left")),
+        Confusion(other="com_offset", separates="needs speed", excitations=("impulse", "burst_and_coast")),
+        Confusion(other="sway_added_mass", separates="needs no acceleration", excitations=("impulse", "burst_and_coast")),
+    ),
+    body=body,
+)

@@ -1,0 +1,26 @@
+"""The centre of mass lies elsewhere along the head."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def fish(xp, p, c):
+    """s_0' = s_0 + x: the head link's centre of mass, which carries battery and electronics."""
+    return c._replace(chain=c.chain._replace(com=(c.chain.com[0] + p.x, *c.chain.com[1:])))
+
+
+EFFECT = Effect(
+    name="com_offset",
+    stage="inertia",
+    about="battery moved: the head link's centre of mass lies ahead (x > 0) or behind; yaw and sway couple",
+    formula="s_head' = s_head + x (whole fish: x m_head/m)",
+    source="battery of a quarter of the weight moved by 2 to 6 cm: 5 to 15 mm",
+    parameters=(Parameter(name="x", unit="m", low=-0.05, high=0.05, typical=(0.005, 0.02)),),
+    shows=("position", "heading"),
+    native="body ipos",
+    confusions=(
+        Confusion(other="body_lift", separates="no speed needed: flap on the spot", excitations=("impulse", "turn_left")),
+        Confusion(other="munk_moment", separates="no speed needed: flap on the spot", excitations=("impulse", "burst_and_coast")),
+        Confusion(other="marker_offset", separates="the joints' commands move it", excitations=("spin_in_place", "impulse")),
+    ),
+    fish=fish,
+)

@@ -1,0 +1,24 @@
+"""The marker for heading sits askew."""
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def measure(xp, p, seen):
+    """yaw' = yaw + d."""
+    return seen._replace(yaw=seen.yaw + p.angle)
+
+
+EFFECT = Effect(
+    name="heading_marker_offset",
+    stage="measurement",
+    about="heading is off by a constant, the track is not: it seems to slip sideways",
+    formula="yaw' = yaw + d",
+    source="paper, red head and yellow neck by eye: 1 to 5 deg",
+    parameters=(Parameter(name="angle", unit="rad", low=-0.3, high=0.3, typical=(0.017, 0.087)),),
+    shows=("heading",),
+    confusions=(
+        Confusion(other="camera_yaw", separates="the track keeps its direction", excitations=("burst_and_coast", "gait")),
+        Confusion(other="com_offset", separates="the same at rest", excitations=("drift_0", "turn_left")),
+    ),
+    measure=measure,
+)

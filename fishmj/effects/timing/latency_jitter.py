@@ -1,0 +1,30 @@
+"""Commands arrive after times that vary from packet to packet."""
+
+import numpy as np
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def scatter(rng, p, record):
+    """t'_k = max(t_k + sigma^2-gamma of mean sigma, t'_{k-1}): late, never early, in order. record = (t [s], commands)."""
+    t, commands = record
+    late = t + p.sigma * rng.standard_gamma(1.0, size=np.shape(t))  # gamma of shape 1: deviation = mean = sigma
+    return np.maximum.accumulate(late), commands
+
+
+EFFECT = Effect(
+    name="latency_jitter",
+    stage="timing",
+    about="each packet has its own delay: scatter between replicates that grows with the speed of the command",
+    formula="t_arrival = t + delay + Gamma(1, sigma)",
+    source="wireless links: 2 to 20 ms with a long tail",
+    parameters=(Parameter(name="sigma", unit="s", low=0.0, high=0.1, typical=(0.002, 0.02)),),
+    shows=("joint", "position", "heading"),
+    confusions=(
+        Confusion(other="packet_loss", separates="no plateaus; stamps at both ends", excitations=("sine",)),
+        Confusion(other="turbulence", separates="shows in the joints", excitations=("sine", "gait")),
+    ),
+    stochastic=True,
+    stream="command",
+    scatter=scatter,
+)

@@ -1,0 +1,32 @@
+"""Some commands never arrive."""
+
+import numpy as np
+
+from fishmj.effects.effect import Confusion, Effect, Parameter
+
+
+def scatter(rng, p, record):
+    """Each command but the first is lost with the probability p: the one before it holds. record = (t [s], commands (T, J))."""
+    t, commands = record
+    kept = rng.uniform(size=np.shape(t)) >= p.probability
+    kept[:1] = True
+    last = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
+    return t, np.asarray(commands)[last]
+
+
+EFFECT = Effect(
+    name="packet_loss",
+    stage="timing",
+    about="a lost command leaves the one before it standing: plateaus in the joints",
+    formula="c'_k = c_k with probability 1 - p, else c'_{k-1}",
+    source="wireless links: 0.1 to 5 %",
+    parameters=(Parameter(name="probability", unit="1", low=0.0, high=0.5, typical=(0.005, 0.05)),),
+    shows=("joint", "position", "heading"),
+    confusions=(
+        Confusion(other="latency_jitter", separates="isolated plateaus of whole packets", excitations=("sine",)),
+        Confusion(other="command_quantisation", separates="plateaus at random times, also in fast motion", excitations=("sine",)),
+    ),
+    stochastic=True,
+    stream="command",
+    scatter=scatter,
+)
