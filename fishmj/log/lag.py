@@ -5,7 +5,8 @@ For signals a, b on their own irregular stamps and rates a', b' on a common fine
     R(l) = sum_w sum_t a'_w(t) b'_w(t + l) / sqrt(sum_w sum_t a'_w(t)^2  sum_w sum_t b'_w(t + l)^2),   lag = argmax R
 
 with the sum over windows w, and the peak from the parabola through the three highest points. (The energy of b' is that of the
-shifted stretch: with a fixed one, a motion that grows would pull the lag.) A positive lag says that b comes later. The interval resamples windows with replacement. The drift is the slope of the windows' own lags over the session.
+shifted stretch: with a fixed one, a motion that grows would pull the lag.) A positive lag says that b comes later. The interval
+resamples windows with replacement. The drift is the slope of the windows' own lags over the session.
 
 Both rates get the same Gaussian, which shifts nothing. What the estimate cannot tell: whether the delay is of the clocks, of the
 transport or of the mechanism between the two channels; a first-order servo with time constant T shows up as about T.
@@ -40,7 +41,7 @@ class Lag:
     drift_low: float
     drift_high: float
     windows: int
-    ambiguous: bool  # another lag within reach fits as well (a steady beat)
+    ambiguous: bool  # another lag within reach fits as well (a steady beat), or the best one lies at the edge
 
     @property
     def found(self) -> bool:
@@ -55,7 +56,11 @@ class Lag:
         head = f"{self.later} behind {self.earlier}: "
         if not self.found:
             return head + f"not told, correlation {self.correlation:.2f} is below {WEAK}"
-        tail = "; another lag fits as well (a steady beat): command reversals or a chirp" if self.ambiguous else ""
+        tail = (
+            "; not unique within reach (a steady beat, or the edge of what was looked at): record reversals or a chirp"
+            if self.ambiguous
+            else ""
+        )
         drift = f", drift {1e3 * self.drift:+.3f} ms/s ({1e3 * self.drift_low:+.3f} to {1e3 * self.drift_high:+.3f})"
         return (
             f"{head}{1e3 * self.lag:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f}), "

@@ -3,7 +3,7 @@
 A shift of 2 ms in the stamps looks like 24 % of damping, so this comes before any identification. Nothing is mended here.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +12,8 @@ from fishmj.errors import LogError
 from fishmj.log.lag import Lag, lag_between
 from fishmj.log.trial import Table, Trial, gaps, stacked
 
-LOST = 1.5  # steps longer than this many median steps lack rows
+LOST = 1.5  # steps longer than this many usual steps lack rows
+LOCAL = 10  # steps on either side that say what is usual
 COUNTED = 1e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
 
@@ -78,7 +79,8 @@ def audit(trial: Trial, *, seed: int = 0) -> Audit:
             lags.append(lag_between(earlier, later, either_sign=either, seed=seed))
         except LogError as error:
             findings.append(str(error))
-    findings += _table_findings(clocks) + _pair_findings(trial, clocks) + _lag_findings(lags)
+    shared = _by_stamps(trial, clocks)
+    findings += _table_findings(shared) + _pair_findings(trial, shared) + _lag_findings(lags)
     return Audit(trial.name, clocks, tuple(lags), tuple(findings))
 
 
@@ -93,8 +95,7 @@ def clock_of(name: str, table: Table) -> Clock:
         seq = np.diff(np.asarray(table["seq"], float))
         dropped, duplicated = int(np.sum(np.maximum(seq - 1, 0))), int(np.sum(seq == 0))
     else:
-        missing = np.round(step[step > LOST * middle] / middle) - 1 if middle > 0 else np.zeros(0)
-        dropped, duplicated = int(np.sum(missing)), int(np.sum(same & (step < 0.5 * middle)))
+        dropped, duplicated = _missing(step), int(np.sum(same & (step < 0.5 * middle)))
     return Clock(
         table=name,
         rows=len(t),
@@ -111,6 +112,19 @@ def clock_of(name: str, table: Table) -> Clock:
         gaps=len(gaps(t)) if len(t) > 1 else 0,
         counted=bool(len(step) > 2 and np.quantile(off, 0.99) < COUNTED * middle),
     )
+
+
+def _missing(step: np.ndarray) -> int:
+    """Rows that long steps lack. The yardstick is the median around each step (a bus may change its rate), the threshold leaves
+    room for the jitter: more than 1.5 local steps, and more than four robust standard deviations above one."""
+    if len(step) < 3:
+        return 0
+    reach = min(LOCAL, (len(step) - 1) // 2)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(step, reach, mode="reflect"), 2 * reach + 1)
+    local = np.median(around, axis=1)
+    ratio = step / np.maximum(local, 1e-12)
+    sigma = 1.4826 * float(np.median(np.abs(ratio - 1)))
+    return int(np.sum(np.maximum(np.round(ratio[ratio > max(LOST, 1 + 4 * sigma)]) - 1, 0)))
 
 
 def _repeats(table: Table) -> np.ndarray:
@@ -141,7 +155,21 @@ def _pairs(trial: Trial):
         yield signals["yaw"], ("velocity", t, turned[:, None]), False
 
 
-def _table_findings(clocks: tuple[Clock, ...]) -> list[str]:
+def _by_stamps(trial: Trial, clocks: tuple[Clock, ...]) -> list[Clock]:
+    """One clock for all tables with the very same stamps, under their joined names: what is said of one is said once."""
+    out: list[Clock] = []
+    for clock in clocks:
+        t = trial.tables[clock.table]["t"]
+        for i, other in enumerate(out):
+            if np.array_equal(t, trial.tables[other.table.split(", ")[0]]["t"]):
+                out[i] = replace(other, table=f"{other.table}, {clock.table}", duplicated=min(other.duplicated, clock.duplicated))
+                break
+        else:
+            out.append(clock)
+    return out
+
+
+def _table_findings(clocks: list[Clock]) -> list[str]:
     out = []
     for c in clocks:
         if c.backward:
@@ -157,7 +185,7 @@ def _table_findings(clocks: tuple[Clock, ...]) -> list[str]:
     return out
 
 
-def _pair_findings(trial: Trial, clocks: tuple[Clock, ...]) -> list[str]:
+def _pair_findings(trial: Trial, clocks: list[Clock]) -> list[str]:
     out = []
     for one, two in combinations([c for c in clocks if c.rows > 20 and c.span > 0], 2):
         fast, slow = (one, two) if one.span < two.span else (two, one)

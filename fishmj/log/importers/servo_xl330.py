@@ -71,15 +71,9 @@ def _trial(path: Path) -> Trial:
     meta = {
         "robot": "xl330 pendulum",
         "medium": "air",
-        "excitation": log["trajectory"],
+        "excitation": f"{log['trajectory']}_kp{log['kp']:g}",
         "controller": f"firmware P gain {log['kp']:g}",
-        "rig": {
-            "mass": log["mass"],
-            "length": log["length"],
-            "kp": log["kp"],
-            "vin": log["vin"],
-            "motor": str(log.get("motor", "")),
-        },
+        "rig": {**{key: log[key] for key in ("mass", "length", "kp", "vin", "trajectory")}, "motor": str(log.get("motor", ""))},
         "clock": dict.fromkeys(tables, "host, one stamp a read"),
         "licence": "Apache-2.0",
         "source": "github.com/Rhoban/bam bam/data.bak/raw at af22604",

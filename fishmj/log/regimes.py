@@ -1,0 +1,260 @@
+"""What a robot was doing, half second by half second: labels from the tables alone, no model.
+
+For leave-one-regime-out validation, for saying where a gap lies, and for saying which excitation a data set lacks. A window carries
+every label that fits; a table that is missing takes its labels with it (`Regimes.known` lists those that could be told).
+
+    rest            joints, command and body stand still
+    joint_step      the command jumps within the window
+    steady_swim     a beat goes on, its amplitude and the mean speed as in the window before
+    ramp            the amplitude of the beat grows or falls
+    coast           the body moves, the joints do not
+    turn            the heading turns, averaged over a beat
+    near_wall       within half a body length of the tank's wall
+    torque_limited  far from the command, yet not moving towards it fast
+    creep           a joint moves, slower than 5 deg/s
+    reversing_flow  the water comes from behind
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.log.trial import Trial, stacked
+
+LENGTH = 0.5  # s, one window
+LABELS = (
+    *("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow"),
+)
+# Thresholds, chosen for a fish of half a metre with hobby servos; all of them are keyword arguments of `label`.
+STILL_JOINT = math.radians(1.0)  # rad, peak to peak within a window: a servo's dead band and one count of its encoder
+STILL_BODY = 0.01  # m/s
+STEP = math.radians(8.0)  # rad between two commands that follow each other
+CREEP = math.radians(5.0)  # rad/s
+BEATING = math.radians(3.0)  # rad, amplitude
+CHANGE = 0.25  # of the amplitude, from one beat to the next
+TURNING = 0.2  # rad/s, averaged over a beat
+BEHIND = math.radians(6.0)  # rad between command and joint
+SLUGGISH = 0.5  # rad/s, below this a servo that is far behind is held back
+OCTANTS, SESSIONS = 8, 3
+
+
+@dataclass(frozen=True)
+class Regimes:
+    """Labels of W windows. `is_[label]` (W,) bool; octant (W,) 0..7 of the heading (0 = along +x), -1 unknown; session (W,) 0..2
+    thirds of the trial; battery (W,) 0..2 thirds of its own voltage range, -1 unknown."""
+
+    start: np.ndarray  # (W,) s
+    stop: np.ndarray
+    is_: dict[str, np.ndarray]
+    octant: np.ndarray
+    session: np.ndarray
+    battery: np.ndarray
+    known: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def names(self, i: int) -> tuple[str, ...]:
+        """The labels of one window."""
+        return tuple(label for label in LABELS if self.is_[label][i])
+
+    def share(self) -> dict[str, float]:
+        """Fraction of the windows that carry each label that can be told."""
+        return {label: float(self.is_[label].mean()) for label in self.known}
+
+    def absent(self) -> tuple[str, ...]:
+        """Labels that could be told and never came up: what the excitation lacks."""
+        return tuple(label for label in self.known if not self.is_[label].any())
+
+    def rows(self, t: np.ndarray, label: str) -> np.ndarray:
+        """(T,) True where a stamp lies in a window of `label`."""
+        index = np.searchsorted(self.start, np.asarray(t, float), side="right") - 1
+        inside = (index >= 0) & (np.asarray(t) < self.stop[np.clip(index, 0, None)])
+        return inside & self.is_[label][np.clip(index, 0, None)]
+
+
+def label(
+    trial: Trial,
+    *,
+    length: float = LENGTH,
+    beat: float = 1.0,
+    body: float = 0.54,
+    tank: tuple[float, float] | None = None,
+    step: float = STEP,
+    turning: float = TURNING,
+    behind: float = BEHIND,
+) -> Regimes:
+    """Label the windows of one trial.
+
+    Args:
+        length: of a window, s. beat: period of the tail beat, s. body: length of the robot, m.
+        tank: half width in x and in y, m, centred on the origin; without it near_wall cannot be told.
+        step: rad that a command jumps; turning: rad/s; behind: rad of joint error that speaks of a torque limit.
+
+    Raises:
+        LogError: the trial is shorter than one window.
+    """
+    first, last = trial.span
+    count = int((last - first) / length + 1e-9)
+    if count < 1:
+        raise LogError(f"trial {trial.name or '(in memory)'}: {last - first:.3f} s long; one window takes {length:g} s")
+    start = first + length * np.arange(count)
+    windows = _Windows(trial, start, length, beat)
+    told: dict[str, np.ndarray | None] = {
+        **windows.of_command(step),
+        **windows.of_joints(behind),
+        **windows.of_body(turning),
+        "near_wall": windows.near_wall(tank, body),
+        "reversing_flow": windows.reversing_flow(),
+    }
+    known = tuple(name for name in LABELS if told.get(name) is not None)
+    is_ = {name: told[name] if name in known else np.zeros(count, bool) for name in LABELS}
+    session = np.minimum((SESSIONS * np.arange(count)) // count, SESSIONS - 1)
+    return Regimes(start, start + length, is_, windows.octant(), session, windows.battery(), known)
+
+
+class _Windows:
+    """The signals of one trial, reduced to one figure a window; None where a table lacks."""
+
+    def __init__(self, trial: Trial, start: np.ndarray, length: float, beat: float):
+        self.trial, self.start, self.length, self.beat = trial, start, length, beat
+        self.command = self._angles("cmd", "c#")
+        self.joint = self._angles("joint", "j#") or self._angles("truth", "j#")
+        pose = trial.tables.get("pose") or trial.tables.get("truth")
+        self.pose = None if pose is None else (pose["t"], pose["x"], pose["y"], np.unwrap(pose["yaw"]))
+        self.speed, self.spin = self._motion()
+        moving = self.joint or self.command
+        self.amplitude = None if moving is None else self._over(moving[0], moving[1], _half_range, reach=self.beat)
+
+    def _angles(self, table: str, template: str) -> tuple[np.ndarray, np.ndarray] | None:
+        if table not in self.trial.tables:
+            return None
+        values = stacked(self.trial.tables[table], template)
+        return (self.trial.tables[table]["t"], values) if values.shape[1] else None
+
+    def _over(self, t: np.ndarray, values: np.ndarray, reduce, reach: float = 0.0) -> np.ndarray:
+        """(W,) `reduce` of the rows of each window, widened to `reach` s around its middle; NaN where there is no row."""
+        half = 0.5 * max(self.length, reach)
+        middle = self.start + 0.5 * self.length
+        low, high = np.searchsorted(t, middle - half), np.searchsorted(t, middle + half)
+        return np.array([reduce(values[a:b]) if b > a else np.nan for a, b in zip(low, high, strict=True)])
+
+    def _motion(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Speed over ground [m/s] and turning rate [rad/s] of each window, averaged over a beat."""
+        if self.pose is None:
+            table = self.trial.tables.get("velocity")
+            if table is None:
+                return None, None
+            speed = np.abs(self._over(table["t"], table["surge"], np.mean, self.beat))
+            return speed, self._over(table["t"], table["yaw_rate"], np.mean, self.beat) if "yaw_rate" in table else None
+        t, x, y, yaw = self.pose
+        reach = max(self.beat, self.length)
+        middle = self.start + 0.5 * self.length
+        before, after = np.clip(middle - reach / 2, t[0], t[-1]), np.clip(middle + reach / 2, t[0], t[-1])
+        apart = np.maximum(after - before, 1e-9)
+        moved = [np.interp(after, t, v) - np.interp(before, t, v) for v in (x, y, yaw)]
+        return np.hypot(moved[0], moved[1]) / apart, moved[2] / apart
+
+    def of_command(self, step: float) -> dict[str, np.ndarray | None]:
+        """joint_step: neighbouring commands that differ by more than `step`, faster than a beat would."""
+        if self.command is None:
+            return {"joint_step": None}
+        t, c = self.command
+        jump = np.max(np.abs(np.diff(c, axis=0)), axis=1, initial=0.0)
+        usual = np.median(jump) if len(jump) else 0.0  # a beat moves a little in every row, a step in one
+        high = self._over(t[1:], jump, np.max)
+        return {"joint_step": np.nan_to_num(high) > max(step, 4 * usual)}
+
+    def of_joints(self, behind: float) -> dict[str, np.ndarray | None]:
+        out: dict[str, np.ndarray | None] = {"creep": None, "torque_limited": None}
+        if self.joint is None:
+            return out
+        t, q = self.joint
+        table = self.trial.tables.get("joint", {})
+        rate = stacked(table, "w#") if "w1" in table else np.gradient(q, t, axis=0) if len(t) > 1 else np.zeros_like(q)
+        fastest = self._over(t, np.max(np.abs(rate), axis=1), _ninetieth)
+        moved = self._over(t, q, _half_range)
+        out["creep"] = (2 * moved > STILL_JOINT) & (fastest < CREEP)
+        if self.command is not None and self.command[1].shape[1] == q.shape[1]:
+            wanted = _held(self.command, t)
+            error = np.abs(wanted - q)
+            on = (
+                _held((self.command[0], stacked(self.trial.tables["cmd"], "on#")), t)
+                if "on1" in self.trial.tables["cmd"]
+                else 1.0
+            )
+            stuck = np.any((error > behind) & (np.abs(rate) < SLUGGISH) & (np.asarray(on) > 0.5), axis=1)
+            out["torque_limited"] = np.nan_to_num(self._over(t, stuck.astype(float), np.mean)) > 0.5
+        return out
+
+    def of_body(self, turning: float) -> dict[str, np.ndarray | None]:
+        out: dict[str, np.ndarray | None] = dict.fromkeys(("rest", "coast", "steady_swim", "ramp"))
+        out["turn"] = None if self.spin is None else np.abs(np.nan_to_num(self.spin)) > turning
+        if self.amplitude is None:
+            return out
+        moving = self.joint or self.command
+        still = self._over(moving[0], moving[1], _half_range) < 0.5 * STILL_JOINT
+        size = np.nan_to_num(self.amplitude)
+        beats = size > BEATING
+        lag = max(round(self.beat / self.length), 1)  # windows in a beat
+        earlier = np.concatenate([np.full(min(lag, len(size)), np.nan), size[:-lag]])[: len(size)]
+        change = np.abs(size - earlier) / np.maximum(np.maximum(size, earlier), 1e-9)
+        out["ramp"] = (beats | (np.nan_to_num(earlier) > BEATING)) & (np.nan_to_num(change) > CHANGE)
+        out["steady_swim"] = beats & (change <= CHANGE)
+        if self.speed is None:
+            out["rest"] = still
+        else:
+            fast = np.nan_to_num(self.speed) > STILL_BODY
+            out["rest"], out["coast"] = still & ~fast, still & fast
+            out["steady_swim"] &= fast
+        return out
+
+    def near_wall(self, tank: tuple[float, float] | None, body: float) -> np.ndarray | None:
+        if self.pose is None or tank is None:
+            return None
+        t, x, y, _ = self.pose
+        room = np.minimum(tank[0] - np.abs(x), tank[1] - np.abs(y))
+        return np.nan_to_num(self._over(t, room, np.min), nan=np.inf) < 0.5 * body
+
+    def reversing_flow(self) -> np.ndarray | None:
+        """Water that moves along the heading (from behind): the cosine between flow and heading is above zero."""
+        if self.pose is None:
+            return None
+        speed, towards = self.trial.value("flow.speed"), self.trial.value("flow.direction")
+        if not isinstance(speed, int | float) or not isinstance(towards, int | float) or not speed > 0:
+            return None
+        t, _, _, yaw = self.pose
+        return np.nan_to_num(self._over(t, np.cos(yaw - towards), np.mean, self.beat), nan=-1.0) > 0
+
+    def octant(self) -> np.ndarray:
+        if self.pose is None:
+            return np.full(len(self.start), -1)
+        t, _, _, yaw = self.pose
+        mean = self._over(t, yaw, np.mean, self.beat)
+        turn = np.round(np.nan_to_num(mean) / (2 * math.pi / OCTANTS)).astype(int) % OCTANTS
+        return np.where(np.isnan(mean), -1, turn)
+
+    def battery(self) -> np.ndarray:
+        """Thirds of the voltage that this trial saw, 0 lowest; -1 without a power table or where the voltage never changes."""
+        table = self.trial.tables.get("power")
+        if table is None or np.ptp(table["V"]) < 0.05:
+            return np.full(len(self.start), -1)
+        volts = self._over(table["t"], table["V"], np.mean)
+        low, high = np.nanmin(volts), np.nanmax(volts)
+        band = np.clip((3 * (volts - low) / max(high - low, 1e-9)), 0, 2.999)
+        return np.where(np.isnan(volts), -1, np.nan_to_num(band).astype(int))
+
+
+def _held(table: tuple[np.ndarray, np.ndarray], t: np.ndarray) -> np.ndarray:
+    """(T, N) the value that holds at `t`: a command holds until the next one."""
+    return table[1][np.clip(np.searchsorted(table[0], t, side="right") - 1, 0, None)]
+
+
+def _half_range(values: np.ndarray) -> float:
+    return float(0.5 * np.max(np.ptp(values, axis=0)))
+
+
+def _ninetieth(values: np.ndarray) -> float:
+    return float(np.quantile(values, 0.9))
