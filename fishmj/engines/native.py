@@ -173,8 +173,13 @@ def load(robot: Robot, entry: str, precision: approx.Precision) -> ModuleType:
     Raises:
         MissingExtra: numba is not installed.
     """
+    require_numba()
+    return compiled(write(robot, entry, precision))
+
+
+def compiled(text: str) -> ModuleType:
+    """The module that `text` makes; `CACHE` in it says whether numba may keep its machine code on disk."""
     numba = require_numba()
-    text = write(robot, entry, precision)
     name = "fishmj_" + hashlib.sha256(f"{numba.__version__} {sys.version} {text}".encode()).hexdigest()[:24]
     if name in sys.modules:
         return sys.modules[name]

@@ -1,0 +1,173 @@
+"""Every effect's best value on a set of records: probes of finite size, then Gauss-Newton on the whitened residual.
+
+    screen   z at a few magnitudes of each parameter; the best secant combination in closed form. Finite probes, not derivatives:
+             a dead band or a speed limit has none at its null
+    refine   theta' = theta + (J^T J + m)^-1 J^T z,  J by finite differences about theta, all candidates in one batch of rollouts
+
+The cost is |z|^2 with z from null.py: constants of the fish need no fit, they are integrated out.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fishmj.effects import Effect
+
+MAGNITUDES = (0.15, 0.5, 1.0, 2.0)  # of the typical size
+STEP = 0.02  # of the typical size, for derivatives
+ITERATIONS = 6
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One set of effects with its best parameters.
+
+    names: effects, in order of acceptance. places: (K,) entries of the parameter row that they own. row: (P,) whole row.
+    cost: |z|^2 over all records; z: (m,).
+    """
+
+    names: tuple[str, ...]
+    places: tuple[int, ...]
+    row: np.ndarray
+    cost: float
+    z: np.ndarray
+
+
+class Search:
+    """Candidates on one set of records.
+
+    Args:
+        plant: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
+    """
+
+    def __init__(self, plant, records, layout, whiten):
+        self.plant, self.records, self.layout, self.whiten = plant, records, layout, whiten
+        self.measured = layout.measured()
+
+    def z(self, rows) -> np.ndarray:
+        """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""
+        predicted = self.layout.vectors(self.plant.predict(self.records, rows))
+        return np.nan_to_num(self.whiten(self.measured - predicted), nan=1e6, posinf=1e6, neginf=-1e6)
+
+    def base(self, row=None) -> Candidate:
+        """The model as it is."""
+        row = self.plant.null if row is None else row
+        z = self.z(row)[0]
+        return Candidate((), (), row, float(z @ z), z)
+
+    def screen(self, base: Candidate, effects) -> list[Candidate]:
+        """`base` plus each of `effects`, at the best probe or secant combination; best first."""
+        rows, owners = [], []
+        for effect in effects:
+            for k, value in probes(effect):
+                row = base.row.copy()
+                row[self.plant.index(effect.name, effect.parameters[k].name)] = value
+                rows.append(row)
+                owners.append((effect, k, value))
+        rows = np.array(rows)
+        z = self.z(rows)
+        cost = np.einsum("rm,rm->r", z, z)
+        found = []
+        for effect in effects:
+            mine = [i for i, owner in enumerate(owners) if owner[0] is effect]
+            best = min(mine, key=lambda i: cost[i])
+            choices = [rows[best]] + secants(self.plant, base, effect, [(owners[i], z[i]) for i in mine])
+            found.append((effect, choices))
+        flat = np.array([row for _, choices in found for row in choices])
+        z = self.z(flat)
+        cost = np.einsum("rm,rm->r", z, z)
+        out, at = [], 0
+        for effect, choices in found:
+            i = at + int(np.argmin(cost[at : at + len(choices)]))
+            at += len(choices)
+            places = tuple(self.plant.index(effect.name, p.name) for p in effect.parameters)
+            out.append(Candidate((*base.names, effect.name), (*base.places, *places), flat[i], float(cost[i]), z[i]))
+        return sorted(out, key=lambda c: c.cost)
+
+    def refine(self, candidates: list[Candidate], iterations: int = ITERATIONS) -> list[Candidate]:
+        """Polish all parameters of each candidate together; best first."""
+        low, high, size = bounds(self.plant)
+        best = list(candidates)
+        damping = [1e-2] * len(best)
+        for _ in range(iterations):
+            rows, spans = [], []
+            for c in best:
+                first = len(rows)
+                for place in c.places:
+                    row = c.row.copy()
+                    step = STEP * size[place]
+                    row[place] += step if row[place] + step <= high[place] else -step
+                    rows.append(row)
+                spans.append((first, len(rows)))
+            z = self.z(np.array(rows))
+            trials, owner = [], []
+            for i, c in enumerate(best):
+                a, b = spans[i]
+                moved = np.array([rows[a + j][p] - c.row[p] for j, p in enumerate(c.places)])
+                jac = (z[a:b] - c.z) / moved[:, None] * size[list(c.places)][:, None]  # per typical size
+                normal, slope = jac @ jac.T, jac @ c.z
+                for m in (damping[i], damping[i] * 30):
+                    change = -np.linalg.solve(normal + m * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(slope)), slope)
+                    row = c.row.copy()
+                    places = list(c.places)
+                    row[places] = np.clip(row[places] + change * size[places], low[places], high[places])
+                    trials.append(row)
+                    owner.append(i)
+            z = self.z(np.array(trials))
+            cost = np.einsum("rm,rm->r", z, z)
+            for i, c in enumerate(best):
+                mine = [j for j, o in enumerate(owner) if o == i]
+                j = min(mine, key=lambda k: cost[k])
+                if cost[j] < c.cost:
+                    best[i] = replace(c, row=trials[j], cost=float(cost[j]), z=z[j])
+                    damping[i] = max(1e-4, damping[i] * (0.3 if j == mine[0] else 3))
+                else:
+                    damping[i] = min(1e4, damping[i] * 100)
+        return sorted(best, key=lambda c: c.cost)
+
+
+def probes(effect: Effect) -> list[tuple[int, float]]:
+    """(parameter, value) pairs at which an effect is tried; several sizes, both sides where both make sense."""
+    out = []
+    for k, p in enumerate(effect.parameters):
+        signs = (1.0, -1.0) if p.signed else ((1.0,) if p.high > p.null else (-1.0,))
+        values = {float(np.clip(p.null + s * m * _size(p), p.low, p.high)) for s in signs for m in MAGNITUDES}
+        out += [(k, v) for v in sorted(values - {p.null})]
+    return out
+
+
+def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
+    """Rows from the linear combination of each parameter's probes that lowers |z| most, one row a magnitude."""
+    out = []
+    for m in MAGNITUDES:
+        columns, places, sizes = [], [], []
+        for k, p in enumerate(effect.parameters):
+            near = [(value, z) for (_, j, value), z in tried if j == k]
+            value, z = min(near, key=lambda v: abs(abs(v[0] - p.null) - m * _size(p)))
+            columns.append((z - base.z) / (value - p.null))
+            places.append(plant.index(effect.name, p.name))
+            sizes.append(_size(p))
+        jac = np.array(columns) * np.array(sizes)[:, None]
+        normal = jac @ jac.T
+        change = -np.linalg.solve(
+            normal + 1e-6 * np.trace(normal) * np.eye(len(normal)) + 1e-12 * np.eye(len(normal)), jac @ base.z
+        )
+        row = base.row.copy()
+        for place, p, size, c in zip(places, effect.parameters, sizes, change, strict=True):
+            row[place] = np.clip(p.null + c * size, p.low, p.high)
+        out.append(row)
+    return out
+
+
+def bounds(plant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(low, high, typical size) of every entry of a parameter row."""
+    n = len(plant.constants)
+    entries = [p for e in plant.active.effects for p in e.parameters]
+    low = np.array([0.1] * n + [p.low for p in entries])
+    high = np.array([10.0] * n + [p.high for p in entries])
+    return low, high, np.array([1.0] * n + [_size(p) for p in entries])
+
+
+def _size(parameter) -> float:
+    """Typical departure from the null."""
+    return parameter.typical[1] - parameter.null if parameter.null > parameter.typical[1] else parameter.typical[1]

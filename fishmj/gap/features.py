@@ -1,0 +1,73 @@
+"""What is compared: short averages of every channel, measured minus predicted, as one long vector.
+
+A fast channel is averaged over 60 ms, a slow one over 0.2 s: less noise, nothing lost that a beat of 3 Hz carries. Heading and
+position are whole free runs from the known start, so what accumulates is seen; the covariance of the null (null.py) knows
+that late times are uncertain and that neighbouring values are not independent.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.gap.records import Record
+
+WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2}  # s
+CHANNELS = {"joint": "joint", "pose": ("position", "position", "heading"), "power": "power"}
+
+
+class Block(NamedTuple):
+    """A stretch of the vector: one column of one sensor of one record."""
+
+    record: int
+    sensor: str
+    column: int
+    channel: str  # joint, position, heading, power
+    t: np.ndarray  # (n,) middle of each average, s
+    where: slice  # in the vector
+    first: np.ndarray  # (n,) first stamp of each average
+    counts: np.ndarray  # (n,)
+    sigma: float  # of one measurement, NaN unknown
+
+
+class Layout:
+    """Where everything lies, for a set of records. `size` is the length of the vector."""
+
+    def __init__(self, records: list[Record]):
+        self.records, self.blocks, self.size = records, [], 0
+        for i, record in enumerate(records):
+            for sensor in ("joint", "pose", "power"):
+                given = getattr(record, sensor)
+                if given is None:
+                    continue
+                edges = np.floor(given.t / WINDOW[sensor]).astype(int)
+                _, first, counts = np.unique(edges, return_index=True, return_counts=True)
+                t = np.add.reduceat(given.t, first) / counts
+                for column in range(given.values.shape[1]):
+                    channel = CHANNELS[sensor] if isinstance(CHANNELS[sensor], str) else CHANNELS[sensor][column]
+                    where = slice(self.size, self.size + len(counts))
+                    sigma = float(given.sigma[column])
+                    self.blocks.append(Block(i, sensor, column, channel, t, where, first, counts, sigma))
+                    self.size = where.stop
+        self.record = np.concatenate([np.full(len(b.t), b.record) for b in self.blocks])
+        self.channel = np.concatenate([np.full(len(b.t), b.channel) for b in self.blocks])
+
+    def measured(self) -> np.ndarray:
+        """(size,) of what was measured."""
+        given = [{s: getattr(r, s).values[None] for s in WINDOW if getattr(r, s) is not None} for r in self.records]
+        return self.vectors(given)[0]
+
+    def vectors(self, channels: list[dict]) -> np.ndarray:
+        """(R, size) from one dictionary a record: sensor -> (R, K, C) at its stamps."""
+        rows = len(next(iter(channels[0].values())))
+        out = np.empty((rows, self.size))
+        for b in self.blocks:
+            values = channels[b.record][b.sensor][:, :, b.column]
+            out[:, b.where] = np.add.reduceat(values, b.first, axis=1) / b.counts
+        return out
+
+    def noise(self) -> np.ndarray:
+        """(size,) standard deviation of the averages from the sensors' own noise, NaN where unknown."""
+        out = np.empty(self.size)
+        for b in self.blocks:
+            out[b.where] = b.sigma / np.sqrt(b.counts)
+        return out

@@ -1,0 +1,174 @@
+"""The swimming fish: planar chain in structured water, with every effect of the catalogue in it.
+
+A parameter row is [constants (factors on the calibrated fish), effects]. Its null row is the calibrated fish, nothing else.
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.effects.sites import Seen
+from fishmj.gap.kernel import Kernel
+from fishmj.gap.records import Record
+from fishmj.hydro_fit import chain, terms
+from fishmj.hydro_fit.hooks import Effects
+from fishmj.mjcf.description import Robot, load_robot
+
+CLOCKS = ("command", "joint", "pose", "power")
+STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
+
+
+class Constant(NamedTuple):
+    """A factor on the calibrated fish that is not known better than `sigma`."""
+
+    name: str
+    sigma: float
+
+
+CONSTANTS = (
+    Constant("mass", 0.03),
+    Constant("kp", 0.1),
+    Constant("kv", 0.1),
+    Constant("added_mass_body", 0.1),
+    Constant("added_mass_tail", 0.1),
+    Constant("crossflow_body", 0.15),
+    Constant("crossflow_tail", 0.15),
+    Constant("friction", 0.2),
+    Constant("form_drag", 0.2),
+    Constant("trailing_edge", 0.15),
+)
+
+
+class Fish:
+    """Args: robot: description, path or name. catalogue: effects; default, all that change the mean of a log."""
+
+    def __init__(self, robot: "Robot | str" = "fish", catalogue=None):
+        self.robot = load_robot(robot)
+        self.dt = self.robot.timing.physics_dt
+        self.joints = self.robot.n_joints
+        chosen = effects.catalogue().values() if catalogue is None else catalogue
+        self.active = effects.Active([e for e in chosen if not e.stochastic], self.joints)
+        self.constants = CONSTANTS
+        self.chain = chain.chain_of(self.robot)
+        self.nominal = chain.nominal(self.robot)
+        self.latency = self.robot.timing.command_latency
+        self.camera = self.robot.timing.camera_latency
+        self.states = 2 * (self.joints + 3) + 2 + len(self.active.memory)  # q, v, attachment, energy, memory
+
+    @property
+    def null(self) -> np.ndarray:
+        """(P,) the calibrated fish."""
+        return np.array([1.0] * len(CONSTANTS) + self.active.null)
+
+    def index(self, effect: str, parameter: str) -> int:
+        """Place of an effect's parameter in a row."""
+        return len(CONSTANTS) + self.active.index(effect, parameter)
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Compiled rollouts; tens of seconds the first time on a machine."""
+        n = len(CONSTANTS) + len(self.active.null) + 2  # and the current of the log
+        watched = 2 * (self.joints + 3) + 1
+        return Kernel(
+            self.robot.name, self._step, self._look, states=self.states, inputs=self.joints, parameters=n, watched=watched
+        )
+
+    def _step(self, state, command, row):
+        """One physics step in components."""
+        import jax.numpy as jnp
+
+        nv, n = self.joints + 3, self.chain.n
+        q, v, attached, energy = state[:nv], state[nv : 2 * nv], state[2 * nv], state[2 * nv + 1]
+        hooks = Effects(jnp, self.active, row[len(CONSTANTS) : -2], state[2 * nv + 2 :])
+        target = [hooks.session.command(j, command[j], self.dt) for j in range(self.joints)]
+        flow = [(row[-2], row[-1])] * n
+        s = chain.step(jnp, self.chain, self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
+        return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
+
+    def _look(self, state, row):
+        nv = self.joints + 3
+        return [*state[: 2 * nv], state[2 * nv + 1]]
+
+    def _swimmer(self, row) -> chain.Swimmer:
+        """The calibrated fish times the constants of a row."""
+        c = {constant.name: row[i] for i, constant in enumerate(CONSTANTS)}
+        s, w = self.nominal, self.nominal.water
+        last = self.chain.n - 1
+        spread = lambda body, tail: [tail if i == last else body for i in range(last + 1)]  # noqa: E731
+        k = [a * f for a, f in zip(w.k, spread(c["added_mass_body"], c["added_mass_tail"]), strict=True)]
+        cn = [a * f for a, f in zip(w.cn, spread(c["crossflow_body"], c["crossflow_tail"]), strict=True)]
+        water = w._replace(k=k, cn=cn, cf=w.cf * c["friction"], ke=w.ke * c["trailing_edge"])
+        water: terms.Coefficients = water._replace(ca_forward=w.ca_forward * c["form_drag"])
+        scaled = lambda values, factor: [value * factor for value in values]  # noqa: E731
+        return s._replace(mass=scaled(s.mass, c["mass"]), kp=scaled(s.kp, c["kp"]), kv=scaled(s.kv, c["kv"]), water=water)
+
+    def predict(self, records: list[Record], rows) -> list[dict]:
+        """What the sensors would have reported, for every parameter row (R, P) on every record.
+
+        Returns:
+            One dictionary a record: {"joint": (R, K, J), "pose": (R, K, 3), "power": (R, K, 1)} at its stamps.
+        """
+        rows = np.atleast_2d(np.asarray(rows, float))
+        longest = max(len(r.commands) for r in records)
+        inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
+        lengths = np.array([len(r.commands) for r in records])
+        which = np.repeat(np.arange(len(records)), len(rows))
+        effect_rows, flow = rows[:, len(CONSTANTS) :], np.array([r.flow for r in records])
+        late = {c: np.asarray(self.active.delay(np, list(effect_rows.T), c)) * np.ones(len(rows)) for c in CLOCKS}
+        delay = np.tile((late["command"] + self.latency) / self.dt, len(records))
+        whole = np.concatenate([np.tile(rows, (len(records), 1)), flow[which]], 1)
+        start = np.repeat(np.stack([self._start(r) for r in records]), len(rows), 0)
+        out = self.kernel(which, inputs, lengths, whole, start, delay, STRIDE, longest // STRIDE + 2)
+        out = out.reshape(len(records), len(rows), *out.shape[1:])
+        return [self._sense(record, mine, effect_rows, late) for record, mine in zip(records, out, strict=True)]
+
+    def _start(self, record: Record) -> np.ndarray:
+        """The state at the start of a record: at rest over ground."""
+        nv = self.joints + 3
+        state = np.zeros(self.states)
+        state[:3], state[3:nv], state[2 * nv] = record.start, record.joints, 0.5
+        state[2 * nv + 2 :] = self.active.memory
+        state[2 * nv + 3] = record.session
+        return state
+
+    def _sense(self, record: Record, out, effect_rows, late: dict) -> dict:
+        """The sensors of one record from its samples (R, K, O)."""
+        nv, h = self.joints + 3, STRIDE * self.dt
+        parameters = [column[:, None] for column in effect_rows.T]
+        nominal = {"pose": self.camera}
+        seen = {}
+        for clock in ("joint", "pose", "power"):
+            sensor = getattr(record, clock)
+            if sensor is None:
+                continue
+            t = sensor.t[None, :] - late[clock][:, None] - nominal.get(clock, 0.0)
+            state = hermite(out[..., :nv], out[..., nv : 2 * nv], h, t)
+            energy = out[..., -1:]
+            power = (linear(energy, h, t) - linear(energy, h, t - h))[..., 0] / h + self.robot.servo.idle_power
+            report = Seen(t=t, x=state[..., 0], y=state[..., 1], yaw=state[..., 2], joint=state[..., 3:], power=power)
+            report = self.active.measure(np, parameters, report)
+            if clock == "pose":
+                seen[clock] = np.stack([report.x, report.y, report.yaw], -1)
+            else:
+                seen[clock] = report.joint if clock == "joint" else report.power[..., None]
+        return seen
+
+
+def hermite(values, rates, h: float, t) -> np.ndarray:
+    """Cubic through samples (R, K, C) every h s with their rates, at times t (R, N); held before the first sample."""
+    place = np.clip(t / h, 0.0, values.shape[1] - 1.000001)
+    i = place.astype(int)
+    s = (place - i)[..., None]
+    rows = np.arange(len(values))[:, None]
+    a, b, da, db = values[rows, i], values[rows, i + 1], h * rates[rows, i], h * rates[rows, i + 1]
+    return a + s * (da + s * (3 * (b - a) - 2 * da - db + s * (2 * (a - b) + da + db)))
+
+
+def linear(values, h: float, t) -> np.ndarray:
+    """The same, straight lines between samples."""
+    place = np.clip(t / h, 0.0, values.shape[1] - 1.000001)
+    i = place.astype(int)
+    rows = np.arange(len(values))[:, None]
+    return values[rows, i] + (place - i)[..., None] * (values[rows, i + 1] - values[rows, i])

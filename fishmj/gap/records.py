@@ -1,0 +1,98 @@
+"""A trial as the search sees it: commands at the plant's steps, and every measurement at its own time stamps.
+
+Nothing measured is resampled. Commands are held from one to the next, which is what the servo does.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.log import Trial
+from fishmj.log.trial import stacked
+
+REST = 0.3  # s at the start of a trial over which its start state is averaged
+
+
+class Sensor(NamedTuple):
+    """One clock's measurements. values: (K, C) at stamps t (K,) [s since the record's start]; sigma: (C,) noise, NaN unknown."""
+
+    t: np.ndarray
+    values: np.ndarray
+    sigma: np.ndarray
+
+
+class Record(NamedTuple):
+    """One trial, ready to be predicted."""
+
+    name: str
+    excitation: str
+    replicate_of: str
+    commands: np.ndarray  # (T, J) rad at the plant's steps, held
+    joint: Sensor | None  # rad, J columns
+    pose: Sensor | None  # x, y m, yaw rad unwrapped
+    power: Sensor | None  # W, one column
+    flow: tuple[float, float]  # what the log says of the mean current, m/s, tank frame
+    start: np.ndarray  # (3,) pose at t = 0
+    joints: np.ndarray  # (J,) angles at t = 0, rad
+    session: float  # s since the session began
+
+    @property
+    def seconds(self) -> float:
+        """Length of the record."""
+        return max(float(s.t[-1]) for s in (self.joint, self.pose, self.power) if s is not None)
+
+
+def record_of(trial: Trial, dt: float) -> Record:
+    """Read one trial. Raises LogError when there are no commands or nothing was measured."""
+    if "cmd" not in trial.tables:
+        raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")
+    cmd = trial.table("cmd")
+    begin, c = float(cmd["t"][0]), stacked(cmd, "c#")
+    joint = _sensor(trial, "joint", begin, lambda t: stacked(t, "j#"), [f"joint{i + 1}" for i in range(c.shape[1])])
+    pose = _sensor(trial, "pose", begin, _pose, ["x", "y", "yaw"])
+    power = _sensor(trial, "power", begin, lambda t: np.asarray(t["V"] * t["I"], float)[:, None], ["power"])
+    if joint is None and pose is None:
+        raise LogError(f"trial {trial.name}: neither joint nor pose was measured; nothing can be compared")
+    end = max(float(s.t[-1]) for s in (joint, pose, power) if s is not None)
+    steps = int(np.ceil(end / dt)) + 1
+    rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
+    speed, bearing = float(trial.value("flow.speed", 0.0) or 0.0), float(trial.value("flow.direction", 0.0) or 0.0)
+    return Record(
+        name=trial.name,
+        excitation=str(trial.value("excitation", "") or ""),
+        replicate_of=str(trial.value("replicate_of", "") or ""),
+        commands=c[np.maximum(rows, 0)],
+        joint=joint,
+        pose=pose,
+        power=power,
+        flow=(speed * np.cos(bearing), speed * np.sin(bearing)),
+        start=_first(pose, 3),
+        joints=_first(joint, c.shape[1]),
+        session=float(trial.value("session_time", 0.0) or 0.0),
+    )
+
+
+def _sensor(trial: Trial, table: str, begin: float, read, names) -> Sensor | None:
+    if table not in trial.tables or not len(trial.table(table)["t"]):
+        return None
+    rows = trial.table(table)
+    values = np.asarray(read(rows), float)
+    t = np.asarray(rows["t"], float) - begin
+    keep = (t >= 0) & np.isfinite(values).all(1)
+    given = trial.value("sigma", {}) or {}
+    sigma = np.array([_number(given.get(n, given.get(n.rstrip("123456789"), np.nan))) for n in names])
+    return Sensor(t[keep], values[keep], sigma) if keep.any() else None
+
+
+def _pose(rows) -> np.ndarray:
+    return np.stack([rows["x"], rows["y"], np.unwrap(np.asarray(rows["yaw"], float))], 1)
+
+
+def _number(value) -> float:
+    return float(value) if isinstance(value, int | float) else np.nan
+
+
+def _first(sensor: Sensor | None, size: int) -> np.ndarray:
+    """Mean of the first moments, in which a trial rests."""
+    return np.zeros(size) if sensor is None else sensor.values[sensor.t <= max(REST, float(sensor.t[0]))].mean(0)
