@@ -44,7 +44,7 @@ def run(what: str, *command: str, cwd: Path, **options) -> str:
 def look_inside(wheel: Path) -> None:
     """Everything that is shipped is inside, and nothing else."""
     names = set(zipfile.ZipFile(wheel).namelist())
-    shipped = {f"fishmj/_data/calib/{p.name}" for p in (ROOT / "data" / "calib").iterdir()}
+    shipped = {f"fishmj/_data/{p.relative_to(ROOT / 'data').as_posix()}" for p in (ROOT / "data").rglob("*.*") if p.is_file()}
     shipped |= {p.relative_to(ROOT).as_posix() for p in (ROOT / "fishmj" / "policies").glob("*.safetensors")}
     shipped |= {p.relative_to(ROOT).as_posix() for p in (ROOT / "fishmj").rglob("*.py")}
     if missing := sorted(shipped - names):
