@@ -1,7 +1,7 @@
 """What a robot was doing, half second by half second: labels from the tables alone, no model.
 
-For leave-one-regime-out validation, for saying where a gap lies, and for saying which excitation a data set lacks. A window carries
-every label that fits; a table that is missing takes its labels with it (`Regimes.known` lists those that could be told).
+For leave-one-regime-out validation, for saying where a gap lies, and for saying which excitation a data set lacks. A window
+carries every label that fits; a table that is missing takes its labels with it (`Regimes.known` lists those that can be told).
 
     rest            joints, command and body stand still
     joint_step      the command jumps within the window
@@ -16,7 +16,7 @@ every label that fits; a table that is missing takes its labels with it (`Regime
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,7 @@ TURNING = 0.2  # rad/s, averaged over a beat
 BEHIND = math.radians(6.0)  # rad between command and joint
 SLUGGISH = 0.5  # rad/s, below this a servo that is far behind is held back
 OCTANTS, SESSIONS = 8, 3
+MEASURED = ("joint", "pose", "velocity", "truth")
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def label(
     trial: Trial,
     *,
     length: float = LENGTH,
-    beat: float = 1.0,
+    beat: float | None = None,
     body: float = 0.54,
     tank: tuple[float, float] | None = None,
     step: float = STEP,
@@ -89,14 +90,18 @@ def label(
     """Label the windows of one trial.
 
     Args:
-        length: of a window, s. beat: period of the tail beat, s. body: length of the robot, m.
+        length: of a window, s. beat: period of the tail beat, s; None: what the gait table says, else 1 s.
+        body: length of the robot, m.
         tank: half width in x and in y, m, centred on the origin; without it near_wall cannot be told.
         step: rad that a command jumps; turning: rad/s; behind: rad of joint error that speaks of a torque limit.
 
     Raises:
         LogError: the trial is shorter than one window.
     """
-    first, last = trial.span
+    first, last = _span(trial)
+    if beat is None:
+        frequency = float(np.median(trial.tables.get("gait", {}).get("frequency", np.ones(1))))
+        beat = 1.0 / frequency if frequency > 0 else 1.0
     count = int((last - first) / length + 1e-9)
     if count < 1:
         raise LogError(f"trial {trial.name or '(in memory)'}: {last - first:.3f} s long; one window takes {length:g} s")
@@ -110,9 +115,15 @@ def label(
         "reversing_flow": windows.reversing_flow(),
     }
     known = tuple(name for name in LABELS if told.get(name) is not None)
-    is_ = {name: told[name] if name in known else np.zeros(count, bool) for name in LABELS}
+    is_ = {name: np.zeros(count, bool) if (found := told.get(name)) is None else found for name in LABELS}
     session = np.minimum((SESSIONS * np.arange(count)) // count, SESSIONS - 1)
     return Regimes(start, start + length, is_, windows.octant(), session, windows.battery(), known)
+
+
+def _span(trial: Trial) -> tuple[float, float]:
+    """The stretch that the measured tables cover; a command may run on after the camera stopped."""
+    seen = {name: table for name, table in trial.tables.items() if name in MEASURED}
+    return replace(trial, tables=seen).span if seen else trial.span
 
 
 class _Windows:
@@ -126,7 +137,12 @@ class _Windows:
         self.pose = None if pose is None else (pose["t"], pose["x"], pose["y"], np.unwrap(pose["yaw"]))
         self.speed, self.spin = self._motion()
         moving = self.joint or self.command
-        self.amplitude = None if moving is None else self._over(moving[0], moving[1], _half_range, reach=self.beat)
+        self.amplitude = self.stroke = None  # half the angle's range over a beat and over the window itself
+        if moving is not None:
+            self.amplitude, self.stroke = (self._over(*moving, _half_range, reach=reach) for reach in (self.beat, 0.0))
+        elif "gait" in trial.tables:
+            gait = trial.tables["gait"]
+            self.amplitude = self.stroke = self._over(gait["t"], gait["amplitude"], np.mean)
 
     def _angles(self, table: str, template: str) -> tuple[np.ndarray, np.ndarray] | None:
         if table not in self.trial.tables:
@@ -192,10 +208,9 @@ class _Windows:
     def of_body(self, turning: float) -> dict[str, np.ndarray | None]:
         out: dict[str, np.ndarray | None] = dict.fromkeys(("rest", "coast", "steady_swim", "ramp"))
         out["turn"] = None if self.spin is None else np.abs(np.nan_to_num(self.spin)) > turning
-        if self.amplitude is None:
+        if self.amplitude is None or self.stroke is None:
             return out
-        moving = self.joint or self.command
-        still = self._over(moving[0], moving[1], _half_range) < 0.5 * STILL_JOINT
+        still = self.stroke < 0.5 * STILL_JOINT
         size = np.nan_to_num(self.amplitude)
         beats = size > BEATING
         lag = max(round(self.beat / self.length), 1)  # windows in a beat
