@@ -11,7 +11,6 @@ import sys
 def main(shape: tuple[int, ...]) -> None:
     """Periodic D3Q19 with BGK collision in single precision, XLB's Warp backend."""
     import warp as wp
-
     import xlb
     from xlb.compute_backend import ComputeBackend
     from xlb.grid import grid_factory

@@ -1,4 +1,7 @@
-"""`fishmj lbm_oracle converge`: does the error of the fluid fall with the square of the cell? Exit 1 off order."""
+"""`fishmj lbm_oracle converge`: does the error of the fluid fall with the square of the cell? Exit 1 off order.
+
+`fishmj lbm_oracle converge fish` is the study of the fish itself (`converge_fish`).
+"""
 
 from math import log2
 
@@ -25,7 +28,13 @@ def study(name: str, device: str) -> list[dict]:
 
 
 def main(argv: list[str]) -> int:
-    parser = console.parser("lbm_oracle converge", "Order of convergence on closed solutions; exit 1 off order.")
+    if argv[:1] == ["fish"]:
+        from fishmj.lbm_oracle.converge_fish import main as fish
+
+        return fish(argv[1:])
+    parser = console.parser(
+        "lbm_oracle converge", "Order of convergence on closed solutions (`fish`: another study); exit 1 off."
+    )
     parser.add_argument("--device", default="cpu", help="cpu, cuda or auto")
     args = parser.parse_args(argv)
     device = str(device_of(args.device))

@@ -24,7 +24,7 @@ FORCE = np.array([1.0018, -0.0176, -1.1072, -1.6063, -1.6063, -1.0580, 0.0457, 1
 
 
 def swing(cells: int, periods: int, device: str, *, box: float = 16.0, samples: int = 200, **options) -> np.ndarray:
-    """In-line force on a swinging cylinder of `cells` cells over its last period, (samples,) in rho U^2 D; it starts at u = -U."""
+    """In-line force on a swinging cylinder of `cells` cells over its last period, (samples,) in rho U^2 D, from u = -U on."""
     side = Axis("wall", "wall")
     still = cylinder(cells, SPEED, REYNOLDS, (box, box), (0.5, 0.5), device, faces=Boundaries(x=side, y=side), **options)
     every = max(1, round(KC * cells / SPEED / samples))

@@ -4,8 +4,8 @@
 body on slides, 1.15 to 1.17 times as heavy as what it displaces; its weight and buoyancy are the model's gravity.
 
 Source: ten Cate, Nieuwstad, Derksen and van den Akker 2002, Phys. Fluids 14:4012, table 2, as kept with oils, box and gap by the
-benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which starts a quarter of a diameter higher than the 120 mm
-stated, to match the measured tracks; so does this.
+benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which starts a quarter of a diameter higher than the
+120 mm stated, to match the measured tracks; so does this.
 """
 
 from typing import NamedTuple

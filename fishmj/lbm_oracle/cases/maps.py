@@ -1,0 +1,143 @@
+"""Force maps: what must hold whatever the forces are.
+
+    mirror      F(-AoA) = (F_x, -F_y, -M)                                    the fish has a left and a right
+    square      broadside, F / U^2 is the same at two speeds
+    towed       through still water = held in a stream                       Galileo
+    turned      stream and fish together by 22.5 and 45 deg in the grid
+    blockage    a box 1.5 times as large in every direction
+    step        half the time step: half the Mach number
+    grid        half the cell, reported: the bias of this one
+
+The straight fish is held at an angle of attack of 30 deg, where drag, lateral force and yaw moment all count; a difference is
+that of the force vectors over the greater of the two. `maps_preview` does the same in a small coarse box for a short time: there
+only what no grid may break is held, the rest is reported. The water sticks to the hull (`SLIP`): where it slides, a held, bluff
+posture is known to be unsteady to the point of failure (docs/oracle.md).
+"""
+
+from dataclasses import replace
+from math import cos, pi, radians, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.averages import average
+from fishmj.lbm_oracle.cases import about, below, register, reported
+from fishmj.lbm_oracle.domain import Domain, preset
+from fishmj.lbm_oracle.guard import Watch
+from fishmj.lbm_oracle.stage import Edge, Stage
+
+SLIP = 0.0
+AOA, SPEED, SLOW = 30.0, 0.3, 0.2  # deg, m/s
+TICK = 0.02  # s, over which a force is averaged before it is recorded
+
+
+class Load(NamedTuple):
+    """Means over a record in the robot's frame (x ahead, y left): N, N, N m; `sem` of the force, N."""
+
+    x: float
+    y: float
+    yaw: float
+    sem: float
+
+    @property
+    def force(self) -> np.ndarray:
+        return np.array([self.x, self.y])
+
+
+class Plan(NamedTuple):
+    """Box, seconds before and of the average at SPEED (more where slower), and the angles by which the grid is turned."""
+
+    domain: Domain
+    settle: float
+    seconds: float
+
+
+FULL = Plan(replace(preset("forcemap"), name="square", shape=(200, 200, 100)), 9.0, 20.0)
+PREVIEW = Plan(replace(preset("laptop"), name="square", shape=(64, 64, 30)), 2.0, 2.0)
+
+
+def load(
+    plan: Plan, device: str, *, aoa: float = AOA, speed: float = SPEED, turn: float = 0.0, towed: bool = False, at=(0.0, 0.0)
+) -> Load:
+    """Mean load on a straight fish in a stream of `speed` m/s from `aoa` deg, both turned by `turn` deg in the grid.
+
+    Towed: it moves at that speed through still water, in a window that follows. at: (2,) m, where it is held.
+    """
+    course = radians(turn)
+    flow = Flow() if towed else Flow(speed=speed, direction=pi + course)
+    domain = replace(plan.domain, follows=True)  # held, too: one place of the fish in its box
+    heading = course - radians(aoa)
+    held = Stage(domain=domain, flow=flow, slip=SLIP, pose=(*at, heading), device=device).coupled()
+    edge, watch = Edge(domain, heading), Watch()
+    fixed, value = np.ones(held.body.dofs), np.zeros(held.body.dofs)
+    if towed:
+        value[:2] = speed * cos(course), speed * sin(course)
+    steps, longer, record = round(TICK / domain.dt), SPEED / speed, []
+    settle, seconds = (round(t * longer / TICK) for t in (plan.settle, plan.seconds))
+    for _ in range(settle + seconds):
+        for _ in range(steps):
+            held.step(fixed, value)
+            edge(held)
+            watch.after_step(held.fluid)
+        record.append(_planar(held, TICK))
+    x, y, yaw = np.array(record[settle:]).T
+    ahead, left = cos(heading) * x + sin(heading) * y, cos(heading) * y - sin(heading) * x
+    drag, lateral, moment = average(ahead), average(left), average(yaw)
+    return Load(drag.mean, lateral.mean, moment.mean, float(np.hypot(drag.sem, lateral.sem)))
+
+
+def _planar(held, seconds: float) -> tuple[float, float, float]:
+    """F_x, F_y in the world and M_z about the reference point over the last `seconds`."""
+    _, whole = held.take_wrench(seconds)
+    arm = held.body.data.xpos[1:, :2] - held.body.data.qpos[:2]
+    fx, fy = whole[:, 0], whole[:, 1]
+    return fx.sum(), fy.sum(), (whole[:, 5] + arm[:, 0] * fy - arm[:, 1] * fx).sum()
+
+
+def apart(one: Load, other: Load) -> float:
+    """Difference of two force vectors over the greater."""
+    return float(np.linalg.norm(one.force - other.force) / max(np.linalg.norm(one.force), np.linalg.norm(other.force)))
+
+
+def checks(plan: Plan, device: str, judged: bool):
+    """The checks in one box; without `judged` those that a coarse grid may break are reported."""
+    within = below if judged else lambda quantity, value, limit: reported(quantity, value)
+    base = load(plan, device)
+    yield reported("drag at 30 deg and 0.3 m/s, N", -base.x)
+    yield reported("lateral force there, N", -base.y)
+    yield reported("standard error of the force, N", base.sem)
+    other = load(plan, device, aoa=-AOA)
+    peak = float(np.linalg.norm(base.force))
+    mirror = np.hypot(other.x - base.x, other.y + base.y) / peak
+    yield below("mirror: difference of the forces", mirror, 0.02)
+    yield below("mirror: sum of the yaw moments", abs(other.yaw + base.yaw) / abs(base.yaw), 0.02)
+    slow, quick = (abs(load(plan, device, aoa=90.0, speed=speed).y) / speed**2 for speed in (SLOW, SPEED))
+    yield about("square: F / U^2 broadside at 0.3 over that at 0.2 m/s", quick / slow, 1.0, 0.1)
+    yield below("towed: difference from held", apart(load(plan, device, towed=True), base), 0.03)
+    for turn in (22.5, 45.0):
+        yield within(f"turned by {turn:g} deg: difference", apart(load(plan, device, turn=turn), base), 0.05)
+    x, y, z = (round(1.5 * n) for n in plan.domain.shape)
+    larger = plan._replace(domain=replace(plan.domain, shape=(x, y, z)))
+    yield within("blockage: difference in 1.5 times the box", apart(load(larger, device), base), 0.03)
+    shorter = plan._replace(domain=replace(plan.domain, dt=plan.domain.dt / 2))
+    yield within("step: difference at half the time step", apart(load(shorter, device), base), 0.03)
+    if judged:
+        finer = plan._replace(domain=plan.domain.changed(dx=plan.domain.dx / 2))
+        fine = load(finer, device)
+        yield reported("grid: drag over that at half the cell", base.x / fine.x, 1.0)
+        yield reported("grid: lateral force over that at half the cell", base.y / fine.y, 1.0)
+
+
+@register("maps_preview", rung=17, grid="64 x 64 x 30, dx = 2 cm, 4 s", source="symmetry; Galileo", cost="3 min", gpu=True)
+def maps_preview(device):
+    """What a force map must obey, in a small box."""
+    yield from checks(PREVIEW, device, judged=False)
+
+
+@register(
+    "maps", rung=17.1, grid="200 x 200 x 100, dx = 2 cm, 29 s", source="symmetry; Galileo", cost="GPU, 500 G updates", gpu=True
+)
+def maps(device):
+    """What a force map must obey."""
+    yield from checks(FULL, device, judged=True)
