@@ -74,6 +74,10 @@ class Active:
                 total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
         return total
 
+    def drawn(self, parameters, stream: str) -> list:
+        """(effect, its parameters) of the stochastic effects of a stream (scatter.py)."""
+        return [(s.effect, _values(s, parameters)) for s in self.slots if s.effect.stream == stream]
+
     def measure(self, xp, parameters, seen):
         """What the sensors make of the record `seen`; parameters may be arrays that broadcast over its time axis."""
         for slot in self.slots:

@@ -62,7 +62,8 @@ class Body(NamedTuple):
     y: Any  # m, world
     time: Any  # s
     tail: Any  # normal velocity of the tail tip relative to the water, m/s
-    sway_mass: Any  # kg, added mass that the base model has in sway
+    sway_mass: Any  # kg, added mass that the base model has in sway, 0 in air
+    wet: Any  # 1 in water, 0 in air
     fx: Any  # N, ahead
     fy: Any  # N, to the left
     n: Any  # N m

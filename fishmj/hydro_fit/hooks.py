@@ -71,7 +71,7 @@ class Effects:
         sway = sum(sw.water.k[i] * ch.strips.mu[i][0] for i in range(ch.n))
         tail = k.w[-1] + k.omega[-1] * ch.strips.tail_x
         still = (0.0,) * 6
-        b = Body(k.u[0], k.w[0], k.omega[0], q[2], q[0], q[1], self.session.time, tail, sway, *still)
+        b = Body(k.u[0], k.w[0], k.omega[0], q[2], q[0], q[1], self.session.time, tail, sway * self.wet, self.wet, *still)
         b = self.session.body(b, ch.dt)
         for i, (force, mass) in enumerate(((b.fx, b.mx), (b.fy, b.my), (b.n, b.mn))):
             rhs[i], m[i][i] = rhs[i] + force, m[i][i] + mass

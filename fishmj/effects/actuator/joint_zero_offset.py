@@ -34,7 +34,7 @@ EFFECT = Effect(
         Confusion(
             other="steady_current",
             separates="an offset turns with the fish, a current does not",
-            excitations=("drift_0", "gait_mirrored"),
+            excitations=("drift_east", "gait_mirrored"),
         ),
         Confusion(
             other="camera_yaw",

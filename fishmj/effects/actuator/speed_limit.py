@@ -4,12 +4,16 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """drive along the motion <= limit (1 - s |w|), on top of back-EMF; the slope s limit is taken implicitly."""
+    """drive along the motion <= line = limit (1 - s |w|), on top of back-EMF.
+
+    On the line its slope s limit is taken implicitly: a damping, and a torque that makes up for it at the present rate.
+    """
     ahead = xp.where(g.drive >= 0.0, 1.0, -1.0)
-    along = xp.maximum(g.rate * ahead, 0.0)
-    over = g.drive * ahead > g.limit * (1.0 - p.slowness * along)
-    drive = xp.where(over, ahead * g.limit, g.drive)
-    return g._replace(drive=drive, resist=g.resist + xp.where(over, p.slowness * g.limit, 0.0)), memory
+    line = g.limit * (1.0 - p.slowness * xp.maximum(g.rate * ahead, 0.0))
+    over = g.drive * ahead > line
+    slope = xp.where(over, p.slowness * g.limit, 0.0)
+    drive = xp.where(over, ahead * line, g.drive)
+    return g._replace(drive=drive, torque=g.torque + slope * g.rate, resist=g.resist + slope), memory
 
 
 EFFECT = Effect(

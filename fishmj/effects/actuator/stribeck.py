@@ -26,7 +26,7 @@ EFFECT = Effect(
         Confusion(
             other="coulomb_friction",
             separates="vanishes at speed: needs a decade of low speeds",
-            excitations=("slow_triangle", "staircase", "chirp"),
+            excitations=("creep", "slow_triangle", "chirp"),
         ),
         Confusion(other="servo_deadband", separates="depends on speed at small error", excitations=("slow_triangle",)),
     ),

@@ -18,8 +18,19 @@ EFFECT = Effect(
     shows=("position", "heading"),
     confusions=(
         Confusion(other="wall_effect", separates="changes sign with the direction of travel", excitations=("out_and_back",)),
-        Confusion(other="swirl", separates="u only: no cross drift at other x", excitations=("two_station_shear", "drift_90")),
-        Confusion(other="steady_current", separates="the same run at two stations", excitations=("two_station_shear",)),
+        Confusion(
+            other="swirl",
+            separates="u only: no cross drift at other x",
+            excitations=("station_left", "station_right", "drift_north"),
+        ),
+        Confusion(
+            other="steady_current",
+            separates="the same run at two stations",
+            excitations=(
+                "station_left",
+                "station_right",
+            ),
+        ),
     ),
     flow=flow,
 )

@@ -24,12 +24,12 @@ EFFECT = Effect(
         Confusion(
             other="camera_yaw",
             separates="a turned camera turns tracks, a current moves a resting fish",
-            excitations=("drift_0", "drift_90"),
+            excitations=("drift_east", "drift_north"),
         ),
         Confusion(
             other="joint_zero_offset",
             separates="an offset turns with the fish, a current does not",
-            excitations=("drift_0", "gait_mirrored"),
+            excitations=("drift_east", "gait_mirrored"),
         ),
     ),
     flow=flow,

@@ -17,8 +17,19 @@ EFFECT = Effect(
     parameters=(Parameter(name="rate", unit="rad/s", low=-0.3, high=0.3, typical=(0.01, 0.05)),),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="current_shear", separates="cross drift at other x", excitations=("two_station_shear", "drift_90")),
-        Confusion(other="steady_current", separates="vanishes at the centre", excitations=("two_station_shear",)),
+        Confusion(
+            other="current_shear",
+            separates="cross drift at other x",
+            excitations=("station_left", "station_right", "drift_north"),
+        ),
+        Confusion(
+            other="steady_current",
+            separates="vanishes at the centre",
+            excitations=(
+                "station_left",
+                "station_right",
+            ),
+        ),
     ),
     flow=flow,
 )

@@ -23,8 +23,8 @@ EFFECT = Effect(
     ),
     shows=("position",),
     confusions=(
-        Confusion(other="steady_current", separates="changes sign beyond the anchor", excitations=("out_and_back", "drift_0")),
-        Confusion(other="linear_surge_drag", separates="pulls a resting fish", excitations=("drift_0", "out_and_back")),
+        Confusion(other="steady_current", separates="changes sign beyond the anchor", excitations=("out_and_back", "drift_east")),
+        Confusion(other="linear_surge_drag", separates="pulls a resting fish", excitations=("drift_east", "out_and_back")),
     ),
     body=body,
 )

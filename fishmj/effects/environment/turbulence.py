@@ -27,8 +27,8 @@ EFFECT = Effect(
     ),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="steady_current", separates="three replicates: the mean vanishes", excitations=("drift_0",)),
-        Confusion(other="noise_level", separates="grows with time, a resting log does not", excitations=("drift_0",)),
+        Confusion(other="steady_current", separates="three replicates: the mean vanishes", excitations=("drift_east",)),
+        Confusion(other="noise_level", separates="grows with time, a resting log does not", excitations=("idle", "drift_east")),
     ),
     stochastic=True,
     stream="flow",

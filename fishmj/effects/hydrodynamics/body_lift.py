@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """fy = -Y |u| w: against the sway whether it swims ahead or astern, so it never feeds energy."""
-    return b._replace(fy=b.fy - p.coefficient * xp.abs(b.u) * b.w), memory
+    return b._replace(fy=b.fy - b.wet * p.coefficient * xp.abs(b.u) * b.w), memory
 
 
 EFFECT = Effect(
@@ -19,9 +19,9 @@ EFFECT = Effect(
     native="body fluidcoef (Kutta lift)",
     confusions=(
         Confusion(
-            other="munk_moment", separates="a force, not a moment: heading keeps", excitations=("burst_and_coast", "turn_left")
+            other="munk_moment", separates="a force, not a moment: heading keeps", excitations=("tow_oblique", "turn_left")
         ),
-        Confusion(other="crossflow_drag", separates="vanishes without speed ahead", excitations=("drift_90", "burst_and_coast")),
+        Confusion(other="crossflow_drag", separates="vanishes without speed ahead", excitations=("tow_sideways", "tow_oblique")),
         Confusion(other="sway_added_mass", separates="does not need acceleration", excitations=("impulse", "turn_left")),
     ),
     body=body,

@@ -18,9 +18,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="1", low=-0.8, high=2.0, typical=(0.1, 0.4)),),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="yaw_drag", separates="shows in a side drift without turning", excitations=("drift_90", "spin_in_place")),
-        Confusion(other="body_lift", separates="no speed ahead needed", excitations=("drift_90", "burst_and_coast")),
-        Confusion(other="tail_normal_force", separates="acts on the head as on the tail", excitations=("drift_90", "gait")),
+        Confusion(other="yaw_drag", separates="shows in a side drift without turning", excitations=("tow_sideways", "twirl")),
+        Confusion(other="body_lift", separates="no speed ahead needed", excitations=("tow_sideways", "burst_and_coast")),
+        Confusion(other="tail_normal_force", separates="acts on the head as on the tail", excitations=("tow_sideways", "gait")),
     ),
     fish=fish,
 )

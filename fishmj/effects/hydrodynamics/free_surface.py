@@ -8,7 +8,7 @@ GRAVITY_LENGTH = 9.81 * constant("robot", "length")  # m2/s2: Froude number 1
 
 def body(xp, p, b, memory, h):
     """fx = -c Fr^2 |u| u, Fr^2 = u^2 / (g L)."""
-    return b._replace(fx=b.fx - p.gain * (b.u * b.u / GRAVITY_LENGTH) * xp.abs(b.u) * b.u), memory
+    return b._replace(fx=b.fx - b.wet * p.gain * (b.u * b.u / GRAVITY_LENGTH) * xp.abs(b.u) * b.u), memory
 
 
 EFFECT = Effect(

@@ -18,7 +18,7 @@ EFFECT = Effect(
     shows=("joint", "power"),
     confusions=(
         Confusion(other="viscous_friction", separates="not in air", excitations=("chirp", "square")),
-        Confusion(other="crossflow_drag", separates="does not push the body", excitations=("gait", "drift_90")),
+        Confusion(other="crossflow_drag", separates="does not push the body", excitations=("gait", "tow_sideways")),
     ),
     gear=gear,
 )

@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """fx = -c u."""
-    return b._replace(fx=b.fx - p.coefficient * b.u), memory
+    return b._replace(fx=b.fx - b.wet * p.coefficient * b.u), memory
 
 
 EFFECT = Effect(
@@ -18,7 +18,9 @@ EFFECT = Effect(
     shows=("position",),
     native="option viscosity",
     confusions=(
-        Confusion(other="quadratic_drag", separates="speeds of 3 to 1, coast to rest", excitations=("burst_and_coast",)),
+        Confusion(
+            other="quadratic_drag", separates="speeds of 3 to 1, coast to rest", excitations=("tow_ahead", "burst_and_coast")
+        ),
         Confusion(other="steady_current", separates="coast in two headings", excitations=("burst_and_coast", "out_and_back")),
         Confusion(other="tether", separates="does not depend on where the fish is", excitations=("out_and_back",)),
     ),

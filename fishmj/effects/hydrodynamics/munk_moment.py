@@ -17,9 +17,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="1", low=-1.0, high=1.0, typical=(0.1, 0.3)),),
     shows=("heading", "position"),
     confusions=(
-        Confusion(other="body_lift", separates="a moment, not a force", excitations=("burst_and_coast", "turn_left")),
-        Confusion(other="com_offset", separates="needs speed", excitations=("impulse", "burst_and_coast")),
-        Confusion(other="sway_added_mass", separates="needs no acceleration", excitations=("impulse", "burst_and_coast")),
+        Confusion(other="body_lift", separates="a moment, not a force", excitations=("tow_oblique", "turn_left")),
+        Confusion(other="com_offset", separates="needs speed", excitations=("impulse", "tow_oblique")),
+        Confusion(other="sway_added_mass", separates="needs no acceleration", excitations=("impulse", "tow_oblique")),
     ),
     body=body,
 )

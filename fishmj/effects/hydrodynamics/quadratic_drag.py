@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """fx = -c |u| u."""
-    return b._replace(fx=b.fx - p.coefficient * xp.abs(b.u) * b.u), memory
+    return b._replace(fx=b.fx - b.wet * p.coefficient * xp.abs(b.u) * b.u), memory
 
 
 EFFECT = Effect(
@@ -23,7 +23,9 @@ EFFECT = Effect(
             separates="one steady speed cannot tell thrust from drag: coast down",
             excitations=("burst_and_coast", "gait"),
         ),
-        Confusion(other="linear_surge_drag", separates="speeds of 3 to 1, coast to rest", excitations=("burst_and_coast",)),
+        Confusion(
+            other="linear_surge_drag", separates="speeds of 3 to 1, coast to rest", excitations=("tow_ahead", "burst_and_coast")
+        ),
         Confusion(
             other="free_surface", separates="grows with the square of speed, not faster", excitations=("burst_and_coast", "gait")
         ),

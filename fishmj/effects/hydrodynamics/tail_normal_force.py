@@ -24,7 +24,7 @@ EFFECT = Effect(
             separates="one steady speed cannot tell thrust from drag: coast down",
             excitations=("burst_and_coast", "gait"),
         ),
-        Confusion(other="crossflow_drag", separates="not on the head", excitations=("drift_90", "gait")),
+        Confusion(other="crossflow_drag", separates="not on the head", excitations=("tow_sideways", "gait")),
         Confusion(other="wake_memory", separates="the same at every frequency", excitations=("chirp", "gait")),
     ),
     fish=fish,

@@ -29,7 +29,7 @@ EFFECT = Effect(
         Confusion(
             other="current_shear",
             separates="the same in both directions of travel",
-            excitations=("out_and_back", "two_station_shear"),
+            excitations=("out_and_back", "station_left", "station_right"),
         ),
         Confusion(other="lens_distortion", separates="acts on the motion, not on a resting fish", excitations=("out_and_back",)),
         Confusion(other="quadratic_drag", separates="not in the middle of the tank", excitations=("out_and_back", "gait")),

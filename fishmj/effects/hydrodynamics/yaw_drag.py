@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """n = -c |r| r."""
-    return b._replace(n=b.n - p.coefficient * xp.abs(b.r) * b.r), memory
+    return b._replace(n=b.n - b.wet * p.coefficient * xp.abs(b.r) * b.r), memory
 
 
 EFFECT = Effect(
@@ -17,10 +17,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=1.0, typical=(0.005, 0.05)),),
     shows=("heading", "position"),
     confusions=(
-        Confusion(other="crossflow_drag", separates="does not show in a side drift", excitations=("drift_90", "spin_in_place")),
-        Confusion(
-            other="yaw_added_mass", separates="end of a turn against its start", excitations=("turn_left", "spin_in_place")
-        ),
+        Confusion(other="crossflow_drag", separates="does not show in a side drift", excitations=("tow_sideways", "twirl")),
+        Confusion(other="yaw_added_mass", separates="end of a turn against its start", excitations=("twirl", "spin")),
     ),
     body=body,
 )

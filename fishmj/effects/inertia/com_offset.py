@@ -19,8 +19,8 @@ EFFECT = Effect(
     native="body ipos",
     confusions=(
         Confusion(other="body_lift", separates="no speed needed: flap on the spot", excitations=("impulse", "turn_left")),
-        Confusion(other="munk_moment", separates="no speed needed: flap on the spot", excitations=("impulse", "burst_and_coast")),
-        Confusion(other="marker_offset", separates="the joints' commands move it", excitations=("spin_in_place", "impulse")),
+        Confusion(other="munk_moment", separates="no speed needed: flap on the spot", excitations=("impulse", "tow_oblique")),
+        Confusion(other="marker_offset", separates="the joints' commands move it", excitations=("spin", "impulse")),
     ),
     fish=fish,
 )

@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """Kirchhoff with X = dm: on accelerations seen from the world, f = -dm (a_x + w r), -dm u r, +dm u w."""
-    m = p.mass
+    m = b.wet * p.mass
     return b._replace(mx=b.mx + m, fx=b.fx - m * b.w * b.r, fy=b.fy - m * b.u * b.r, n=b.n + m * b.u * b.w), memory
 
 
@@ -24,7 +24,7 @@ EFFECT = Effect(
             separates="weigh it; a fast turn needs m u r, added mass in surge does not",
             excitations=("burst_and_coast", "turn_left"),
         ),
-        Confusion(other="quadratic_drag", separates="speeding up against coasting", excitations=("burst_and_coast",)),
+        Confusion(other="quadratic_drag", separates="speeding up against coasting", excitations=("tow_ahead", "burst_and_coast")),
     ),
     body=body,
 )

@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """Kirchhoff with Y = dm: on accelerations seen from the world, f = dm w r, -dm (a_y - u r), -dm u w."""
-    m = p.mass
+    m = b.wet * p.mass
     return b._replace(my=b.my + m, fx=b.fx + m * b.w * b.r, fy=b.fy + m * b.u * b.r, n=b.n - m * b.u * b.w), memory
 
 
@@ -20,9 +20,9 @@ EFFECT = Effect(
     native="body fluidcoef (ellipsoid model)",
     confusions=(
         Confusion(other="munk_moment", separates="needs acceleration, not speed", excitations=("impulse", "burst_and_coast")),
-        Confusion(other="yaw_inertia", separates="side push without turning", excitations=("drift_90", "impulse")),
+        Confusion(other="yaw_inertia", separates="side push without turning", excitations=("tow_sideways", "impulse")),
         Confusion(
-            other="crossflow_drag", separates="start of a side push against its end", excitations=("drift_90", "turn_left")
+            other="crossflow_drag", separates="start of a side push against its end", excitations=("tow_sideways", "turn_left")
         ),
     ),
     body=body,

@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 def body(xp, p, b, memory, h):
     """n = -dI dr/dt; rotation alone has no velocity terms."""
-    return b._replace(mn=b.mn + p.inertia), memory
+    return b._replace(mn=b.mn + b.wet * p.inertia), memory
 
 
 EFFECT = Effect(
@@ -19,7 +19,7 @@ EFFECT = Effect(
     native="body fluidcoef (ellipsoid model)",
     confusions=(
         Confusion(other="yaw_inertia", separates="not in air; not on the tail's own turning", excitations=("impulse", "chirp")),
-        Confusion(other="yaw_drag", separates="start of a turn against its end", excitations=("turn_left", "spin_in_place")),
+        Confusion(other="yaw_drag", separates="start of a turn against its end", excitations=("twirl", "spin")),
     ),
     body=body,
 )

@@ -22,7 +22,7 @@ EFFECT = Effect(
         Confusion(
             other="steady_current",
             separates="a turned camera turns tracks, a current moves a resting fish",
-            excitations=("drift_0", "drift_90"),
+            excitations=("drift_east", "drift_north"),
         ),
     ),
     measure=measure,

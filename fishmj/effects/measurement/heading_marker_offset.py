@@ -17,8 +17,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="angle", unit="rad", low=-0.3, high=0.3, typical=(0.017, 0.087)),),
     shows=("heading",),
     confusions=(
-        Confusion(other="camera_yaw", separates="the track keeps its direction", excitations=("burst_and_coast", "gait")),
-        Confusion(other="com_offset", separates="the same at rest", excitations=("drift_0", "turn_left")),
+        Confusion(other="camera_yaw", separates="the track keeps its direction", excitations=("tow_oblique", "gait")),
+        Confusion(other="com_offset", separates="the same at rest", excitations=("drift_east", "turn_left")),
     ),
     measure=measure,
 )

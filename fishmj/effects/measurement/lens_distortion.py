@@ -18,7 +18,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="k1", unit="1/m2", low=-0.05, high=0.05, typical=(0.003, 0.01)),),
     shows=("position",),
     confusions=(
-        Confusion(other="camera_scale", separates="none at the centre", excitations=("two_station_shear", "out_and_back")),
+        Confusion(
+            other="camera_scale", separates="none at the centre", excitations=("station_left", "station_right", "out_and_back")
+        ),
         Confusion(other="wall_effect", separates="bends a resting grid", excitations=("out_and_back",)),
     ),
     measure=measure,

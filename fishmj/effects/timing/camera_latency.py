@@ -13,9 +13,7 @@ EFFECT = Effect(
     native="sensor delay",
     confusions=(
         Confusion(other="clock_offset", separates="only an event seen by both clocks", excitations=("impulse",)),
-        Confusion(
-            other="marker_offset", separates="a marker's error goes with heading, not with rate", excitations=("spin_in_place",)
-        ),
+        Confusion(other="marker_offset", separates="a marker's error goes with heading, not with rate", excitations=("spin",)),
         Confusion(other="command_latency", separates="the joints do not lag", excitations=("chirp", "turn_left")),
     ),
     delays={"pose": "delay"},

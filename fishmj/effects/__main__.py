@@ -1,0 +1,28 @@
+"""`python -m fishmj.effects [NAME] [--json]`: the catalogue, or one entry in full."""
+
+import sys
+
+from fishmj import console, effects
+from fishmj.effects import describe
+
+
+def main(argv: list[str]) -> int:
+    """Print the table, or one effect."""
+    parser = console.parser(
+        "effects", "The catalogue of imperfections: what each is, how large, where it shows, what looks like it."
+    )
+    parser.add_argument("name", nargs="?", help="one effect in full")
+    args = parser.parse_args(argv)
+    chosen = [effects.get(args.name)] if args.name else list(effects.catalogue().values())
+    if args.json:
+        records = [describe.record(e) for e in chosen]
+        console.emit_json(records[0] if args.name else {"effects": records, "n": len(records)})
+    elif args.name:
+        console.say(describe.text(chosen[0]))
+    else:
+        console.say(console.table(describe.rows(chosen)))
+    return console.OK
+
+
+if __name__ == "__main__":
+    sys.exit(console.run(main))

@@ -1,0 +1,151 @@
+"""Effects in the calibration file of a fish: an ordered list of `[[effect]]` blocks, each with values and their intervals.
+
+    [[effect]]
+    name = "coulomb_friction"
+    provenance = "12 logs of 3 June, pool"
+    hash = "sha256 of the evidence"
+    parameters.torque = { value = 0.081, low = 0.074, high = 0.089 }
+
+The order is that in which the effects act. A file without blocks is the nominal robot.
+"""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.calib import read_toml, resolve
+from fishmj.effects import Active, get
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.store import write_text
+
+KEYS = ("name", "parameters", "provenance", "hash")
+
+
+class Interval(NamedTuple):
+    """A value and the interval that it is believed to lie in; low = high = value where none is known."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Fitted(NamedTuple):
+    """One effect of a calibration. parameters: {name: Interval}; those left out are at their null."""
+
+    name: str
+    parameters: dict[str, Interval]
+    provenance: str = ""
+    hash: str = ""  # of the evidence
+
+
+def read(source: "str | Path") -> tuple[Fitted, ...]:
+    """The effects of a fish TOML (path or shipped name), checked.
+
+    Raises:
+        ConfigError: unknown effect, parameter or key (with the nearest one), value outside its bounds, an effect listed twice.
+    """
+    path = resolve(source)
+    return parse(read_toml(path), str(path))
+
+
+def parse(table: dict, where: str) -> tuple[Fitted, ...]:
+    """The same from a parsed TOML table; `where` begins the error messages."""
+    blocks = table.get("effect", [])
+    if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
+        raise ConfigError(f"{where}: effects are blocks [[effect]], got {blocks!r}")
+    listed = tuple(_block(block, f"{where} [[effect]] {i}") for i, block in enumerate(blocks, 1))
+    names = [fitted.name for fitted in listed]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{where}: effect {name!r} is listed {names.count(name)} times; keep one block")
+    return listed
+
+
+def write(path: "str | Path", effects: "tuple[Fitted, ...] | list[Fitted]") -> Path:
+    """Put `effects` in place of the blocks of the TOML at `path`; all else stays as it is, comments too. Atomic.
+
+    Raises:
+        ConfigError: as `read`; nothing is written then.
+    """
+    path = resolve(Path(path))
+    kept = _without_blocks(path.read_text(encoding="utf-8"))
+    text = "\n\n".join([kept.rstrip("\n"), *(_text(fitted) for fitted in effects)]) + "\n"
+    parse(tomllib.loads(text), str(path))
+    return write_text(path, text)
+
+
+def activate(effects, joints: int) -> tuple[Active, np.ndarray]:
+    """(Active, its parameter row (P,)) of a calibration, for a fish with `joints` joints."""
+    active = Active([get(fitted.name) for fitted in effects], joints)
+    values = {fitted.name: {name: interval.value for name, interval in fitted.parameters.items()} for fitted in effects}
+    return active, np.array(active.flat(values))
+
+
+def fitted(active: Active, row, low=None, high=None, provenance: str = "", hash: str = "") -> tuple[Fitted, ...]:  # noqa: A002
+    """A calibration from an Active and rows (P,) of values and, where known, of the ends of their intervals."""
+    low, high = row if low is None else low, row if high is None else high
+    intervals = {key: Interval(*map(float, x)) for key, *x in zip(active.names, row, low, high, strict=True)}
+    named = lambda e: {p.name: intervals[e.name, p.name] for p in e.parameters}  # noqa: E731
+    return tuple(Fitted(e.name, named(e), provenance, hash) for e in active.effects)
+
+
+def _block(block: dict, where: str) -> Fitted:
+    for key in block:
+        if key not in KEYS:
+            raise ConfigError(f"{where}: {UnknownName('key', key, KEYS)}")
+    try:
+        effect = get(block.get("name", ""))
+    except UnknownName as error:
+        raise ConfigError(f"{where}: {error}") from error
+    where = f"{where} {effect.name}"
+    given = block.get("parameters", {})
+    if not isinstance(given, dict):
+        raise ConfigError(f"{where}: parameters must be a table of name = {{ value, low, high }}, got {given!r}")
+    found = {}
+    for name, entry in given.items():
+        try:
+            parameter = effect.parameter(name)
+        except UnknownName as error:
+            raise ConfigError(f"{where}: {error}") from error
+        found[name] = _interval(entry, parameter, f"{where} {name}")
+    return Fitted(effect.name, found, str(block.get("provenance", "")), str(block.get("hash", "")))
+
+
+def _interval(entry, parameter, where: str) -> Interval:
+    entry = entry if isinstance(entry, dict) else {"value": entry}
+    values = {key: entry.get(key, entry.get("value")) for key in Interval._fields}
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values.values())
+    if not numbers or set(entry) - set(values):
+        raise ConfigError(f"{where}: needs {{ value, low, high }} in {parameter.unit}, finite numbers; got {entry}")
+    found = Interval(**{key: float(v) for key, v in values.items()})
+    if not parameter.low <= found.value <= parameter.high:
+        raise ConfigError(
+            f"{where}: {found.value:g} {parameter.unit} lies outside the bounds {parameter.low:g} to {parameter.high:g};"
+            f" check the unit, the null is {parameter.null:g}"
+        )
+    if not found.low <= found.value <= found.high:
+        raise ConfigError(f"{where}: value {found.value:g} must lie in its interval {found.low:g} to {found.high:g}")
+    return found
+
+
+def _text(fitted: Fitted) -> str:
+    quoted = lambda text: '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'  # noqa: E731
+    lines = ["[[effect]]", *(f"{key} = {quoted(getattr(fitted, key))}" for key in ("name", "provenance", "hash"))]
+    for name, x in fitted.parameters.items():
+        lines.append(f"parameters.{name} = {{ value = {float(x.value)!r}, low = {float(x.low)!r}, high = {float(x.high)!r} }}")
+    return "\n".join(lines)
+
+
+def _without_blocks(text: str) -> str:
+    """The text without its [[effect]] blocks; a block ends at the next table that is not part of it."""
+    kept, inside = [], False
+    for line in text.splitlines():
+        head = line.strip()
+        if head.startswith("["):
+            inside = head.startswith(("[[effect]]", "[effect.", "[[effect."))
+        if not inside:
+            kept.append(line)
+    return "\n".join(kept)
