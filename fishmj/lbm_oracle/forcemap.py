@@ -9,7 +9,8 @@ Signs (robot frame: x ahead, y left, yaw counter-clockwise):
     AoA = bearing of the oncoming flow from the heading: 0 head-on, 90 from the left, 180 from behind
     joint = every joint by the same angle; positive turns the tail to the right of the fish
 
-Each finished point is a row of `forcemap.csv`; a run into the same folder does the missing ones.
+Each finished point is a row of `forcemap.csv`; a run into the same folder does the missing ones. `--fields` keeps the water at
+the end of the points at 0.2 m/s: slices, a picture each of speed and vorticity, and one of all of them side by side.
 """
 
 from dataclasses import replace
@@ -21,7 +22,9 @@ from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle import map_plots
 from fishmj.lbm_oracle.domain import PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.field_options import add_fields
 from fishmj.lbm_oracle.force_points import OK, Plan, Point, Table, measure
+from fishmj.lbm_oracle.point_fields import keep, panels, slice_path
 from fishmj.lbm_oracle.stage import Stage
 from fishmj.mjcf import load_robot
 from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
@@ -45,7 +48,8 @@ def main(argv: list[str]) -> int:
     if args.domain in PREVIEWS:
         console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     table = Table(Path(args.out), _setup(args, domain), {"source": "fishmj.lbm_oracle forcemap", "origin": "synthetic"})
-    left = [p for p in points if not (p in table and (not _pictured(args, p) or _slice(args, p).exists()))]
+    out = Path(args.out)
+    left = [p for p in points if not (p in table and (not _pictured(args, p) or slice_path(out, p).exists()))]
     console.say(f"{len(points)} points, {len(points) - len(left)} of them done before, in {args.out}")
 
     def run(point: Point):
@@ -55,13 +59,13 @@ def main(argv: list[str]) -> int:
 
     def finished(point: Point, row: dict, held) -> None:
         if _pictured(args, point):
-            map_plots.velocity(held, _slice(args, point), f"{point.title}, {point.speed:g} m/s")
+            keep(held, out, point, z=args.slice, whole=args.volume)
         table.add(point, row)
 
     tick = robot.timing.bus_dt
     measure(left, run, plan, tick=tick, tanks=args.tanks, finished=finished, quiet=args.json)
     rows = [table[p] for p in points]
-    pictures = map_plots.forces(rows, Path(args.out))
+    pictures = map_plots.forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
     console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))
     lost = [row for row in rows if row["status"] != OK]
     for row in lost:
@@ -107,10 +111,6 @@ def _pictured(args, point: Point) -> bool:
     return args.fields and abs(point.speed - PICTURED) < 1e-9
 
 
-def _slice(args, point: Point) -> Path:
-    return Path(args.out) / "fields" / f"{point.what}_joint{point.joint:g}_aoa{point.aoa:g}.png"
-
-
 def _parser():
     p = console.parser("lbm_oracle forcemap", "Steady drag, lateral force and yaw moment of a held fish in a current.")
     p.add_argument("--what", choices=("joint", "aoa", "both"), default="both", help="the map: joint angle, angle of attack")
@@ -125,7 +125,8 @@ def _parser():
     p.add_argument("--slip", type=float, default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
     p.add_argument("--device", default="auto", help="auto, cpu or cuda")
     p.add_argument("--tanks", type=int, default=1, metavar="N", help="points side by side; 4 to 8 fill a GPU")
-    p.add_argument("--fields", action="store_true", help=f"velocity at mid-depth at {PICTURED} m/s, one PNG a point")
+    p.add_argument("--fields", action="store_true", help=f"slices and pictures of the water at {PICTURED} m/s")
+    add_fields(p, folder=False)
     p.add_argument("--out", default="runs/forcemap", metavar="FOLDER", help="CSV and pictures; continues what is there")
     return p
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import MissingExtra
-from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.skin import posed, skin
 
 COLOURS = ("#0B3C5D", "#328CC1", "#3A9D5D", "#D9902F", "#B3392F", "#7A4B94")
 LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("yaw", "yaw moment [N m]", "Nm"))
@@ -60,36 +60,11 @@ def forces(rows: Sequence[dict], folder: Path) -> list[Path]:
     return drawn
 
 
-def velocity(run, path: Path, title: str) -> Path:
-    """Magnitude of the horizontal velocity at mid-depth at the end of a run, with the outline of its fish."""
-    plt, coupled = pyplot(), run.coupled
-    with coupled.scope():
-        field = coupled.fluid.velocity()
-    fluid, middle = coupled.fluid, field.shape[2] // 2
-    speed = np.hypot(field[:, :, middle, 0], field[:, :, middle, 1])
-    low = fluid.lattice.to_si(fluid.origin_lu)
-    high = low + (np.array(fluid.shape) - 1) * fluid.lattice.dx
-    figure, axis = plt.subplots(figsize=(9, 9 * fluid.shape[1] / fluid.shape[0] + 0.4), layout="constrained")
-    extent = (low[0], high[0], low[1], high[1])
-    top = 1.6 * fluid.flow.speed or None
-    image = axis.imshow(speed.T, origin="lower", extent=extent, vmin=0, vmax=top, cmap="viridis", aspect="equal")
-    for link in outline(run):
-        axis.fill(link[:, 0], link[:, 1], facecolor="#EEEEEE", edgecolor="#222222", lw=0.6)
-    axis.set(xlabel="x [m]", ylabel="y [m]", title=f"{title} (the water moves to the left)")
-    figure.colorbar(image, ax=axis, label="|u| [m/s]", shrink=0.8)
-    return _save(figure, path)
-
-
 def outline(run) -> list[np.ndarray]:
-    """Each link seen from above, (P, 2) m."""
-    data, shape, made = run.coupled.body.data, geometry_of(run.robot), []
-    for i, link in enumerate(run.robot.links):
-        station, _, width = np.array(link.sections).T
-        ahead = (shape.reference if i == 0 else 0.0) - station
-        side = np.stack([ahead, shape.width_scale * width / 2, np.zeros_like(ahead)], -1)
-        rim = np.concatenate([side, side[::-1] * (1, -1, 1)])
-        made.append((data.xpos[i + 1] + rim @ data.xmat[i + 1].reshape(3, 3).T)[:, :2])
-    return made
+    """The hull seen from above, one closed line (P, 2) m."""
+    hull = skin(run.robot, spacing=0.01, around=4, smooth=True, details=False)
+    rings = posed(hull, np.concatenate([run.pose[:3], run.angles()]))[:-2, :2].reshape(-1, 4, 2)
+    return [np.concatenate([rings[:, 0], rings[::-1, 2]])]
 
 
 def drifts(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:

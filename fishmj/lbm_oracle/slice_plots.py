@@ -5,8 +5,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fishmj.lbm_oracle.field_options import STRONG
 from fishmj.lbm_oracle.map_plots import pyplot
 from fishmj.lbm_oracle.slices import Slice
@@ -58,24 +56,38 @@ class Picture:
 
 
 def draw_fish(axis, one: Slice) -> None:
-    """The links from above."""
+    """The hull from above."""
     for link in one.outline:
         axis.fill(link[:, 0], link[:, 1], facecolor=FISH, edgecolor=FISH, lw=0.8, joinstyle="round")
+
+
+def velocity(path: Path, one: Slice, title: str, top: float) -> Path:
+    """Magnitude of the horizontal velocity with the outline of the fish, 0 to `top` m/s."""
+    return panels([("", one)], path, title, top)
 
 
 def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: float) -> Path:
     """Magnitude of the horizontal velocity of several slices, one panel each, one colour scale from 0 to `top` m/s."""
     plt = pyplot()
     columns = min(4, len(slices))
-    rows = -(-len(slices) // columns)
+    rows, wide = -(-len(slices) // columns), 3.4 if len(slices) > 1 else 8.0
     west, east, south, north = slices[0][1].extent
-    high = 3.4 * (north - south) / (east - west)
+    high = wide * (north - south) / (east - west)
     figure, axes = plt.subplots(
-        rows, columns, figsize=(3.4 * columns + 0.9, (high + 0.34) * rows + 0.7), layout="constrained", squeeze=False,
+        rows, columns, figsize=(wide * columns + 1.2, (0.92 * high + 0.3) * rows + 0.7), layout="constrained", squeeze=False,
         sharex=True, sharey=True,
     )  # fmt: skip
     for axis, (name, one) in zip(axes.flat, slices, strict=False):
-        image = axis.imshow(one.speed.T, origin="lower", extent=one.extent, vmin=0, vmax=top, cmap="viridis", aspect="equal")
+        image = axis.imshow(
+            one.speed.T,
+            origin="lower",
+            extent=one.extent,
+            vmin=0,
+            vmax=top,
+            cmap="viridis",
+            aspect="equal",
+            interpolation="bilinear",
+        )
         draw_fish(axis, one)
         axis.set_title(name, loc="left", fontsize=10)
     for axis in axes.flat[len(slices) :]:
@@ -94,10 +106,3 @@ def _save(figure, path: Path, *, close: bool = False) -> Path:
     if close:
         pyplot().close(figure)
     return write_bytes(path, buffer.getvalue())
-
-
-def strongest(omega: np.ndarray) -> float:
-    """A round scale for a vorticity field [1/s]: 1, 2 or 5 times a power of ten above all but half a per cent of its nodes."""
-    high = max(float(np.nanpercentile(np.abs(omega), 99.5)), 1e-3)
-    power = 10.0 ** np.floor(np.log10(high))
-    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= high))

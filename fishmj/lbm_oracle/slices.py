@@ -32,7 +32,7 @@ class Slice(NamedTuple):
     u: np.ndarray  # (nx, ny) m/s along x
     v: np.ndarray  # (nx, ny) m/s along y
     omega_z: np.ndarray  # (nx, ny) 1/s, counter-clockwise seen from above
-    outline: list[np.ndarray]  # each link from above, (P, 2) m
+    outline: list[np.ndarray]  # closed lines round the fish from above, (P, 2) m
 
     @property
     def speed(self) -> np.ndarray:
@@ -47,7 +47,7 @@ class Slice(NamedTuple):
 
 
 def write_slice(path: str | Path, one: Slice) -> Path:
-    """Write a slice atomically; fields are kept as float16, links of the outline are told apart by rows of NaN."""
+    """Write a slice atomically; fields are kept as float16, lines of the outline are told apart by rows of NaN."""
     gap = np.full((1, 2), np.nan)
     rim = np.concatenate([part for link in one.outline for part in (link, gap)]) if one.outline else np.zeros((0, 2))
     fields = {name: np.asarray(getattr(one, name), np.float16) for name in ("u", "v", "omega_z")}
