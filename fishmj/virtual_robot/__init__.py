@@ -1,0 +1,29 @@
+"""A second robotic fish, written independently of the strip model that is fitted to data: the generator of blind tests.
+
+It shares the drawn outline, masses and servo numbers with the first one and nothing else; see docs/virtual_robot.md.
+
+    generate(effects, excitations, seed) -> [Trial]     trials in which effects are hidden
+    plant(effects, seed) -> Plant                       the numbers of such a robot
+    EFFECTS                                             what can be hidden: the catalogue and families outside it
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fishmj.virtual_robot.live import Live
+    from fishmj.virtual_robot.trials import EFFECTS, generate, plant
+
+__all__ = ["EFFECTS", "Live", "generate", "plant"]
+
+
+def __getattr__(name: str) -> Any:
+    """Loads numba at first use only."""
+    if name == "Live":
+        from fishmj.virtual_robot.live import Live
+
+        return Live
+    if name in __all__:
+        from importlib import import_module
+
+        return getattr(import_module("fishmj.virtual_robot.trials"), name)
+    raise AttributeError(f"module 'fishmj.virtual_robot' has no attribute {name!r}")

@@ -1,0 +1,33 @@
+"""Random numbers with a stream of its own for every purpose: planting one effect never shifts the noise of another channel."""
+
+import zlib
+
+import numpy as np
+
+
+def stream(seed: int, purpose: str, trial: int = 0) -> np.random.Generator:
+    """The generator of one purpose ("camera", "loss", ..) in one trial of one robot."""
+    return np.random.default_rng([seed, trial, zlib.crc32(purpose.encode())])
+
+
+def gamma_jitter(rng: np.random.Generator, n: int) -> np.ndarray:
+    """(n,) skewed delays of zero mean and unit spread: most packets a little early, a few very late (gamma, shape 2)."""
+    return (rng.gamma(2.0, size=n) - 2.0) / np.sqrt(2.0)
+
+
+def gusts(rng: np.random.Generator, n: int, step: float, sigma: float, time: float, smooth: float = 0.1) -> np.ndarray:
+    """(n, 2) velocities [m/s] every `step` s with spread sigma and memory `time` s: Ornstein-Uhlenbeck, then smoothed.
+
+    A first-order filter (time constant `smooth` s) makes the acceleration finite; the variance lost, smooth / (time + smooth), is
+    given back.
+    """
+    keep, blend = np.exp(-step / time), np.exp(-step / smooth)
+    kick = np.sqrt(1.0 - keep * keep)
+    raw = rng.standard_normal((n + 200, 2))
+    fast, slow, out = raw[0], np.zeros(2), np.empty((n, 2))
+    for k in range(n + 200):
+        fast = keep * fast + kick * raw[k]
+        slow = blend * slow + (1.0 - blend) * fast
+        if k >= 200:
+            out[k - 200] = slow
+    return sigma * np.sqrt((time + smooth) / time) * out

@@ -1,0 +1,75 @@
+"""What can be hidden in a virtual robot: named effects with parameters, each a field of `constants.py`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.errors import ConfigError, UnknownName
+
+CHANNELS = ("joint", "position", "heading", "velocity", "power")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur."""
+
+    name: str
+    unit: str
+    field: str  # "motor.deadband"
+    typical: tuple[float, float]
+    null: float = 0.0
+    signed: bool = False
+    default: bool = False  # keeps its null-like value when only the main parameter is named
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """A hidden effect. shows: channels in which it must be seen; runs: experiments that show it well."""
+
+    name: str
+    stage: str
+    parameters: tuple[Parameter, ...]
+    shows: tuple[str, ...]
+    runs: tuple[str, ...]
+    stochastic: bool = False  # differs between replicates
+    catalogued: bool = True
+
+    @property
+    def nulls(self) -> dict[str, float]:
+        """Values at which it is not there."""
+        return {p.name: p.null for p in self.parameters}
+
+    @property
+    def typical(self) -> dict[str, float]:
+        """The larger typical magnitude of every parameter."""
+        return {p.name: p.typical[1] for p in self.parameters}
+
+    def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
+        """Values of typical size, log-uniform between low and high times `strength`, either sign where both occur."""
+        values = {}
+        for p in self.parameters:
+            low, high = p.typical
+            size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+            sign = -1.0 if p.signed and rng.random() < 0.5 else 1.0
+            if p.default:
+                values[p.name] = sign * size
+            elif p.null:
+                values[p.name] = p.null + (size - p.null) * strength
+            else:
+                values[p.name] = sign * size * strength
+        return values
+
+    def fields(self, values: Mapping[str, float]) -> dict[str, float]:
+        """{"motor.deadband": 0.01} for given parameter values; those not named stay at their null.
+
+        Raises:
+            UnknownName: a parameter that the effect does not have. ConfigError: a value that is no finite number.
+        """
+        known = {p.name: p for p in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                raise UnknownName(f"parameter of {self.name}", name, known)
+            if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not np.isfinite(value):
+                raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected a finite number in {known[name].unit}")
+        return {p.field: float(values.get(p.name, p.null)) for p in self.parameters}

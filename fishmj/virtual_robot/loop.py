@@ -1,0 +1,98 @@
+"""The main loop of the second robot: firmware, water, joints, solve, friction, one millisecond at a time."""
+
+from math import exp
+
+from fishmj.virtual_robot.chain import assemble, factor, hang, push_joint, solve
+from fishmj.virtual_robot.compiled import compiled, entry
+from fishmj.virtual_robot.servo import battery, firmware, friction_bound, motor_torque, spring_torque, stick_slip
+from fishmj.virtual_robot.water import friction_speed
+
+H = 0.001  # s, physics step
+GUST = 0.02  # s, spacing of the gust table
+
+
+@entry
+def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, commands, s, record, work):
+    """Run len(record) steps; writes `state.COLUMNS` of every step, before it moves, into record (T, LOG).
+
+    arrivals (K,): times [s] at which commands (K, 3) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
+    time [m/s], every GUST s from t = 0, linear between. work: `motion.workspace`.
+    """
+    A, f, mobility, columns, bound, w, stream, sprung = work
+    fresh = 1.0 - exp(-H / motor.inductive_time)
+    nxt = 0
+    for step in range(record.shape[0]):
+        time = s.clock[0]
+        while nxt < arrivals.shape[0] and arrivals[nxt] <= time + 1e-9:
+            for j in range(3):
+                s.goal[j] = commands[nxt, j]
+            nxt += 1
+        if time >= s.clock[1] - 1e-9:
+            firmware(motor, odd, zero, s)
+            friction_speed(body, s)
+            s.clock[1] += motor.period
+        blow(gust, tank, time, stream)
+        assemble(body, water, tank, odd, s, stream, A, f, H)
+        if water.active == 0.0:
+            hang(air, s, anchor, f)
+        for j in range(3):
+            angle, rate = s.z[3 + j] - s.z[2 + j], s.rate[3 + j] - s.rate[2 + j]
+            torque, damping = motor_torque(motor, s, j, rate, fresh, H)
+            bound[j] = H * friction_bound(motor, rate, torque)
+            slow = motor.viscous + motor.damping
+            sprung[j] = spring_torque(motor, odd, water, zero, s, j, angle, rate, H)
+            push_joint(A, f, j, torque + sprung[j] - slow * rate, motor.armature + H * (damping + slow))
+        battery(motor, s, H)
+        write(record, step, s, zero)
+        factor(A)
+        for a in range(6):
+            f[a] *= H
+        solve(A, f)
+        rub(A, f, s, mobility, columns, bound, w)
+        for a in range(6):
+            s.rate[a] += f[a]
+            s.z[a] += H * s.rate[a]
+        s.clock[0] = time + H
+
+
+@compiled
+def blow(gust, tank, time, stream):
+    """Uniform part of the water's velocity and its time derivative: stream, current, gusts."""
+    k = min(int(time / GUST), gust.shape[0] - 2)
+    part = time / GUST - k
+    for a in range(2):
+        stream[2 + a] = (gust[k + 1, a] - gust[k, a]) / GUST
+        stream[a] = gust[k, a] + part * (gust[k + 1, a] - gust[k, a])
+    stream[0] += tank.flow_x + tank.current_x
+    stream[1] += tank.flow_y + tank.current_y
+
+
+@compiled
+def rub(L, dv, s, mobility, columns, bound, w):
+    """Add to the velocity change dv what dry friction does; L the factor of the mass matrix."""
+    for j in range(3):
+        for a in range(6):
+            columns[j, a] = 0.0
+        columns[j, 2 + j], columns[j, 3 + j] = -1.0, 1.0
+        solve(L, columns[j])
+        w[j] = s.rate[3 + j] + dv[3 + j] - s.rate[2 + j] - dv[2 + j]
+    for j in range(3):
+        for k in range(3):
+            mobility[j, k] = columns[k, 3 + j] - columns[k, 2 + j]
+    stick_slip(w, mobility, bound, s.stuck)
+    for j in range(3):
+        for a in range(6):
+            dv[a] += columns[j, a] * s.stuck[j]
+
+
+@compiled
+def write(record, step, s, zero):
+    """One row of `state.COLUMNS`."""
+    for a in range(3):
+        record[step, a] = s.z[a]
+        record[step, 3 + a] = s.rate[a]
+        record[step, 6 + a] = s.z[3 + a] - s.z[2 + a]
+        record[step, 9 + a] = s.rate[3 + a] - s.rate[2 + a]
+        record[step, 14 + a] = s.aim[a]
+        record[step, 17 + a] = s.drive[a]
+    record[step, 12], record[step, 13] = s.battery[0], s.battery[1]

@@ -1,0 +1,122 @@
+"""One virtual robot's numbers: description, own constants, a draw of nuisance, and the effects that are planted in it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import pi, radians, tan
+
+import numpy as np
+
+from fishmj.calib import read_toml, resolve
+from fishmj.mjcf.description import Robot
+from fishmj.units import G
+from fishmj.virtual_robot.body import Body, body_of
+from fishmj.virtual_robot.constants import Camera, Hull, Meter, Motor, Network, Odd, Tank, Water
+
+CONSTANTS = "virtual_robot"
+GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
+FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plant:
+    """Groups of constants (`constants.py`) and what the body is built from."""
+
+    robot: Robot
+    sections: dict  # table [water] of the constants after the nuisance draw
+    placing: tuple[float, float]  # m, rad: how well the fish is put at its start
+    air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
+    hull: Hull
+    water: Water
+    motor: Motor
+    tank: Tank
+    network: Network
+    camera: Camera
+    meter: Meter
+    odd: Odd
+
+    def with_fields(self, values: dict[str, float]) -> "Plant":
+        """A copy with dotted fields set: {"motor.deadband": 0.02}."""
+        groups: dict[str, dict[str, float]] = {}
+        for name, value in values.items():
+            group, _, key = name.partition(".")
+            groups.setdefault(group, {})[key] = float(value)
+        return replace(self, **{group: getattr(self, group)._replace(**fields) for group, fields in groups.items()})
+
+    @cached_property
+    def body(self) -> Body:
+        """Arrays of the links."""
+        return body_of(self.robot, self.sections, self.hull)
+
+    @property
+    def zero(self) -> np.ndarray:
+        """Hinge angle at which each servo reads zero (3,), rad."""
+        return np.array([self.motor.zero1, self.motor.zero2, self.motor.zero3])
+
+
+def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.random.Generator | None = None) -> Plant:
+    """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
+
+    Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
+    """
+    table = read_toml(resolve(CONSTANTS))
+
+    def drawn(value, part=1.0):
+        return value if rng is None else value * (1.0 + part * nuisance * rng.uniform(-1.0, 1.0))
+
+    wet = dict(table["water"])
+    scale = drawn(1.0)
+    wet["sections"] = [scale * k for k in wet["sections"]]
+    wet["surge"] = [drawn(1.0) * m for m in wet["surge"]]
+    for key in ("drag_round", "drag_flat", "friction", "head_forward", "head_backward", "edge", "wagner_lengths"):
+        wet[key] = drawn(wet[key])
+    rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
+    frontal = _frontal(robot)
+    water = Water(
+        active=float(medium == "water"),
+        friction=wet["friction"],
+        head_forward=0.5 * rho * frontal * wet["head_forward"],
+        head_backward=0.5 * rho * frontal * wet["head_backward"],
+        oblique=wet["oblique"],
+        edge_mass=wet["edge"] * rho * pi / 4 * edge_height**2,
+        edge_height=edge_height,
+        wagner_start=wet["wagner_start"],
+        wagner_lengths=wet["wagner_lengths"],
+        stall_slope=tan(radians(wet["stall_angle_deg"])),
+    )
+    servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
+    motor = Motor(
+        gain=drawn(servo.kp, 0.2),
+        rate_gain=servo.kv,
+        torque=servo.torque,
+        resistance=drawn(servo.resistance, 0.2),
+        constant=servo.constant,
+        voltage=servo.voltage,
+        nominal_voltage=servo.voltage,
+        idle=servo.idle_power,
+        step=servo.resolution,
+        range=servo.range,
+        limit=servo.torque,
+        **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
+    )
+    network = Network(period=timing.bus_dt, latency=timing.command_latency - FIRMWARE_WAIT * motor.period, **table["network"])
+    camera = Camera(latency=timing.camera_latency, window=float(timing.velocity_window), **table["camera"])
+    air, placing = table["air"], table["placing"]
+    return Plant(
+        robot=robot,
+        sections=wet,
+        placing=(placing["position"], placing["heading"]),
+        air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
+        hull=Hull(),
+        water=water,
+        motor=motor,
+        tank=Tank(half=1.8),
+        network=network,
+        camera=camera,
+        meter=Meter(**table["meter"]),
+        odd=Odd(),
+    )
+
+
+def _frontal(robot: Robot) -> float:
+    """Largest cross-section of the drawn outline, m2."""
+    return max(pi / 4 * h * w for link in robot.links for _, h, w in link.sections)

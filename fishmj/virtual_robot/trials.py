@@ -1,0 +1,158 @@
+"""Synthetic trials of a robot in which effects are hidden.
+
+    from fishmj.virtual_robot import generate
+    trials = generate({"command_latency": {"delay": 0.038}}, ["gait", "chirp"], seed=7)
+
+Nothing in a trial says what was planted. One seed is one robot (nuisance draw) and one noise, whatever is planted.
+"""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from fishmj import __version__, excitation
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.excitation import Excitation
+from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.virtual_robot import draws, network, sensors
+from fishmj.virtual_robot.catalogue import CATALOGUE
+from fishmj.virtual_robot.effect import Effect
+from fishmj.virtual_robot.loop import GUST
+from fishmj.virtual_robot.machine import Plant, nominal
+from fishmj.virtual_robot.motion import Recording, run
+from fishmj.virtual_robot.oddities import ODDITIES
+from fishmj.virtual_robot.state import at_rest
+
+EFFECTS: dict[str, Effect] = {**CATALOGUE, **ODDITIES}
+MEDIA = ("water", "air")
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def plant(
+    effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water"
+) -> Plant:
+    """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
+
+    Raises:
+        UnknownName: an effect or parameter that does not exist. ConfigError: an impossible value, medium or robot.
+    """
+    if medium not in MEDIA:
+        raise ConfigError(f"virtual robot: medium = {medium!r}; choose one of {', '.join(MEDIA)}")
+    if not 0.0 <= nuisance < 1.0:
+        raise ConfigError(f"virtual robot: nuisance = {nuisance}; a relative half width from 0 to below 1")
+    described = load_robot(robot)
+    if len(described.links) != 4:
+        raise ConfigError(f"virtual robot: {described.name} has {len(described.links)} links; this one is built for 4")
+    made, fields = nominal(described, medium, nuisance, draws.stream(seed, "nuisance")), {}
+    for name, values in effects.items():
+        if name not in EFFECTS:
+            raise UnknownName("effect", name, EFFECTS)
+        fields |= EFFECTS[name].fields(values)
+    return made.with_fields(fields)
+
+
+def generate(
+    effects: Effects,
+    excitations: Iterable[str | Excitation],
+    seed: int,
+    noise: float = 1.0,
+    nuisance: float = 0.1,
+    robot: "str | Robot" = "fish",
+    medium: str = "water",
+    *,
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> list[Trial]:
+    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+
+    Args:
+        effects: {name: {parameter: value}}, SI; {} hides nothing.
+        noise: factor on the noise of every sensor (and on how badly the fish is placed); 0 leaves counts and latencies.
+        nuisance: relative half width of the draw of unmeasured constants.
+        medium: "water", or "air": hung on a thread, no camera.
+        flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
+    """
+    made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium)
+    speed, direction = flow
+    made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
+    trials: list[Trial] = []
+    first: dict[str, str] = {}
+    for index, item in enumerate(excitations):
+        what = excitation.get(item) if isinstance(item, str) else item
+        name = f"{index + 1:02d}_{what.id}"
+        trials.append(trial_of(made, what, seed, index, noise, name, first.get(what.id, ""), flow))
+        first.setdefault(what.id, name)
+    return trials
+
+
+def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> Recording:
+    """What really happens in trial `index`: place the fish, send the commands, move."""
+    hand = draws.stream(seed, "placing", index).standard_normal(3) * noise
+    start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
+    state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
+    state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
+    state.ring[:] = what.commands[0][:, None]
+    queue = network.deliver(made.network, made.odd, what.t, what.commands, seed, index, noise)
+    return run(made, state, queue.times, queue.commands, what.seconds, weather(made, what.seconds, seed, index))
+
+
+def weather(made: Plant, seconds: float, seed: int, index: int) -> np.ndarray:
+    """Water velocity that varies in time (G, 2), every GUST s: turbulence, and a current that comes and goes."""
+    tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
+    table = np.zeros((n, 2))
+    if tank.sigma > 0.0:
+        table += draws.gusts(draws.stream(seed, "turbulence", index), n, GUST, tank.sigma, tank.time)
+    if odd.pulse != 0.0:
+        phase = draws.stream(seed, "pulse", index).uniform(0.0, 2 * np.pi)
+        table[:, 0] += odd.pulse * np.sin(2 * np.pi * np.arange(n) * GUST / odd.pulse_period + phase)
+    return table
+
+
+def trial_of(
+    made: Plant, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str, flow: tuple[float, float]
+) -> Trial:
+    """Move, then look through the sensors; the trial holds what a lab would have on disk."""
+    record = swim(made, what, seed, index, noise)
+    wet = made.water.active > 0.0
+    tables = {
+        "cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)},
+        "joint": network.telemetry(made.network, made.zero, record, seed, index, noise),
+        "power": sensors.meter_table(made.meter, record, seed, index, noise),
+    }
+    if wet:
+        tables["pose"] = sensors.watch(made.camera, made.odd, record, seed, index, noise)
+    clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": made.robot.name,
+        "medium": "water" if wet else "air",
+        "water": "virtual robot" if wet else "none",
+        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
+        "excitation": what.id,
+        "replicate_of": replicate_of,
+        "start": list(map(float, what.start)),
+        "push": list(map(float, what.push)),
+        "sigma": sigmas(made, noise),
+        "clock": {table: clocks[table] for table in tables},
+        "controller": "open loop",
+        "versions": {"fishmj": __version__, "numpy": np.__version__},
+        "source": "fishmj.virtual_robot",
+        "licence": "Apache-2.0",
+        "notes": "simulated by the second robot; what is hidden in it is kept elsewhere",
+    }
+    return Trial(meta, tables, name=name)
+
+
+def sigmas(made: Plant, noise: float) -> dict[str, float]:
+    """Standard deviation of each channel's noise, counts included, in its unit."""
+    c, n, m = made.camera, made.network, made.meter
+    joint = float(np.hypot(noise * n.angle_noise, n.angle_step / np.sqrt(12)))
+    return {
+        "x": noise * c.position_noise,
+        "y": noise * c.position_noise,
+        "yaw": noise * c.heading_noise,
+        **dict.fromkeys(("j1", "j2", "j3"), joint),
+        "V": noise * m.voltage_noise,
+        "I": noise * m.current_noise,
+    }
