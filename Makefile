@@ -1,6 +1,6 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, import order, tests, and the wheel in a fresh environment
-# make test-extras  what needs the extra sb3
+# make test-extras  what needs the extras sb3 and ray
 # make bench        one JSON line a benchmark
 # make lint         style and types only
 # make manifest     state the sha256 of data/calib after a change there
@@ -11,7 +11,7 @@ PY := $(VENV)/bin/python
 JOBS ?= 2
 STEP := .ci/step
 INSTALLED := $(VENV)/.fishmj-installed
-SB3 := $(VENV)/.fishmj-sb3
+EXTRAS := $(VENV)/.fishmj-extras
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: demo test test-extras bench lint install manifest wheel clean
@@ -24,8 +24,8 @@ $(INSTALLED): pyproject.toml
 	@$(STEP) "install" $(PY) -m pip install --quiet --editable ".[fast,dev]"
 	@touch $@
 
-$(SB3): $(INSTALLED)
-	@$(STEP) "install sb3" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3]"
+$(EXTRAS): $(INSTALLED)
+	@$(STEP) "install extras" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3,ray]"
 	@touch $@
 
 demo: $(INSTALLED)
@@ -48,8 +48,9 @@ test: lint
 wheel: $(INSTALLED)
 	@$(STEP) "wheel" $(PY) .ci/wheel.py
 
-test-extras: $(SB3)
+test-extras: $(EXTRAS)
 	@$(STEP) "sb3" $(PY) -m pytest -q -m sb3 --durations 5
+	@$(STEP) "ray" $(PY) -m pytest -q -m ray --durations 5
 
 manifest: $(INSTALLED)
 	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"

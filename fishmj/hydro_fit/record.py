@@ -82,8 +82,8 @@ class Record:
 
 def narrow(values: np.ndarray) -> np.ndarray:
     """(T, ...) in 16 bits where this moves no channel by more than `HALF` of its range, else in 32."""
-    half = values.astype(np.float16)
     with np.errstate(invalid="ignore", over="ignore"):
+        half = values.astype(np.float16)
         error = np.abs(half.astype(float) - values).max(0)
     return half if bool((error <= HALF * np.ptp(values, 0)).all()) else values.astype(np.float32)
 

@@ -1,0 +1,345 @@
+"""The campaign: what it plans, what a segment of the flow solver holds, and that collecting goes on where it was stopped."""
+
+import json
+from collections import deque
+from dataclasses import replace
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from ray_toys import toy
+
+from fishmj import console
+from fishmj.campaign import drives, plan, tank
+from fishmj.campaign.__main__ import main
+from fishmj.campaign.collect import collect
+from fishmj.campaign.export import trial_of
+from fishmj.campaign.segment import Segment
+from fishmj.errors import ConfigError, DatasetError, SimDiverged, UnknownName
+from fishmj.flow import BOXES, Flow
+from fishmj.hydro_fit.dataset import SEGMENTS, open_dataset
+from fishmj.hydro_fit.record import HALF, Record, narrow, read_record
+from fishmj.lbm_oracle.domain import preset
+from fishmj.log import read_trial, write_trial
+from fishmj.mjcf import build, load_robot
+
+FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
+SETUP = tank.Setup(domain=preset("laptop"), device="cpu")
+SMALL = replace(SETUP, domain=replace(SETUP.domain, shape=(60, 36, 16)))
+FULL = plan.full(FISH)
+
+
+class Toys:
+    """A pool without water; stops after `most` segments."""
+
+    def __init__(self, most=10**6, error=None):
+        self.most, self.error, self.ran = most, error, []
+
+    def run(self, waiting, setup, go_on):
+        for segment in list(waiting)[: self.most]:
+            self.ran.append(segment.id)
+            yield toy(segment, setup)
+            if not go_on(0.0):
+                return
+        if self.error:
+            raise self.error
+
+
+def some(number=6):
+    """A small plan of one-second segments, the last of them a test."""
+    segments = tuple(replace(s, seconds=1.0, settle=0.0) for s in FULL.segments if s.block == "gait")[:number]
+    return plan.Plan(label="small", robot=FISH, seed=0, segments=segments)
+
+
+# the plan
+
+
+def test_a_plan_is_the_same_every_time_and_another_seed_draws_others():
+    assert plan.full(FISH).segments == FULL.segments
+    others = {json.dumps(s.drive) + str(s.flow) for s in plan.full(FISH, seed=1).segments if s.block == "gait"}
+    assert not others & {json.dumps(s.drive) + str(s.flow) for s in FULL.segments if s.block == "gait"}
+
+
+def test_a_part_of_the_campaign_consists_of_the_same_episodes():
+    whole = {segment.id: segment for segment in FULL.segments}
+    part = plan.full(FISH, scale=0.25).segments
+    assert 50 < len(part) < 0.5 * len(whole)
+    assert all(whole[segment.id] == segment for segment in part)
+
+
+def test_an_episode_is_in_one_split_at_every_slip_ratio_and_in_every_repeat():
+    where = {}
+    for segment in FULL.segments:
+        where.setdefault(segment.episode, set()).add(segment.split)
+    assert {len(splits) for splits in where.values()} == {1}
+    assert {s.split for s in FULL.segments} == {"train", "val", "test"}
+    assert all(s.split == "test" for s in FULL.segments if s.replicate_of)
+    assert len({s.id for s in FULL.segments}) == len(FULL.segments)
+
+
+def test_the_campaign_is_as_large_as_designed():
+    assert 3600 < FULL.water < 4400, "seconds of water"
+    seconds = {row["block"]: row for row in FULL.rows()}
+    assert seconds["all"]["test_s"] >= 300 and seconds["all"]["val_s"] >= 200
+    train = [s for s in FULL.segments if s.split != "test"]
+    default = sum(s.seconds for s in train if s.slip == plan.DEFAULT_SLIP)
+    for slip in plan.OTHER_SLIPS:
+        assert 0.2 < sum(s.seconds for s in train if s.slip == slip) / default < 0.3
+
+
+def test_test_episodes_have_their_own_turbulence():
+    for segment in FULL.segments:
+        if segment.flow.rms > 0:
+            assert (segment.flow.box == BOXES["judge"]) == (segment.split == "test"), segment.id
+
+
+def test_fresh_test_episodes_share_nothing_with_the_shipped_ones():
+    fresh = plan.fresh_test(FISH, seed=5)
+    assert {s.split for s in fresh.segments} == {"test"}
+    assert not {s.episode for s in fresh.segments} & {s.episode for s in FULL.segments}
+    shipped = {str(s.drive) for s in FULL.segments if s.block in ("straight", "gait", "random")}
+    assert not shipped & {str(s.drive) for s in fresh.segments}
+    with pytest.raises(ConfigError, match="0 drew the shipped one"):
+        plan.fresh_test(FISH, seed=0)
+
+
+def test_every_block_and_split_is_in_the_preview():
+    small = plan.preview(FISH)
+    assert {part.block for part in plan.TRAINING} <= {s.block for s in small.segments}
+    assert {s.split for s in small.segments} == {"train", "val", "test"}
+    assert {s.slip for s in small.segments} == {plan.DEFAULT_SLIP, *plan.OTHER_SLIPS}
+    assert small.water < 130
+
+
+@pytest.mark.parametrize("robot", [FISH, SECOND], ids=["fish", "tendon_fish"])
+def test_no_wave_asks_more_of_the_servos_than_they_can_do(robot):
+    waves = [s for s in plan.full(robot).segments if s.drive["kind"] in ("gait", "chirp", "manoeuvre")]
+    assert {s.drive["kind"] for s in waves} == {"gait", "chirp", "manoeuvre"}
+    for segment in waves[::3]:
+        moved = drives.drive(segment, robot)
+        ticks = np.arange(drives.ticks_of(segment, robot)[1])
+        at = np.array([moved.joints(t * 0.02) if moved.joints else moved.command(t, None) for t in ticks])
+        assert at.shape[1] == robot.n_joints
+        assert np.abs(at).max() < robot.servo.range + 1e-9, segment.id
+        assert np.abs(np.diff(at, axis=0)).max() / 0.02 < 1.25 * robot.servo.speed_no_load, segment.id
+
+
+def test_the_second_fish_gets_only_controllers_that_know_it():
+    assert "policy" in {s.block for s in FULL.segments}
+    assert "policy" not in {s.block for s in plan.full(SECOND).segments}
+    with pytest.raises(ConfigError, match="2|joints"):
+        plan.full(SECOND, policies=("dob",))
+    with pytest.raises(UnknownName, match="dod"):
+        plan.full(FISH, policies=("dod",))
+
+
+def test_a_segment_survives_json():
+    for segment in FULL.segments[::7]:
+        back = Segment.of(json.loads(json.dumps(segment.table())))
+        assert back.sha256 == segment.sha256 and back.flow == segment.flow and back.pose == segment.pose
+    changed = replace(FULL.segments[0], slip=0.5)
+    assert changed.sha256 != FULL.segments[0].sha256
+
+
+# in the water
+
+
+@pytest.fixture(scope="module")
+def water():
+    """Three short segments of the solver, side by side."""
+    plain = {"block": "any", "split": "train"}
+    gait = {"kind": "gait", "frequency": 1.5, "amplitude": 0.4, "lag": 1.0, "bias": 0.3, "ramp": 0.1}
+    swim = Segment(id="swim", episode="swim", seconds=0.4, drive=gait, pose=(0.0, 0.0, 0.5), **plain)
+    hold = {"kind": "hold", "rate": 0.5}
+    held = Segment(
+        id="held", episode="held", seconds=0.2, settle=0.1, drive=hold, flow=Flow(speed=0.2), nudge=(0.3, 0.1), **plain
+    )
+    steer = {"kind": "policy", "controller": "dob", "target": (1.0, 0.0)}
+    gusty = Flow(speed=0.2, direction=np.pi, turbulence="default", intensity=0.1, seed=3)
+    steered = Segment(id="steered", episode="steered", seconds=0.2, drive=steer, flow=gusty, **plain)
+    done = tank.side_by_side(deque([swim, held, steered]), SMALL, tanks=2)
+    return {item.segment.id: (item, Record(item.meta, **{"power": np.nan, **item.arrays})) for item in done}
+
+
+@pytest.mark.oracle
+def test_the_wrenches_of_a_record_are_what_moves_the_fish(water):
+    """Newton: the impulse of the water over a tick is the change of the links' momentum, in x, y and for every tick."""
+    record = water["swim"][1]
+    model = build("fish", bare=True)
+    data = mujoco.MjData(model)
+
+    def momentum(q, v):
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        return data.subtree_linvel[0, :2] * model.body_subtreemass[0]
+
+    before = np.array([momentum(q, v) for q, v in zip(*record.before, strict=True)])
+    after = np.array([momentum(q, v) for q, v in zip(record.q, record.v, strict=True)])
+    pushed, gained = record.wrench[:, :, :2].sum(1), (after - before) / record.tick
+    assert np.abs(gained).max() > 0.3
+    np.testing.assert_allclose(pushed, gained, atol=0.01 * np.abs(gained).max())  # the step is first order: 0.4 % at 4 ms
+
+
+@pytest.mark.oracle
+def test_acceleration_times_the_tick_is_the_change_of_velocity(water):
+    record = water["swim"][1]
+    np.testing.assert_allclose(record.before[1][0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.cumsum(record.acceleration, 0)[-1] * record.tick, record.v[-1], atol=1e-9)
+    assert record.t[0] == pytest.approx(0.02) and record.seconds == pytest.approx(0.4)
+    assert (record.power > 1.4).all(), "with the electronics"
+
+
+@pytest.mark.oracle
+def test_a_held_fish_follows_its_path_to_the_letter(water):
+    item, record = water["held"]
+    assert item.meta["prescribed"] == {"joints": True, "root": True} and len(record.q) == 10
+    np.testing.assert_allclose(record.q[:, 2], 0.5 * record.t, atol=1e-9)
+    np.testing.assert_allclose(record.q[:, :2], [[0.3 * 0.02, 0.1 * 0.02]] * 10, atol=1e-9)
+    np.testing.assert_allclose(record.flow, np.broadcast_to([0.2, 0.0], record.flow.shape))
+    assert record.wrench[:, :, 0].sum(1).mean() > 0, "the stream pushes it along"
+    assert "power" not in item.arrays
+
+
+@pytest.mark.oracle
+def test_the_flow_at_the_links_is_the_flow_there(water):
+    item, record = water["steered"]
+    q, t = record.before[0][7], 7 * 0.02
+    model = build("fish")
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    where = np.array([data.site(f"{link.name}_centre").xpos for link in FISH.links])
+    np.testing.assert_allclose(record.flow[7], item.segment.flow.at(where, t)[:, :2], atol=1e-6)
+    assert np.ptp(record.flow[..., 0]) > 0
+
+
+@pytest.mark.oracle
+def test_a_record_is_a_trial_of_the_log(water, tmp_path):
+    trial = trial_of(water["swim"][1], FISH)
+    back = read_trial(write_trial(tmp_path / "swim", trial))
+    assert {"cmd", "joint", "pose", "truth", "flow", "wrench", "power"} == set(back.tables)
+    np.testing.assert_allclose(back.tables["truth"]["wz"], water["swim"][1].v[:, 2], atol=1e-2)
+    assert back.meta["origin"] == "synthetic"
+
+
+@pytest.mark.oracle
+def test_what_stops_is_kept_as_far_as_it_was_sound(monkeypatch):
+    """Fish that diverge after 0.4 s (that is nothing sound) and after 1.9 s (0.4 s are)."""
+    monkeypatch.setattr(tank, "DOUBT", 0.3)
+    ticks = {"early": 12, "late": 30}
+
+    def ticking(run, command):
+        if run.ticks >= ticks[run.name]:
+            raise SimDiverged("the water ran away")
+        row = (run.ticks * 0.02, 0, np.zeros(3), np.zeros(6), np.zeros(3), np.zeros(3), 1.0, np.zeros((4, 6)), np.zeros((4, 6)))
+        run.rows.append(row)
+        run.ticks += 1
+        yield
+
+    monkeypatch.setattr(tank.Driven, "ticking", ticking)
+    made = tank._run
+    named = lambda segment, *rest: (run := made(segment, *rest), setattr(run, "name", segment.id))[0]  # noqa: E731
+    monkeypatch.setattr(tank, "_run", named)
+    gait = {"kind": "gait", "frequency": 1.0, "amplitude": 0.1, "lag": 1.0, "bias": 0.0}
+    both = [Segment(id=n, episode=n, block="gait", split="train", seconds=9.0, drive=gait) for n in ticks]
+    early, late = sorted(tank.side_by_side(deque(both), SMALL, tanks=2), key=lambda item: item.segment.id)
+    assert early.arrays == {} and early.meta["stopped"] == "the water ran away"
+    assert len(late.arrays["q"]) == late.meta["rows"] == 15 and late.meta["stopped"] == "the water ran away"
+
+
+def test_a_fish_at_the_edge_keeps_all_and_an_insane_one_nothing_after():
+    row = lambda speed: (0, 0, np.zeros(3), np.full(6, speed), np.zeros(3), np.zeros(3), 1.0, np.zeros(1), np.zeros(1))  # noqa: E731
+    run = SimpleNamespace(rows=[row(0.1)] * 200, stopped="left_domain at t = 4 s", robot=FISH)
+    assert len(tank._sound(run, 50)) == 150
+    run.stopped = "lost"
+    assert len(tank._sound(run, 50)) == 150 - round(tank.DOUBT / 0.02)
+    run.stopped, run.rows = "", [row(0.1)] * 20 + [row(np.nan)] + [row(0.1)] * 5
+    assert len(tank._sound(run, 5)) == 15
+
+
+# on disk
+
+
+def test_narrow_keeps_every_channel_within_a_thousandth_of_its_range():
+    rng = np.random.default_rng(0)
+    for scale, offset in ((1.0, 0.0), (1e-3, 1.0), (1e6, 0.0), (1e-9, 0.0), (1.0, 300.0)):
+        values = offset + scale * rng.standard_normal((200, 4, 3))
+        error = np.abs(narrow(values).astype(float) - values).max(0)
+        assert (error <= HALF * np.ptp(values, 0)).all()
+    assert narrow(rng.standard_normal((200, 3))).dtype == np.float16
+    assert narrow(1.0 + 1e-3 * rng.standard_normal((200, 3))).dtype == np.float32
+
+
+def test_an_interrupted_campaign_goes_on_with_what_is_missing(tmp_path):
+    small = some()
+    ids = [s.id for s in small.segments]
+    with pytest.raises(KeyboardInterrupt):
+        collect(small, tmp_path, SETUP, pool=Toys(2, KeyboardInterrupt()), quiet=True)
+    rest = Toys()
+    found = collect(small, tmp_path, SETUP, pool=rest, quiet=True)
+    assert rest.ran == ids[2:] and found.there == 2 and found.complete
+    data = open_dataset(tmp_path, test=True)
+    assert sorted(data.about) == sorted(ids) and data.meta["complete"]
+    for split in ("train", "val", "test"):
+        assert all(record.seconds == 1.0 for record in data.records(split))
+    nothing = Toys()
+    collect(small, tmp_path, SETUP, pool=nothing, quiet=True)
+    assert nothing.ran == []
+
+
+def test_a_damaged_or_differently_made_segment_is_run_again(tmp_path):
+    small = some()
+    collect(small, tmp_path, SETUP, pool=Toys(), quiet=True)
+    damaged, other = small.segments[1], small.segments[3]
+    path = tmp_path / SEGMENTS / f"{damaged.id}.npz"
+    path.write_bytes(path.read_bytes()[:-7])
+    changed = replace(small, segments=tuple(replace(s, seconds=1.2) if s.id == other.id else s for s in small.segments))
+    again = Toys()
+    collect(changed, tmp_path, SETUP, pool=again, quiet=True)
+    assert sorted(again.ran) == sorted([damaged.id, other.id])
+    assert read_record(tmp_path / SEGMENTS, other.id).seconds == pytest.approx(1.2)
+
+
+def test_a_budget_stops_with_what_is_finished(tmp_path):
+    small = some()
+    found = collect(small, tmp_path, SETUP, pool=Toys(), budget=1e-9, quiet=True)
+    assert found.run == 1 and found.missing == 5 and not found.complete
+    data = open_dataset(tmp_path)
+    assert len(data.about) == 1 and data.meta["missing"] == 5
+
+
+def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_path):
+    small = some()
+
+    class Look:
+        def run(self, waiting, setup, go_on):
+            stated = json.loads((tmp_path / "split.json").read_text())
+            assert stated["episodes"] == dict(sorted(small.episodes.items())) and stated["sha256"] == small.split_sha256
+            assert not (tmp_path / SEGMENTS).exists()
+            return iter(())
+
+    collect(small, tmp_path, SETUP, pool=Look(), quiet=True)
+    first = small.segments[0]
+    moved = replace(small, segments=(replace(first, split="val" if first.split != "val" else "train"), *small.segments[1:]))
+    with pytest.raises(DatasetError, match="would change their split"):
+        collect(moved, tmp_path, SETUP, pool=Toys(), quiet=True)
+    with pytest.raises(ConfigError, match="another grid"):
+        collect(small, tmp_path, replace(SETUP, domain=preset("window")), pool=Toys(), quiet=True)
+
+
+def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
+    collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
+    more = plan.on_policy(FISH, "dob", episodes=2, seconds=3.0, seed=1)
+    found = collect(more, tmp_path, SETUP, pool=Toys(), quiet=True)
+    assert found.complete and len(open_dataset(tmp_path).names("train", block="policy")) == 2
+    assert len(open_dataset(tmp_path).about) == 8
+
+
+def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
+    assert console.run(main, ["--preview", "--dry-run", "--json", "--out", str(tmp_path / "no")]) == console.OK
+    said = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert said["plan"] == "preview" and 80 < said["water_s"] < 130 and not (tmp_path / "no").exists()
+    assert console.run(main, ["--preview", "--fresh-test", "2"]) == console.BAD_INPUT
+    assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
