@@ -74,10 +74,8 @@ def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], sli
             dt = courant * dx / part
             steps = tick / dt
             if abs(steps - round(steps)) > 1e-6:
-                near = tick / max(1, round(steps)) / courant * part
-                raise ConfigError(
-                    f"converge: dx = {dx} m gives dt = {dt:g} s, no part of the tick of {tick} s; nearest: {near:.6g} m"
-                )
+                near = f"nearest: dx = {tick / max(1, round(steps)) * part / courant:.6g} m"
+                raise ConfigError(f"converge: dx = {dx} m gives dt = {dt:g} s, no whole part of the tick of {tick} s; {near}")
             keys += [Key(name, round(dx, DIGITS), round(tick / round(steps), DIGITS), slip) for slip in slips for name in what]
     return keys
 
