@@ -1,0 +1,155 @@
+"""The base coefficients by what fish do in it: Gauss-Newton through free swims, on a few physical scales.
+
+A fit of forces alone can be right to a per cent in every force and wrong by a tenth in speed: thrust is the small difference
+of large forces. So eight factors, each on one kind of force, are moved until the swims of the model match the recorded ones in
+velocity, yaw rate and servo power over windows, and held fish in mean thrust. Levenberg (1944) and Marquardt (1963) damp the step;
+the Jacobian is by differences, all disturbed waters in one batch.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.hydro_fit import chain, terms
+from fishmj.hydro_fit.fit.identify import Identified, identify
+from fishmj.hydro_fit.fit.prior import Prior, flat, names_of, prior_of, unflat
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, recorded, repeated, windows
+from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force
+from fishmj.mjcf.description import Robot
+
+SPREAD = 0.3  # standard deviation of ln factor: how far the swims may pull from what the forces said
+STEP = 0.02  # of ln factor, for the differences
+LEAST = 0.005  # relative fall of the objective that is worth another iteration
+CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
+TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0.10, 0.03)}  # share of the record, and floor
+THRUST = 0.10  # of the tow drag
+
+
+class Scaled(NamedTuple):
+    """Coefficients after the fit, what is known of the factors, and the objective before and after."""
+
+    water: terms.Coefficients
+    found: Identified
+    before: float
+    after: float
+    jacobian: np.ndarray  # (R, S) of the scaled residuals
+    rounds: int
+
+
+def groups(links: int) -> dict[str, tuple[str, ...]]:
+    """Which coefficients each factor multiplies."""
+    return {
+        "body_drag": tuple(f"cn{i + 1}" for i in range(links - 1)),
+        "tail_drag": (f"cn{links}",),
+        "friction": ("cf",),
+        "form_drag": ("ca_forward",),
+        "edge": ("ke",),
+        "lift": ("lift_a", "lift_b"),
+        "stall_angle": ("stall_angle",),
+        "stall_lag": ("stall_lag",),
+    }
+
+
+def scaled(water: np.ndarray, factors: np.ndarray, links: int, limits: Prior) -> np.ndarray:
+    """Flat coefficients times exp(factors), within hard bounds and passive; `factors` (S,) in the order of `groups`."""
+    names, out = names_of(links), np.array(water, float)
+    for factor, members in zip(factors, groups(links).values(), strict=True):
+        at = [names.index(name) for name in members]
+        out[at] = np.clip(out[at] * np.exp(factor), limits.low[at], limits.high[at])
+    a, b = names.index("lift_a"), names.index("lift_b")
+    out[a] = max(out[a], 0.5 - out[b])
+    return out
+
+
+class Match:
+    """How far a water is from the records, in tolerances.
+
+    Args:
+        fleet: free swims. held: rows of held fish, or None. tick: s. drag: tow drag that thrust errors are measured in, N.
+        swim: rollouts. learnt: a residual that swims along.
+    """
+
+    def __init__(self, swim: Swim, fleet: Fleet, tick: float, held: Rows | None, drag: float, learnt=None):
+        self.swim, self.fleet, self.tick, self.learnt = swim, fleet, tick, learnt
+        self.held, self.drag = held, drag
+        self.seen = windows(recorded(fleet), fleet, tick)
+        self.thrust = None if held is None else thrusts(held, held.force)
+
+    def residuals(self, waters: np.ndarray) -> np.ndarray:
+        """(W, R) for W flat waters."""
+        fleet, count = repeated(self.fleet, len(waters)), len(waters)
+        size = len(self.fleet.q)
+        track = self.swim.run(fleet, np.repeat(waters, size, 0), self.learnt)
+        out = []
+        for i, water in enumerate(waters):
+            part = Track(*(a[i * size : (i + 1) * size] for a in track))
+            out.append(np.concatenate([self.swum(part), self.pushed(water)]))
+        return np.stack(out) if count else np.zeros((0, 0))
+
+    def swum(self, track: Track) -> np.ndarray:
+        """Errors of the windows of all swims."""
+        view, seen, errors = windows(track, self.fleet, self.tick), self.seen, []
+        speed = np.hypot(seen.surge, seen.sway)
+        for name, size, kind in (("surge", speed, "speed"), ("sway", speed, "speed"), ("yaw_rate", None, "yaw"), ("power", None, "power")):
+            share, floor = TOLERANCE[kind]
+            got, wanted = getattr(view, name), getattr(seen, name)
+            wide = share * np.abs(wanted if size is None else size) + floor
+            error = np.where(np.isfinite(got), np.clip((got - wanted) / wide, -CLIP, CLIP), CLIP)
+            errors.append(error[np.isfinite(wanted)])
+        return np.concatenate(errors) / np.sqrt(max(1, view.surge.shape[1]))
+
+    def pushed(self, water: np.ndarray) -> np.ndarray:
+        """Errors of the mean thrust on held fish."""
+        if self.held is None:
+            return np.zeros(0)
+        c = unflat(water.tolist())
+        s = self.swim.chain.strips
+        got = thrusts(self.held, base_force(self.held, s, c, attachment(self.held, s, c, self.tick)))
+        return np.clip((got - self.thrust) / (THRUST * self.drag), -CLIP, CLIP)
+
+
+def thrusts(rows: Rows, force: np.ndarray) -> np.ndarray:
+    """Mean force along the links' own axes, sum over the links, of every record: (R,) N."""
+    along = force[0].sum(0)
+    return np.array([along[span].mean() for span in rows.spans()])
+
+
+def fit_rollout(
+    robot: Robot, ch: chain.Chain, match: Match, water: terms.Coefficients, *, rounds: int = 8, report: Callable | None = None
+) -> Scaled:
+    """Move the factors from `water` until the swims match; never ends worse than it began.
+
+    Args:
+        report: called with (round, rounds, objective).
+    """
+    limits, start = prior_of(robot), flat(water)
+    names = tuple(groups(ch.n))
+    size = len(names)
+    x, damping, jacobian = np.zeros(size), 1e-2, np.zeros((0, size))
+    at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])  # noqa: E731
+    cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)  # noqa: E731
+    now = match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
+    first = best = cost(now[0], x)
+    done = 0
+    for done in range(1, rounds + 1):
+        jacobian = ((now[1:] - now[0]) / STEP).T
+        normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
+        slope = jacobian.T @ now[0] + x / SPREAD**2
+        tries = [damping * 10.0**k for k in range(-1, size)]  # as many waters as for the Jacobian: one compilation
+        steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in tries]
+        found = match.residuals(at(steps))
+        costs = [cost(r, s) for r, s in zip(found, steps, strict=True)]
+        pick = int(np.argmin(costs))
+        fall = best - costs[pick]
+        if fall <= 0:
+            break
+        x, best, damping = steps[pick], costs[pick], tries[pick]
+        if report is not None:
+            report(done, rounds, best)
+        if fall < LEAST * best or done == rounds:
+            break
+        now = match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
+    prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
+    result = scaled(start, x, ch.n, limits)
+    return Scaled(unflat(result.tolist()), identify(prior, np.exp(x), jacobian.T @ jacobian), first, best, jacobian, done)

@@ -1,0 +1,190 @@
+"""Free swims of a whole batch of recorded fish, from their recorded starts, by their recorded commands, in a model of the water.
+
+    fleet = fleet_of(ch, records, seconds=10)                       pieces of free swimming, padded to one length
+    track = Swim(ch).run(fleet, water (B, P), learnt)               what the model's fish do; JAX, one compilation a shape
+    view = windows(track, fleet); rec = windows(recorded(fleet), fleet)
+
+Commands take the same path as on the robot; the undisturbed flow is what the recorded fish met, tick by tick.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from fishmj.errors import DatasetError
+from fishmj.hydro_fit import chain, learned
+from fishmj.hydro_fit.fit.prior import unflat
+from fishmj.hydro_fit.fit.rows import ambient_of
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+
+WINDOW = 2.0  # s, over which velocities are averaged
+
+
+class Fleet(NamedTuple):
+    """B pieces of T ticks; `mask` (B, T) is 0 behind the end of a shorter one. World frame, SI."""
+
+    q: np.ndarray  # (B, 1 + T, nv) recorded, row 0 at the start
+    v: np.ndarray  # (B, 1 + T, nv)
+    target: np.ndarray  # (B, T, S, J) what the servos aim at in each physics step, rad
+    flow: np.ndarray  # (B, T, N, 2)
+    ambient: np.ndarray  # (B, T, 2)
+    power: np.ndarray  # (B, T) servos without the electronics, W
+    mask: np.ndarray  # (B, T)
+    source: tuple  # B pairs of (number of the record, first tick)
+
+
+class Track(NamedTuple):
+    """What the model's fish did, (B, T, ..), at the ends of ticks; `memory` (B, M) at the end, `outside` (B,) share of steps."""
+
+    q: Any
+    v: Any
+    power: Any
+    outside: Any
+
+
+def is_free(record: Record) -> bool:
+    """Driven by its servos alone."""
+    held = record.meta["prescribed"]
+    return not (held["joints"] or held["root"])
+
+
+def fleet_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], *, seconds: float = 10.0, least: float = 2.0) -> Fleet:
+    """Free swims cut into pieces of `seconds`; a rest shorter than `least` is left out.
+
+    Raises:
+        DatasetError: no record swims freely.
+    """
+    pieces = []
+    for number, record in enumerate(records):
+        if not is_free(record):
+            continue
+        size, whole = round(seconds / record.tick), len(record.q)
+        pieces += [(number, a, min(a + size, whole)) for a in range(0, whole, size) if min(size, whole - a) * record.tick >= least]
+    if not pieces:
+        raise DatasetError("no free swim among the records; the fit of speed and turning needs some: collect gaits")
+    longest = max(b - a for _, a, b in pieces)
+    columns = [_piece(ch, robot, records[n], a, b, longest) for n, a, b in pieces]
+    return Fleet(*(np.stack(c) for c in zip(*columns, strict=True)), source=tuple((n, a) for n, a, _ in pieces))
+
+
+def _piece(ch: chain.Chain, robot: Robot, record: Record, a: int, b: int, longest: int) -> tuple:
+    q0, v0 = record.before
+    steps, more = round(record.tick / ch.dt), longest - (b - a)
+    delay = round(record.meta.get("latency", robot.timing.command_latency) / ch.dt)
+    ramp = robot.timing.command_path == "move_time"
+    before = np.concatenate([q0[:1, 3:], record.command])  # on the bus before the start: where the joints were
+    due = np.arange(a * steps, b * steps) - delay
+    whole, part = np.floor_divide(due, steps), np.mod(due, steps)
+    newest = before[np.maximum(whole + 1, 0)]
+    if ramp:
+        older = before[np.maximum(whole, 0)]
+        newest = older + ((part + 1) / steps)[:, None] * (newest - older)
+    pad = lambda x: np.concatenate([x, np.repeat(x[-1:], more, 0)])  # noqa: E731
+    states = (np.concatenate([q0[a : a + 1], record.q[a:b]]), np.concatenate([v0[a : a + 1], record.v[a:b]]))
+    target = newest.reshape(b - a, steps, -1)
+    mask = np.concatenate([np.ones(b - a), np.zeros(more)])
+    rest = (target, record.flow[a:b], ambient_of(record)[a:b], record.power[a:b] - robot.servo.idle_power)
+    return (*(pad(x) for x in states), *(pad(x) for x in rest), mask)
+
+
+def recorded(fleet: Fleet) -> Track:
+    """The recorded swims in the same shape."""
+    return Track(fleet.q[:, 1:], fleet.v[:, 1:], fleet.power, np.zeros(len(fleet.q)))
+
+
+def repeated(fleet: Fleet, times: int) -> Fleet:
+    """The fleet `times` after itself, for as many waters."""
+    return Fleet(*(np.concatenate([a] * times) for a in fleet[:-1]), source=fleet.source * times)
+
+
+def some(fleet: Fleet, keep) -> Fleet:
+    """Pieces by number or boolean."""
+    at = np.arange(len(fleet.q))[keep]
+    return Fleet(*(a[at] for a in fleet[:-1]), source=tuple(fleet.source[int(i)] for i in at))
+
+
+class Swim:
+    """Free swims of one robot in JAX.
+
+    Args:
+        swimmer: the fish; its water is replaced by what `run` is given.
+    """
+
+    def __init__(self, ch: chain.Chain, swimmer: chain.Swimmer):
+        self.chain, self.swimmer = ch, swimmer
+
+    def run(self, fleet: Fleet, water: np.ndarray, learnt: "learned.Residual | None" = None, attached=None, memory=None) -> Track:
+        """Swim every piece from its recorded start.
+
+        Args:
+            water: (P,) or (B, P) flat coefficients. learnt: a residual, or None for the base alone.
+            attached: (B,) at the start, 0.5 by default; memory: (B, 3 N + 2), at rest by default.
+        Returns:
+            Track of NumPy arrays; a fish that left the finite numbers is nan from there on.
+        """
+        batch = len(fleet.q)
+        water = np.broadcast_to(np.asarray(water, np.float32), (batch, np.shape(water)[-1]))
+        attached = np.full(batch, 0.5) if attached is None else attached
+        memory = np.zeros((batch, 3 * self.chain.n + 2)) if memory is None else memory
+        given = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient, water, attached, memory)
+        single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)  # noqa: E731
+        out = self._run(*single(given), None if learnt is None else single(learnt))
+        return Track(*(np.asarray(a, float) for a in out))
+
+    @partial(jax.jit, static_argnums=0)
+    def _run(self, q, v, target, flow, ambient, water, attached, memory, learnt):
+        track, (_, _, _, memory) = self.trace(q, v, target, flow, ambient, water, attached, memory, learnt)
+        return (*track, memory[-1] / (target.shape[1] * target.shape[2]))
+
+    def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
+        """The swim as JAX code: ((q, v, power) (B, T, ..), state at the end); differentiable."""
+        ch, n = self.chain, self.chain.n
+        sw = self.swimmer._replace(water=unflat([water[:, i] for i in range(water.shape[1])]))
+        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731
+
+        def tick(state, given):
+            target, flow, ambient = given
+            stream = [(flow[:, i, 0], flow[:, i, 1]) for i in range(n)]
+
+            def step(state, aim):
+                q, v, x, memory, power = state
+                hooks = None if learnt is None else learned.Learned(jnp, ch, learnt, memory)
+                s = chain.step(jnp, ch, sw, q, v, x, split(aim), stream, split(ambient), hooks)
+                memory = memory if learnt is None else tuple(s.memory)
+                return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
+
+            (q, v, x, memory, power), _ = lax.scan(step, (*state, 0.0 * state[2]), jnp.swapaxes(target, 0, 1))
+            return (q, v, x, memory), (jnp.stack(q, -1), jnp.stack(v, -1), power / target.shape[1])
+
+        ahead = tuple(jnp.swapaxes(a, 0, 1) for a in (target, flow, ambient))
+        start = (split(q), split(v), attached, split(memory))
+        state, out = lax.scan(tick, start, ahead)
+        return tuple(jnp.swapaxes(a, 0, 1) for a in out), state
+
+
+class View(NamedTuple):
+    """Means over windows of a swim, (B, K): velocity over ground in the body frame, yaw rate, servo power; nan behind the end."""
+
+    surge: np.ndarray  # m/s
+    sway: np.ndarray
+    yaw_rate: np.ndarray  # rad/s
+    power: np.ndarray  # W
+
+
+def windows(track: Track, fleet: Fleet, tick: float, seconds: float = WINDOW) -> View:
+    """Means over whole windows of `seconds` from the start."""
+    size = round(seconds / tick)
+    count = max(1, track.q.shape[1] // size)
+    size = min(size, track.q.shape[1])
+    yaw, (vx, vy) = track.q[..., 2], (track.v[..., 0], track.v[..., 1])
+    surge, sway = np.cos(yaw) * vx + np.sin(yaw) * vy, np.cos(yaw) * vy - np.sin(yaw) * vx
+    shape = (len(yaw), count, size)
+    whole = fleet.mask[:, : count * size].reshape(shape).min(-1) > 0
+    mean = lambda a: np.where(whole, a[:, : count * size].reshape(shape).mean(-1), np.nan)  # noqa: E731
+    return View(mean(surge), mean(sway), mean(track.v[..., 2]), mean(track.power))
