@@ -5,7 +5,8 @@ Generalised rates: the reference point's velocity in the tank frame and the link
     o_{i+1} = o_i + W_i x_i n_i,     a_{i+1} = a_i + W_i' x_i n_i - W_i^2 x_i t_i       x_i: rear hinge of link i
 
 so link i moves with (VX, VY), with x_k n_k for every k < i, and turns with its own W_i. Its inertia about the origin is rigid
-plus added mass; the momentum of the latter, p = (a u, b v + s r), L = s v + J r in link axes (relative to the water), obeys Kirchhoff:
+plus added mass. The momentum of the latter, p = (a u, b v + s r), L = s v + J r in link axes, relative to the water, obeys
+Kirchhoff's equations:
 
     force = - dp/dt - W x p,     moment = - dL/dt - (u p_n - v p_t)
 

@@ -10,9 +10,9 @@ def stream(seed: int, purpose: str, trial: int = 0) -> np.random.Generator:
     return np.random.default_rng([seed, trial, zlib.crc32(purpose.encode())])
 
 
-def gamma_jitter(rng: np.random.Generator, n: int) -> np.ndarray:
-    """(n,) skewed delays of zero mean and unit spread: most packets a little early, a few very late (gamma, shape 2)."""
-    return (rng.gamma(2.0, size=n) - 2.0) / np.sqrt(2.0)
+def jitter(rng: np.random.Generator) -> float:
+    """A skewed delay of zero mean and unit spread: most packets a little early, a few very late (gamma, shape 2)."""
+    return (rng.gamma(2.0) - 2.0) / 2.0**0.5
 
 
 def gusts(rng: np.random.Generator, n: int, step: float, sigma: float, time: float, smooth: float = 0.1) -> np.ndarray:

@@ -21,29 +21,42 @@ class Delivery(NamedTuple):
     commands: np.ndarray
 
 
+class Radio:
+    """Decides, packet by packet, when a command reaches the servos."""
+
+    def __init__(self, network: Network, odd: Odd, seed: int, trial: int, noise: float):
+        self.network, self.odd, self.noise = network, odd, noise
+        self._streams = [draws.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
+        self._last: np.ndarray | None = None
+
+    def arrival(self, sent: float, command: np.ndarray) -> float | None:
+        """Time of arrival [s] of a command (3,) sent at `sent`; None when it is lost."""
+        n, (base, tail, loss) = self.network, self._streams
+        delay = n.latency + n.delay + self.noise * n.jitter * draws.jitter(base) + n.sigma * draws.jitter(tail)
+        if self.odd.busy > 0.0:  # the bus is slower while the joints are asked to be fast
+            last = command if self._last is None else self._last
+            delay += self.odd.busy * float(np.max(np.abs(command - last))) / n.period
+        self._last = np.array(command)
+        return None if loss.random() < n.loss else sent + max(delay, 0.001)
+
+
 def deliver(network: Network, odd: Odd, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float) -> Delivery:
     """Send commands (K, 3) at `sent` (K,) and take them out of the queue in order of arrival."""
-    n = len(sent)
-    base = draws.gamma_jitter(draws.stream(seed, "radio", trial), n)
-    tail = draws.gamma_jitter(draws.stream(seed, "radio tail", trial), n)
-    lost = draws.stream(seed, "loss", trial).random(n) < network.loss
-    delay = network.latency + network.delay + noise * network.jitter * base + network.sigma * tail
-    if odd.busy > 0.0:  # the bus is slower while the joints are asked to be fast
-        speed = np.abs(np.gradient(commands, network.period, axis=0)).max(1)
-        delay = delay + odd.busy * speed
-    queue = [(float(t), k) for k, t in enumerate(sent + np.maximum(delay, 0.001)) if not lost[k]]
+    radio = Radio(network, odd, seed, trial, noise)
+    times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]
+    queue = [(t, k) for k, t in enumerate(times) if t is not None]
     heapq.heapify(queue)
     arrived = [heapq.heappop(queue) for _ in range(len(queue))]
     order = [k for _, k in arrived]
     return Delivery(np.array([t for t, _ in arrived]), commands[order].reshape(-1, 3))
 
 
-def telemetry(network: Network, zero: np.ndarray, record: Recording, seed: int, trial: int, noise: float) -> dict:
-    """Table `joint`: the hinges' own sensors, read every period, reported for the stamped time but `joint_delay` old."""
-    rng = draws.stream(seed, "joint", trial)
-    t = np.arange(0.0, record.t[-1], network.period)
-    stamps = t + noise * network.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
-    angle = record.at(stamps - network.joint_delay, "j1", "j2", "j3") - zero
-    angle = angle + noise * network.angle_noise * rng.standard_normal(angle.shape)
-    angle = np.round(angle / network.angle_step) * network.angle_step
+def telemetry(
+    network: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float
+) -> dict:
+    """Table `joint`: the hinges' own sensors, read at t (K,), reported for the stamped time but `joint_delay` old."""
+    stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
+    angle = record.at(stamps - net.joint_delay, "j1", "j2", "j3") - zero
+    angle = angle + noise * net.angle_noise * rng.standard_normal(angle.shape)
+    angle = np.round(angle / net.angle_step) * net.angle_step
     return {"t": stamps, **{f"j{k + 1}": angle[:, k] for k in range(3)}}

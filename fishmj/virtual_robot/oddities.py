@@ -30,7 +30,7 @@ _ROWS: list[tuple] = [
     ("encoder_harmonic", _one("angle", "rad", "odd.eccentric", 0.01, 0.04, signed=True), SERVO, ("staircase", "slow_triangle")),
     (
         "mass_shift",
-        (*_one("distance", "m", "odd.shift", 0.005, 0.02), _keep("time", "s", "odd.shift_time", 6.0)),
+        (*_one("distance", "m", "odd.shift", 0.01, 0.04), _keep("time", "s", "odd.shift_time", 6.0)),
         BODY,
         ("spin", "gait"),
     ),

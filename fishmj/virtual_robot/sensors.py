@@ -8,16 +8,13 @@ velocity    slope of a straight line through the last frames, then an optional l
 
 import numpy as np
 
-from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.constants import Camera, Meter, Odd
 from fishmj.virtual_robot.motion import Recording
 
 
-def watch(camera: Camera, odd: Odd, record: Recording, seed: int, trial: int, noise: float) -> dict:
-    """Table `pose`: t, x, y, yaw and the tracker's velocity vx, vy, wz in the tank frame."""
-    rng = draws.stream(seed, "camera", trial)
+def watch(camera: Camera, odd: Odd, record: Recording, frames: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
+    """Table `pose` from frames that reach the host at `frames` (K,) s, on the host's clock: t, x, y, yaw."""
     late = camera.latency + camera.delay
-    frames = np.arange(0.0, record.t[-1], camera.period)
     stamps = frames + noise * camera.jitter * rng.uniform(0.0, 1.0, len(frames))
     x, y, yaw = record.at(stamps - late, "x", "y", "yaw").T
     x, y = x + camera.marker * np.cos(yaw), y + camera.marker * np.sin(yaw)
@@ -31,9 +28,19 @@ def watch(camera: Camera, odd: Odd, record: Recording, seed: int, trial: int, no
     error = rng.standard_normal((3, len(frames)))
     x, y = x + noise * camera.position_noise * error[0], y + noise * camera.position_noise * error[1]
     yaw = yaw + noise * camera.heading_noise * error[2]
-    rates = [low_pass(slope(stamps, value, int(camera.window)), camera.period, camera.filter) for value in (x, y, yaw)]
-    clock = stamps * (1.0 + camera.drift) + camera.offset
-    return {"t": clock, "x": x, "y": y, "yaw": yaw, "vx": rates[0], "vy": rates[1], "wz": rates[2]}
+    return {"t": stamps, "x": x, "y": y, "yaw": yaw}
+
+
+def track(camera: Camera, seen: dict) -> dict:
+    """The pose table with the tracker's velocity vx, vy, wz in the tank frame."""
+    names = {"x": "vx", "y": "vy", "yaw": "wz"}
+    slopes = {rate: slope(seen["t"], seen[name], int(camera.window)) for name, rate in names.items()}
+    return seen | {rate: low_pass(value, camera.period, camera.filter) for rate, value in slopes.items()}
+
+
+def on_its_clock(camera: Camera, seen: dict) -> dict:
+    """The pose table with the stamps of the camera's own clock."""
+    return seen | {"t": seen["t"] * (1.0 + camera.drift) + camera.offset}
 
 
 def slope(t: np.ndarray, value: np.ndarray, window: int) -> np.ndarray:
@@ -63,10 +70,8 @@ def low_pass(value: np.ndarray, step: float, time: float) -> np.ndarray:
     return out
 
 
-def meter_table(meter: Meter, record: Recording, seed: int, trial: int, noise: float) -> dict:
-    """Table `power`: battery voltage and current, averaged over a few milliseconds before each stamp."""
-    rng = draws.stream(seed, "meter", trial)
-    t = np.arange(meter.period, record.t[-1], meter.period)
+def metered(meter: Meter, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
+    """Table `power`: battery voltage and current, averaged over a few milliseconds before each stamp t (K,)."""
     volts, amps = (sum(record.at(t - lag, name)[:, 0] for lag in np.linspace(0.0, meter.average, 5)) / 5.0 for name in ("V", "I"))
     amps = amps + meter.offset / volts
     volts = volts + noise * meter.voltage_noise * rng.standard_normal(len(t))

@@ -26,6 +26,7 @@ from fishmj.virtual_robot.state import at_rest
 
 EFFECTS: dict[str, Effect] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
+SENSORS = ("joint", "power", "pose")
 Effects = Mapping[str, Mapping[str, float]]
 
 
@@ -114,13 +115,10 @@ def trial_of(
     """Move, then look through the sensors; the trial holds what a lab would have on disk."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
-    tables = {
-        "cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)},
-        "joint": network.telemetry(made.network, made.zero, record, seed, index, noise),
-        "power": sensors.meter_table(made.meter, record, seed, index, noise),
-    }
-    if wet:
-        tables["pose"] = sensors.watch(made.camera, made.odd, record, seed, index, noise)
+    tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
+    tables |= sense(made, record, {name: draws.stream(seed, name, index) for name in SENSORS}, (0.0, record.t[-1]), noise)
+    if "pose" in tables:
+        tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
     clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
     meta = {
         "schema": SCHEMA,
@@ -142,6 +140,22 @@ def trial_of(
         "notes": "simulated by the second robot; what is hidden in it is kept elsewhere",
     }
     return Trial(meta, tables, name=name)
+
+
+def sense(made: Plant, record: Recording, streams: dict, span: tuple[float, float], noise: float) -> dict[str, dict]:
+    """Tables joint, power and (in water) pose with the readings from span[0] to before span[1]."""
+
+    def due(period: float) -> np.ndarray:
+        return np.arange(np.ceil(span[0] / period - 1e-9), np.ceil(span[1] / period - 1e-9)) * period
+
+    network_, camera, meter = made.network, made.camera, made.meter
+    tables = {
+        "joint": network.telemetry(network_, made.zero, record, due(network_.period), streams["joint"], noise),
+        "power": sensors.metered(meter, record, due(meter.period), streams["power"], noise),
+    }
+    if made.water.active > 0.0:
+        tables["pose"] = sensors.watch(camera, made.odd, record, due(camera.period), streams["pose"], noise)
+    return tables
 
 
 def sigmas(made: Plant, noise: float) -> dict[str, float]:
