@@ -51,9 +51,7 @@ def deliver(network: Network, odd: Odd, sent: np.ndarray, commands: np.ndarray, 
     return Delivery(np.array([t for t, _ in arrived]), commands[order].reshape(-1, 3))
 
 
-def telemetry(
-    network: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float
-) -> dict:
+def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
     """Table `joint`: the hinges' own sensors, read at t (K,), reported for the stamped time but `joint_delay` old."""
     stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
     angle = record.at(stamps - net.joint_delay, "j1", "j2", "j3") - zero
