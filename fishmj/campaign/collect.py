@@ -167,10 +167,10 @@ def _about(folder: Path, segment: Segment) -> dict | None:
         return None
     try:
         meta = read_json(about)
-    except StoreError:
+        made = Segment.of(meta["segment"])
+    except (StoreError, TypeError, KeyError):
         return None  # damaged: run again
-    wanted = Segment.of(meta["segment"]).sha256 if isinstance(meta, dict) and "segment" in meta else ""
-    if wanted != segment.sha256:
+    if made.sha256 != segment.sha256:
         return None
     whole = "file" not in meta or path.is_file() and sha256(path) == meta["file"]["sha256"]
     return meta if whole else None

@@ -13,7 +13,7 @@ ratios, too.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -174,7 +174,7 @@ def _episodes(
             details["flow"] = replace(details["flow"], box=BOXES["judge"])
         episode = f"{head}{part.block}-{k:03d}"
         where = "val" if split == "train" and k % EVERY_VAL == 5 else split
-        named = {"id": _id(episode, DEFAULT_SLIP), "block": part.block, "episode": episode, "split": where}
+        named: dict[str, Any] = {"id": _id(episode, DEFAULT_SLIP), "block": part.block, "episode": episode, "split": where}
         made.append(Segment(**named, seconds=part.seconds, slip=DEFAULT_SLIP, **details))
     return made
 

@@ -55,8 +55,11 @@ class Segment:
     def of(cls, table: dict) -> "Segment":
         """The inverse of `table`, after JSON, too."""
         known = {item.name for item in fields(cls)}
-        values = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items() if key in known}
-        return cls(**{**values, "flow": Flow(**table["flow"])})
+        values: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in table.items() if key in known
+        }
+        values["flow"] = Flow(**table["flow"])
+        return cls(**values)
 
     @property
     def sha256(self) -> str:

@@ -5,6 +5,7 @@
 A segment whose water or fish leaves the finite numbers, or whose fish reaches a wall, is kept as far as it was sound.
 """
 
+import gc
 import hashlib
 import time
 from collections import deque
@@ -65,7 +66,7 @@ class Setup:
 class Driven(Run):
     """A run whose root may follow a path, too: root(t) -> (x, y, yaw), m and rad, t in s since the run began."""
 
-    root = None
+    root: Callable[[float], np.ndarray] | None = None
 
     def _held(self, dt):
         fixed, value = super()._held(dt)
@@ -162,6 +163,7 @@ def side_by_side(
         ConfigError, OracleUnstable: a segment could not be set up.
     """
     busy: list[Tank] = []
+    emptied = 0
     while waiting or busy:
         while waiting and len(busy) < tanks:
             busy.append(Tank(waiting.popleft(), setup))
@@ -171,6 +173,11 @@ def side_by_side(
             if tank.done:
                 busy.remove(tank)
                 yield tank.finished()
+                emptied += 1
+                del tank
+        if emptied >= tanks:  # captured launches and their tank hold each other: without this a GPU fills up with old water
+            gc.collect()
+            emptied = 0
         if not go_on(sum(tank.water for tank in busy)):
             return
 
