@@ -40,6 +40,11 @@ class Engine:
         """Why each tank stopped; empty where it did not."""
         return [] if self.tanks is None else [run.stopped for run in self.tanks.runs]
 
+    @property
+    def ticks(self) -> list[int]:
+        """Bus ticks that each tank has done."""
+        return [] if self.tanks is None else [run.ticks for run in self.tanks.runs]
+
     def advance(self, state: FishState, commands, params: FishParams, current, tick) -> tuple[FishState, Trace]:
         """Send the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their flows."""
         check_commands(commands, self.robot.n_joints)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj import store
+from fishmj import console, store
 from fishmj.calib import calib_folder
 from fishmj.evaluate.driver import run
 from fishmj.evaluate.protocol import Trials
@@ -59,9 +59,24 @@ def judge(
         for row, i in enumerate(group):
             found[i] = {key: getattr(result, key)[row] for key in ARRAYS if getattr(result, key) is not None}
             found[i] |= {"t": result.t, "target": result.target[row]}
+            if why := engine.stopped[row]:
+                found[i] = ended(found[i], why, engine.ticks[row])
+                console.warn(f"{name_of(brain, trials.items[i])}: truncated: {why}")
             if (path := paths[i]) is not None:
                 store.write_npz(path, found[i])
     return merged(brain, robot, trials, f"tanks, {domain}, slip {slip:g}", [found[i] for i in range(len(trials))])
+
+
+def ended(row: dict, why: str, ticks: int) -> dict:
+    """The arrays of a trial whose tank stopped after `ticks` bus ticks; the fish was left where it was.
+
+    It counts as one that left the domain at the next tick. Where its water or its motion failed, nobody knows how far from the
+    target it would have been: NaN, so that no figure over that time looks better than it is.
+    """
+    left, distance = min(int(row["left"]), ticks + 1), row["distance"].copy()
+    if not why.startswith("left_domain"):
+        distance[left:] = np.nan
+    return row | {"left": np.array(left), "distance": distance, "stopped": np.array(why)}
 
 
 def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -> Result:
