@@ -125,7 +125,7 @@ def scatter(key: str, trials: list[Trial]) -> Group:
     """
     if len(trials) < 2:
         raise LogError(f"{key}: one trial has no replicate; record the same excitation at least twice")
-    each, aligned = _aligned([channels(trial) for trial in trials], all(_one_clock(trial) for trial in trials))
+    each, aligned = _aligned(trials)
     shared = [name for name in each[0] if all(name in other for other in each)]
     out, longest = [], 0.0
     for name in shared:
@@ -182,10 +182,10 @@ def autocorrelation_time(residuals: np.ndarray, window: float = 5.0) -> float:
     return float(np.clip(running[enough[0] if len(enough) else -1], 1.0, n))
 
 
-def channels(trial: Trial) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
+def channels(trial: Trial, after: float = 0.0) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
     """Comparable channels: name -> (unit, t since the command began [s], values); since its own first row without a common clock.
 
-    A free swim starts where it starts: pose becomes forward, left and turned, relative to the mean of the first 0.2 s.
+    A free swim starts where it starts: pose becomes forward, left and turned, relative to the mean of the 0.2 s after `after`.
     """
     zero = (
         min((float(trial.tables[n]["t"][0]) for n in COMMANDS if n in trial.tables), default=None) if _one_clock(trial) else None
@@ -202,7 +202,8 @@ def channels(trial: Trial) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
     if "pose" in trial.tables:
         table = trial.tables["pose"]
         t, yaw = table["t"], np.unwrap(table["yaw"])
-        early = t <= t[0] + START
+        early = (t >= t[0] + after) & (t <= t[0] + after + START) if after > 0 else t <= t[0] + START
+        early[:1] |= not early.any()
         x, y, start = table["x"] - table["x"][early].mean(), table["y"] - table["y"][early].mean(), yaw[early].mean()
         add("forward", "m", t, np.cos(start) * x + np.sin(start) * y)
         add("left", "m", t, np.cos(start) * y - np.sin(start) * x)
@@ -223,25 +224,31 @@ def _one_clock(trial: Trial) -> bool:
     return any(name in trial.tables for name in COMMANDS) and len(said) < 2
 
 
-def _aligned(each: list[dict], one_clock: bool) -> tuple[list[dict], str]:
+def _aligned(trials: list[Trial]) -> tuple[list[dict], str]:
     """Channels of every trial on one time axis. Without a clock that they share with their command, the first channel that turns
-    (joint1, else turned) says by how much each must be moved onto the first trial; where that is not told, nothing is moved."""
-    if one_clock:
+    (joint1, else turned) says by how much each must be moved onto the first trial; where that is not told, nothing is moved.
+    The pose is then counted from the stretch that all share, so that every beat starts in the same phase."""
+    each = [channels(trial) for trial in trials]
+    if all(_one_clock(trial) for trial in trials):
         return each, "command"
     lead = next((name for name in ("joint1", "turned") if all(name in other for other in each)), None)
     if lead is None:
         return each, "start"
-    out, moved = [each[0]], False
+    _, ta, a = each[0][lead]
+    shifts = [0.0]
     for other in each[1:]:
+        _, tb, b = other[lead]
         try:
-            (_, ta, a), (_, tb, b) = each[0][lead], other[lead]
             lag = lag_between(("first", ta, a[:, None]), ("other", tb, b[:, None]), reach=SHIFT)
         except LogError:
             lag = None
-        shift = lag.lag if lag and lag.found else 0.0
-        moved = moved or shift != 0.0
-        out.append({name: (unit, t - shift, values) for name, (unit, t, values) in other.items()})
-    return out, "motion" if moved else "start"
+        shifts.append(lag.lag if lag and lag.found else 0.0)
+    begin = max(float(other[lead][1][0]) - shift for other, shift in zip(each, shifts, strict=True))
+    out = []
+    for trial, shift in zip(trials, shifts, strict=True):
+        own = channels(trial, after=begin + shift)
+        out.append({name: (unit, t - shift, values) for name, (unit, t, values) in own.items()})
+    return out, "motion" if any(shifts) else "start"
 
 
 def _grid(stamps: list[np.ndarray]) -> np.ndarray:

@@ -15,6 +15,7 @@ from fishmj.log.trial import Table, Trial, gaps, stacked
 LOST = 1.5  # steps longer than this many usual steps lack rows
 LOCAL = 10  # steps on either side that say what is usual
 COUNTED = 1e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
+DRIFT = 5e-5  # s/s; less is what two quartz clocks do
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
 
 
@@ -206,7 +207,7 @@ def _pair_findings(trial: Trial, clocks: list[Clock]) -> list[str]:
 def _lag_findings(lags: list[Lag]) -> list[str]:
     out = []
     for lag in lags:
-        if lag.found and not lag.ambiguous and (lag.drift_low > 0 or lag.drift_high < 0) and abs(lag.drift) > 1e-5:
+        if lag.found and not lag.ambiguous and (lag.drift_low > 0 or lag.drift_high < 0) and abs(lag.drift) > DRIFT:
             out.append(
                 f"{lag.later} drifts against {lag.earlier} by {1e3 * lag.drift:+.3f} ms/s: their clocks run at different rates"
             )
