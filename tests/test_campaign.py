@@ -117,7 +117,9 @@ def test_no_wave_asks_more_of_the_servos_than_they_can_do(robot):
         at = np.array([moved.joints(t * 0.02) if moved.joints else moved.command(t, None) for t in ticks])
         assert at.shape[1] == robot.n_joints
         assert np.abs(at).max() < robot.servo.range + 1e-9, segment.id
-        assert np.abs(np.diff(at, axis=0)).max() / 0.02 < 1.25 * robot.servo.speed_no_load, segment.id
+        fastest = np.abs(np.diff(at, axis=0)).max() / 0.02
+        turn = 2.8 if segment.block == "manoeuvre" else 0.0  # rad/s, of a bias of 120 deg that comes within a quarter of a second
+        assert fastest < 1.05 * robot.servo.speed_no_load + turn, segment.id
 
 
 def test_the_second_fish_gets_only_controllers_that_know_it():

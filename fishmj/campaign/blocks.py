@@ -18,6 +18,7 @@ DRAWS = 9
 SETTLE = 3.0  # s of flow past a held fish before its record
 SWEEP = radians(4)  # rad/s, at which a held fish turns through the angles of attack: 1 % of the slowest stream at its nose
 SPEEDS = (0.1, 0.2, 0.3)  # m/s
+CELLS = ((1, 1), (0, 0), (2, 0), (0, 1), (2, 1), (1, 0))  # of frequency and amplitude; the middle of the range first
 Made = dict[str, Any]
 
 
@@ -64,13 +65,17 @@ def gait(k: int, u, robot: Robot) -> Made:
 
 
 def straight(k: int, u, robot: Robot) -> Made:
-    """The same without bias and stream: speed over frequency and amplitude."""
-    return {"drive": _wave(u, 0.0), "pose": _heading(u[6])}
+    """Straight ahead from rest in still water, one draw from each of six cells of frequency and amplitude."""
+    column, row = CELLS[k % len(CELLS)]
+    wave = {"frequency": 0.5 + 0.45 * (column + float(u[0])), "amplitude": radians(12 + 11 * (row + float(u[1])))}
+    drive = {"kind": "gait", "bias": 0.0, "lag": radians(within(u[2], 45, 75))}
+    return {"drive": drive | wave, "pose": _heading(u[6])}
 
 
 def turning(k: int, u, robot: Robot) -> Made:
-    """The same with a bias of 8 to 30 deg to either side, still water."""
-    return {"drive": _wave(u, radians(within(u[3], 8, 30)) * (-1) ** k), "pose": _heading(u[6])}
+    """Turning from rest in still water: a bias of 8 to 30 deg to either side."""
+    wave = {"frequency": within(u[0], 0.8, 1.6), "amplitude": radians(within(u[1], 15, 30)), "lag": radians(within(u[2], 45, 75))}
+    return {"drive": {"kind": "gait", "bias": radians(within(u[3], 8, 30)) * (-1) ** k} | wave, "pose": _heading(u[6])}
 
 
 def random(k: int, u, robot: Robot) -> Made:
