@@ -21,7 +21,7 @@ class Missing(StoreError):
     """The server answers, and says that there is no such file."""
 
 
-def download(url: str, folder: Path, key: str, sha256: str | None, limit: int, *, pause: float = PAUSE) -> bytes:
+def download(url: str, folder: Path, key: str, sha256: str | None, limit: int) -> bytes:
     """The body behind `url`.
 
     What arrives is kept in `folder/.<key>.part`, so that a later call goes on where this one broke off, even in another process.
@@ -38,7 +38,7 @@ def download(url: str, folder: Path, key: str, sha256: str | None, limit: int, *
     trouble = ""
     for attempt in range(TRIES):
         if attempt:
-            time.sleep(pause * 2 ** (attempt - 1))
+            time.sleep(PAUSE * 2 ** (attempt - 1))
         resumed = part.stat().st_size if part.is_file() else 0
         try:
             _receive(url, part, limit)
@@ -89,8 +89,8 @@ def _receive(url: str, part: Path, limit: int) -> None:
             raise StoreError(
                 f"{url}: {total} bytes, expected at most {limit}; the file was changed at its source, and is not used"
             )
-        with open(part, "ab" if going_on else "wb") as file:
-            while block := answer.read(BLOCK):
+        with open(part, "ab" if going_on else "wb", buffering=0) as file:  # what arrived survives a kill
+            while block := answer.read1(BLOCK):
                 have += len(block)
                 if have > limit:
                     break
