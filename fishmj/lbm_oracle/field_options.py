@@ -2,8 +2,6 @@
 
 import argparse
 
-from fishmj.errors import ConfigError
-
 STRONG = 8.0  # 1/s, ends of the pictures' colour scale: eddies shed at 1 Hz reach it, the swirl beside them does not
 
 
@@ -11,14 +9,14 @@ def height(text: str) -> float | None:
     """`mid` or a height in m.
 
     Raises:
-        ConfigError: neither.
+        ArgumentTypeError: neither.
     """
     if text == "mid":
         return None
     try:
         return float(text)
     except ValueError as error:
-        raise ConfigError(f"--slice {text!r}: expected mid, or a height in m (0 is mid-depth, up is positive)") from error
+        raise argparse.ArgumentTypeError(f"{text!r}: expected mid, or a height in m (0 is mid-depth, up positive)") from error
 
 
 def add_fields(parser: argparse.ArgumentParser, *, folder: bool = True) -> None:
