@@ -24,6 +24,7 @@ WINDOW = 2.0  # s, one bootstrap unit
 MIN_WINDOWS = 4
 DRAWS = 400
 WEAK = 0.5  # peak correlation below which no lag is claimed
+WIDE = 0.1  # s, width of the interval above which none is claimed either
 RIVAL = 0.95  # a second peak this close to the first makes a periodic signal ambiguous
 
 
@@ -45,8 +46,8 @@ class Lag:
 
     @property
     def found(self) -> bool:
-        """Whether the correlation is strong enough to speak of a lag at all."""
-        return abs(self.correlation) >= WEAK
+        """Whether the correlation is strong enough, and the interval narrow enough, to speak of a lag at all."""
+        return abs(self.correlation) >= WEAK and self.high - self.low <= WIDE
 
     def as_dict(self) -> dict:
         return {**asdict(self), "found": self.found}
@@ -55,7 +56,8 @@ class Lag:
         """One line."""
         head = f"{self.later} behind {self.earlier}: "
         if not self.found:
-            return head + f"not told, correlation {self.correlation:.2f} is below {WEAK}"
+            interval = f"{1e3 * self.low:.0f} to {1e3 * self.high:.0f} ms"
+            return head + f"not told: correlation {self.correlation:.2f}, interval {interval}; record reversals or a chirp"
         tail = (
             "; not unique within reach (a steady beat, or the edge of what was looked at): record reversals or a chirp"
             if self.ambiguous

@@ -14,7 +14,7 @@ from fishmj.log.trial import Table, Trial, gaps, stacked
 
 LOST = 1.5  # steps longer than this many usual steps lack rows
 LOCAL = 10  # steps on either side that say what is usual
-COUNTED = 1e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
+COUNTED = 5e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
 DRIFT = 5e-5  # s/s; less is what two quartz clocks do
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
 
