@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fishmj.campaign import tank
+from fishmj.campaign import plan, tank
 from fishmj.campaign.export import trial_of
 from fishmj.campaign.segment import Segment
 from fishmj.errors import SimDiverged
@@ -19,7 +19,7 @@ from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import build, load_robot
 
 FISH = load_robot("fish")
-SMALL = tank.Setup(domain=replace(preset("laptop"), shape=(60, 36, 16)), device="cpu")
+SMALL = tank.Setup(domain=replace(preset("laptop"), shape=(64, 36, 18)), device="cpu")
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +142,14 @@ def test_a_segment_may_begin_in_any_state():
     started = tank.Tank(Segment(id="a", episode="a", block="gait", split="train", seconds=1.0, drive=gait, **state), SMALL).start
     np.testing.assert_allclose(started["q"], [*state["pose"], *state["joints"]])
     np.testing.assert_allclose(started["v"], state["velocity"])
+
+
+@pytest.mark.oracle
+def test_the_second_fish_swims_through_the_same_plan():
+    second = load_robot("tendon_fish")
+    segments = {segment.block: segment for segment in plan.full(second).segments}
+    turning = replace(segments["turning"], seconds=0.2)
+    (done,) = tank.side_by_side(deque([turning]), replace(SMALL, robot=second))
+    assert done.meta["stopped"] == "" and done.meta["robot"]["name"] == "tendon_fish"
+    assert done.arrays["q"].shape == (10, 5) and done.arrays["wrench"].shape == (10, 3, 3)
+    assert np.isfinite(done.arrays["wrench"]).all() and np.abs(done.arrays["wrench"]).max() > 0

@@ -103,7 +103,7 @@ def pool_of(args: argparse.Namespace, device: str) -> Pool:
     if args.ray:
         from fishmj.campaign.ray_pool import RayPool
 
-        return RayPool(args.ray, tanks=tanks or 1)
+        return RayPool(args.ray, tanks=tanks or (ON_GPU if device.startswith("cuda") else 1))
     return Local(tanks or (ON_GPU if device.startswith("cuda") else 1))
 
 
