@@ -1,4 +1,4 @@
-// Time, camera and controls. `#t=3.5&play=0&view=top&follow=1` in the address sets the start.
+// Time, camera and controls. `#t=3.5&play=0&view=top&follow=1&wake=0` in the address sets the start.
 const el = id => document.getElementById(id);
 const KINDS = {q: "f", target: "f", flow: "f", power: "f", speed: "f", distance: "f"};
 
@@ -126,7 +126,8 @@ document.addEventListener("keydown", event => {
   if (act && event.target.type !== "range") { event.preventDefault(); act(); }
 });
 el("sheet").hidden = !wake;
-el("wake").addEventListener("change", event => { if (wake) wake.plane.visible = event.target.checked; viewer.set_dirty(); });
+el("wake").addEventListener("change", () => { if (wake) wake.plane.visible = el("wake").checked; viewer.set_dirty(); });
+if (wake && wish.get("wake") === "0") el("wake").click();
 play(clock.playing);
 el("follow").checked = wish.get("follow") === "1";
 seek(clock.time);
