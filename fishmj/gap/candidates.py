@@ -42,12 +42,11 @@ class Search:
 
     def __init__(self, plant, records, layout, whiten):
         self.plant, self.records, self.layout, self.whiten = plant, records, layout, whiten
-        self.measured = layout.measured()
 
     def z(self, rows) -> np.ndarray:
         """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""
-        predicted = self.layout.vectors(self.plant.predict(self.records, rows))
-        return np.nan_to_num(self.whiten(self.measured - predicted), nan=1e6, posinf=1e6, neginf=-1e6)
+        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
+        return np.nan_to_num(self.whiten(residuals), nan=1e6, posinf=1e6, neginf=-1e6)
 
     def base(self, row=None) -> Candidate:
         """The model as it is."""
@@ -169,5 +168,5 @@ def bounds(plant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _size(parameter) -> float:
-    """Typical departure from the null."""
-    return parameter.typical[1] - parameter.null if parameter.null > parameter.typical[1] else parameter.typical[1]
+    """Typical departure from the null, at its large end."""
+    return max(abs(t - parameter.null) for t in parameter.typical)

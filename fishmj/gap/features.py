@@ -23,6 +23,7 @@ class Block(NamedTuple):
     column: int
     channel: str  # joint, position, heading, power
     t: np.ndarray  # (n,) middle of each average, s
+    window: np.ndarray  # (n,) number of each average since t = 0
     where: slice  # in the vector
     first: np.ndarray  # (n,) first stamp of each average
     counts: np.ndarray  # (n,)
@@ -35,34 +36,41 @@ class Layout:
     def __init__(self, records: list[Record]):
         self.records, self.blocks, self.size = records, [], 0
         for i, record in enumerate(records):
-            for sensor in ("joint", "pose", "power"):
+            for sensor in WINDOW:
                 given = getattr(record, sensor)
                 if given is None:
                     continue
-                edges = np.floor(given.t / WINDOW[sensor]).astype(int)
-                _, first, counts = np.unique(edges, return_index=True, return_counts=True)
+                window, first, counts = np.unique(
+                    np.floor(given.t / WINDOW[sensor]).astype(int), return_index=True, return_counts=True
+                )
                 t = np.add.reduceat(given.t, first) / counts
                 for column in range(given.values.shape[1]):
                     channel = CHANNELS[sensor] if isinstance(CHANNELS[sensor], str) else CHANNELS[sensor][column]
                     where = slice(self.size, self.size + len(counts))
                     sigma = float(given.sigma[column])
-                    self.blocks.append(Block(i, sensor, column, channel, t, where, first, counts, sigma))
+                    self.blocks.append(Block(i, sensor, column, channel, t, window, where, first, counts, sigma))
                     self.size = where.stop
         self.record = np.concatenate([np.full(len(b.t), b.record) for b in self.blocks])
         self.channel = np.concatenate([np.full(len(b.t), b.channel) for b in self.blocks])
 
-    def measured(self) -> np.ndarray:
-        """(size,) of what was measured."""
-        given = [{s: getattr(r, s).values[None] for s in WINDOW if getattr(r, s) is not None} for r in self.records]
-        return self.vectors(given)[0]
-
-    def vectors(self, channels: list[dict]) -> np.ndarray:
-        """(R, size) from one dictionary a record: sensor -> (R, K, C) at its stamps."""
-        rows = len(next(iter(channels[0].values())))
+    def residuals(self, predictions: list[dict]) -> np.ndarray:
+        """(R, size) measured minus predicted; predictions as `plant.predict` gives them for these records."""
+        rows = len(next(iter(predictions[0].values())))
         out = np.empty((rows, self.size))
         for b in self.blocks:
-            values = channels[b.record][b.sensor][:, :, b.column]
+            measured = getattr(self.records[b.record], b.sensor).values[:, b.column]
+            values = measured - predictions[b.record][b.sensor][:, :, b.column]
             out[:, b.where] = np.add.reduceat(values, b.first, axis=1) / b.counts
+        return out
+
+    def aligned(self, other: "Layout", vector: np.ndarray) -> np.ndarray:
+        """A vector of `other`, the same experiments with their own stamps, at this layout's windows.
+
+        A window that `other` lacks takes its neighbours' straight line.
+        """
+        out = np.empty(self.size)
+        for mine, theirs in zip(self.blocks, other.blocks, strict=True):
+            out[mine.where] = np.interp(mine.window, theirs.window, vector[theirs.where])
         return out
 
     def noise(self) -> np.ndarray:

@@ -49,7 +49,7 @@ def roll(first, stop, which, inputs, lengths, parameters, start, delay, stride, 
             longest = max(longest, lengths[which[block + i]])
         look(w)
         watch(out, w, 0, block)
-        for k in range(min(longest, (out.shape[1] - 1) * stride)):
+        for k in range(min((longest // stride + 1) * stride, (out.shape[1] - 1) * stride)):
             feed(w, which, inputs, lengths, delay, block, k)
             physics(w)
             if (k + 1) % stride == 0:

@@ -11,7 +11,8 @@ from fishmj.errors import LogError
 from fishmj.log import Trial
 from fishmj.log.trial import stacked
 
-REST = 0.3  # s at the start of a trial over which its start state is averaged
+REST = 0.3  # s at the start of a trial over which its start pose is averaged
+MOVING = 0.09  # s, when it starts with a push: what the camera's own delay still shows of the start
 
 
 class Sensor(NamedTuple):
@@ -28,12 +29,14 @@ class Record(NamedTuple):
     name: str
     excitation: str
     replicate_of: str
+    dt: float  # s, the plant's step
     commands: np.ndarray  # (T, J) rad at the plant's steps, held
     joint: Sensor | None  # rad, J columns
     pose: Sensor | None  # x, y m, yaw rad unwrapped
     power: Sensor | None  # W, one column
     flow: tuple[float, float]  # what the log says of the mean current, m/s, tank frame
     start: np.ndarray  # (3,) pose at t = 0
+    push: np.ndarray  # (3,) surge, sway [m/s], yaw rate [rad/s] at t = 0
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
 
@@ -49,7 +52,7 @@ def record_of(trial: Trial, dt: float) -> Record:
         raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")
     cmd = trial.table("cmd")
     begin, c = float(cmd["t"][0]), stacked(cmd, "c#")
-    joint = _sensor(trial, "joint", begin, lambda t: stacked(t, "j#"), [f"joint{i + 1}" for i in range(c.shape[1])])
+    joint = _sensor(trial, "joint", begin, lambda t: stacked(t, "j#"), [f"j{i + 1}" for i in range(c.shape[1])])
     pose = _sensor(trial, "pose", begin, _pose, ["x", "y", "yaw"])
     power = _sensor(trial, "power", begin, lambda t: np.asarray(t["V"] * t["I"], float)[:, None], ["power"])
     if joint is None and pose is None:
@@ -57,18 +60,21 @@ def record_of(trial: Trial, dt: float) -> Record:
     end = max(float(s.t[-1]) for s in (joint, pose, power) if s is not None)
     steps = int(np.ceil(end / dt)) + 1
     rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
+    push = np.array(trial.value("push", (0.0, 0.0, 0.0)), float)
     speed, bearing = float(trial.value("flow.speed", 0.0) or 0.0), float(trial.value("flow.direction", 0.0) or 0.0)
     return Record(
         name=trial.name,
         excitation=str(trial.value("excitation", "") or ""),
         replicate_of=str(trial.value("replicate_of", "") or ""),
+        dt=dt,
         commands=c[np.maximum(rows, 0)],
         joint=joint,
         pose=pose,
         power=power,
         flow=(speed * np.cos(bearing), speed * np.sin(bearing)),
-        start=_first(pose, 3),
-        joints=_first(joint, c.shape[1]),
+        start=_first(pose, 3, MOVING if np.any(push) else REST),
+        push=push,
+        joints=_first(joint, c.shape[1], REST),
         session=float(trial.value("session_time", 0.0) or 0.0),
     )
 
@@ -81,7 +87,7 @@ def _sensor(trial: Trial, table: str, begin: float, read, names) -> Sensor | Non
     t = np.asarray(rows["t"], float) - begin
     keep = (t >= 0) & np.isfinite(values).all(1)
     given = trial.value("sigma", {}) or {}
-    sigma = np.array([_number(given.get(n, given.get(n.rstrip("123456789"), np.nan))) for n in names])
+    sigma = np.array([_number(given.get(n)) for n in names])
     return Sensor(t[keep], values[keep], sigma) if keep.any() else None
 
 
@@ -93,6 +99,8 @@ def _number(value) -> float:
     return float(value) if isinstance(value, int | float) else np.nan
 
 
-def _first(sensor: Sensor | None, size: int) -> np.ndarray:
-    """Mean of the first moments, in which a trial rests."""
-    return np.zeros(size) if sensor is None else sensor.values[sensor.t <= max(REST, float(sensor.t[0]))].mean(0)
+def _first(sensor: Sensor | None, size: int, rest: float) -> np.ndarray:
+    """Mean of the first moments."""
+    if sensor is None:
+        return np.zeros(size)
+    return sensor.values[sensor.t <= max(rest, float(sensor.t[0]))].mean(0)

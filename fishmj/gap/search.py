@@ -6,6 +6,7 @@ Parameters are fitted on two thirds of the records and accepted on the others; c
 thresholds were frozen on one generator before the others were scored (`data/gap/gates.toml`).
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -14,7 +15,7 @@ import numpy as np
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, Search
 from fishmj.gap.features import Layout
-from fishmj.gap.null import leftover, whitening
+from fishmj.gap.null import leftover, smooth, whitening
 from fishmj.gap.records import Record
 
 
@@ -23,7 +24,7 @@ class Gates:
     """Thresholds.
 
     gain: held-out drop of |z|^2 below which nothing is added. adequacy: held-out |z|^2 / m that null runs do not reach.
-    closure, p_best: as in evidence.py. margin: of the gain, between the best and the next.
+    again: share of the held-out |z|^2 that a further effect must take away as well. closure, p_best: as in evidence.py. margin: of the gain, between the best and the next.
     """
 
     gain: float = 40.0
@@ -34,29 +35,48 @@ class Gates:
     most: int = 4
     shortlist: int = 12
     finalists: int = 5
+    again: float = 0.05
 
 
 class Evidence:
     """Records with their null, and searches on any part of them.
 
-    null: (n, m) residuals of null runs on the layout of all records.
+    null: (n, m) residuals of null runs on the layout of all records. form: relative error of an accepted effect's own signature,
+    because no formula is the robot's.
     """
 
-    def __init__(self, plant, records: list[Record], null: np.ndarray):
-        self.plant, self.records, self.null = plant, records, null
+    def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = 0.1):
+        self.plant, self.records, self.form = plant, records, form
         self.layout = Layout(records)
-        self.d = leftover(null, self.layout, self.layout.noise())
+        tangents = self._tangents()
+        self.factors = np.concatenate([null / np.sqrt(len(null)), tangents])
+        self.d = leftover(null, tangents, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
+
+    def _tangents(self) -> np.ndarray:
+        """(C, m) what the tolerance of each constant does to the residual."""
+        rows = np.tile(self.plant.null, (1 + len(self.plant.constants), 1))
+        for i, constant in enumerate(self.plant.constants):
+            rows[1 + i, i] += constant.sigma
+        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
+        return residuals[1:] - residuals[0]
+
+    def knowing(self, row: np.ndarray) -> "Evidence":
+        """The same, trusting the effects of `row` to within `form` of what they change."""
+        base, signature = self.layout.residuals(self.plant.predict(self.records, np.stack([self.plant.null, row])))
+        known = copy(self)
+        known.d = np.sqrt(self.d**2 + smooth(self.form * (signature - base), self.layout) ** 2)
+        return known
 
     def part(self, keep: np.ndarray) -> Search:
         """A search on the records where keep (L,) is true."""
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
-        return Search(self.plant, records, Layout(records), whitening(self.null[:, columns], self.d[columns]))
+        return Search(self.plant, records, Layout(records), whitening(self.factors[:, columns], self.d[columns]))
 
     def gap(self, row) -> tuple[float, dict]:
         """The gap of a parameter row over all records and by channel, in units of the floor."""
-        residual = self.layout.measured() - self.layout.vectors(self.plant.predict(self.records, row))[0]
+        residual = self.layout.residuals(self.plant.predict(self.records, row))[0]
         return evidence.gap(residual, self.scale, self.layout), evidence.by_channel(residual, self.scale, self.layout)
 
 
@@ -100,36 +120,36 @@ def split(records: list[Record], seed: int = 0) -> np.ndarray:
 
 def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=None) -> Found:
     """Add effects while records that no parameter saw get better."""
-    everything = np.ones(len(held), bool)
-    fit, rest, whole = e.part(~held), e.part(held), e.part(everything)
     effects = e.plant.active.effects if effects is None else effects
-    base, fitted = whole.base(), fit.base()
-    best, before = base, _cost(rest, base.row)
-    held_cost, steps = before, []
+    rest = e.part(held)
+    base = e.part(np.ones(len(held), bool)).base()
+    best = fitted = base
+    steps, before = [], _cost(rest, base.row)
     while len(best.names) < gates.most:
+        known = e.knowing(best.row) if best.names else e
         free = [x for x in effects if x.name not in best.names]
-        step = round_of(fit, rest, whole, fitted, held_cost, free, gates)
+        step = round_of(known, held, fitted, free, gates)
         steps.append(step)
         if progress:
             progress(step)
         if not step.accepted:
             break
-        best = step.ranked[0]
-        fitted = step.fitted[best.names]
-        held_cost = _cost(rest, fitted.row)
-    return Found(base, best, fitted, tuple(steps), before, held_cost, rest.layout.size)
+        best, fitted = step.ranked[0], step.fitted[step.ranked[0].names]
+    return Found(base, best, fitted, tuple(steps), before, _cost(rest, fitted.row), rest.layout.size)
 
 
-def round_of(fit: Search, rest: Search, whole: Search, base: Candidate, held: float, effects, gates: Gates) -> Step:
+def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gates) -> Step:
     """One round: candidates one effect larger than `base`, and where it pays, with an earlier choice swapped."""
-    short = fit.refine(fit.screen(base, effects)[: gates.shortlist])
+    fit, rest, whole = e.part(~held), e.part(held), e.part(np.ones(len(held), bool))
+    start = moved(fit, base)
+    short = fit.refine(fit.screen(start, effects)[: gates.shortlist])
     if base.names:
         short = sorted([*short, *swaps(fit, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
     ranked = whole.refine([moved(whole, c) for c in short[: gates.finalists]], 3)
     fitted = {c.names: c for c in short}
-    best = fitted[ranked[0].names]
-    gain = held - _cost(rest, best.row)
-    return Step(tuple(ranked), fitted, gain, gain > gates.gain)
+    gain = _cost(rest, base.row) - _cost(rest, fitted[ranked[0].names].row)
+    enough = gates.gain if not base.names else gates.gain + gates.again * _cost(rest, base.row)
+    return Step(tuple(ranked), fitted, gain, gain > enough)
 
 
 def swaps(fit: Search, short: list[Candidate], effects, gates: Gates) -> list[Candidate]:

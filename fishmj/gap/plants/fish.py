@@ -125,10 +125,13 @@ class Fish:
         return [self._sense(record, mine, effect_rows, late) for record, mine in zip(records, out, strict=True)]
 
     def _start(self, record: Record) -> np.ndarray:
-        """The state at the start of a record: at rest over ground."""
+        """The state at the start of a record: at rest, or with the push it was given."""
         nv = self.joints + 3
         state = np.zeros(self.states)
         state[:3], state[3:nv], state[2 * nv] = record.start, record.joints, 0.5
+        c, s = np.cos(record.start[2]), np.sin(record.start[2])
+        u, w, r = record.push
+        state[nv : nv + 3] = c * u - s * w, s * u + c * w, r
         state[2 * nv + 2 :] = self.active.memory
         state[2 * nv + 3] = record.session
         return state

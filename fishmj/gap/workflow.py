@@ -1,0 +1,119 @@
+"""`gap find` from end to end: a data set in, an answer out.
+
+read -> audit clocks -> repeatable? -> null runs -> find -> decide -> gap on records that no decision saw
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.gap import null_runs
+from fishmj.gap.decide import decide
+from fishmj.gap.features import Layout
+from fishmj.gap.records import Record, record_of
+from fishmj.gap.search import Evidence, Found, Gates, find, split
+from fishmj.gap.verdict import Verdict
+from fishmj.log import Trial
+from fishmj.log.replicates import RATIO, groups
+
+NULL_RUNS = 96
+UNSEEN = 9  # records from which on a quarter is set aside for the last figure only
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """Everything that one search leaves behind, for the report.
+
+    held, unseen: (L,) bool over `records`; `unseen` ones took no part in any decision.
+    """
+
+    verdict: Verdict
+    evidence: Evidence
+    found: Found
+    records: list[Record]
+    held: np.ndarray
+    unseen: np.ndarray
+
+
+def investigate(
+    plant,
+    trials: list[Trial],
+    *,
+    gates: Gates = Gates(),
+    runs: int = NULL_RUNS,
+    noise: float = 1.0,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda text: None,
+    sets: list[list[Record]] | None = None,
+) -> Inquiry:
+    """Find what the model of `plant` is missing in `trials`.
+
+    Args:
+        runs: null runs of each record. noise: factor on the sensors' noise in them. sets: null runs that were made before.
+    Raises:
+        LogError: fewer than two trials, or a trial that cannot be compared.
+    """
+    records = [record_of(t, plant.dt) for t in trials]
+    if len(records) < 2:
+        raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
+    say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(plant.active.effects)} effects in question")
+    if sets is None:
+        say(f"null: {runs} runs of every record in an independent simulator with nothing hidden")
+        sets = null_runs.make(records, runs, seed, noise=noise)
+    unseen = set_aside(records, seed)
+    seen = [r for r, u in zip(records, unseen, strict=True) if not u]
+    e = evidence_of(plant, seen, [[r for r, u in zip(s, unseen, strict=True) if not u] for s in sets])
+    held = split(seen, seed)
+    found = find(e, gates, held, progress=lambda step: say(_round(step)))
+    verdict = decide(e, found, gates, held)
+    shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
+    if shakes:
+        verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
+    if unseen.any():
+        last = [r for r, u in zip(records, unseen, strict=True) if u]
+        apart = evidence_of(plant, last, [[r for r, u in zip(s, unseen, strict=True) if u] for s in sets])
+        verdict = replace(verdict, gap_after_unseen=apart.gap(found.best.row)[0])
+    return Inquiry(verdict, e, found, records, held, unseen)
+
+
+def evidence_of(plant, records: list[Record], sets: list[list[Record]]) -> Evidence:
+    """Records with the null that their null runs make."""
+    return Evidence(plant, records, null_runs.residuals(plant, Layout(records), sets))
+
+
+def set_aside(records: list[Record], seed: int) -> np.ndarray:
+    """(L,) bool: a quarter of many records, none of few."""
+    aside = np.zeros(len(records), bool)
+    if len(records) >= UNSEEN:
+        aside[np.random.default_rng(seed + 1).permutation(len(records))[: len(records) // 4]] = True
+    return aside
+
+
+def unrepeatable(trials: list[Trial], e: Evidence) -> str:
+    """Why a gap cannot be named because replicates differ from each other as much as from the model; "" when they do not.
+
+    Over replicated records: mean square of the residual against `RATIO` times its variance between replicates.
+    """
+    residual = e.layout.residuals(e.plant.predict(e.records, e.plant.null))[0] / e.scale
+    total = between = 0.0
+    for members in groups(trials).values():
+        names = {t.name for t in members}
+        rows = [i for i, r in enumerate(e.records) if r.name in names]
+        if len(rows) < 2:
+            continue
+        for same in zip(*([b for b in e.layout.blocks if b.record == i] for i in rows), strict=True):
+            n = min(len(b.t) for b in same)
+            values = np.stack([residual[b.where][:n] for b in same])
+            total += float(np.mean(values**2))
+            between += float(np.mean(np.var(values, 0, ddof=1)))
+    if between > 0 and total <= RATIO * between:
+        return f"records of the same experiment differ from each other as much as from the model (ratio {total / between:.2f})"
+    return ""
+
+
+def _round(step) -> str:
+    best = step.ranked[0]
+    verdict = "accepted" if step.accepted else "not enough"
+    return f"{' + '.join(best.names)}: held-out gain {step.gain:.0f}, {verdict}"
