@@ -31,7 +31,7 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
         tentative = named(e, found.base, first.ranked[:1], held, {})
-        why = f"the gap is there, but the best candidate lowers it on unseen records by {first.gain:.0f}, less than {gates.gain:.0f}"
+        why = f"there is a gap, but the best candidate gains {first.gain:.0f} on held-out records, less than {gates.gain:.0f}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     best = found.best
     after, _ = e.gap(best.row)

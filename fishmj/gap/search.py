@@ -23,8 +23,9 @@ from fishmj.gap.records import Record
 class Gates:
     """Thresholds.
 
-    gain: held-out drop of |z|^2 below which nothing is added. adequacy: held-out |z|^2 / m that null runs do not reach.
-    again: share of the held-out |z|^2 that a further effect must take away as well. closure, p_best: as in evidence.py. margin: of the gain, between the best and the next.
+    adequacy: held-out |z|^2 / m that null runs do not reach. gain: held-out drop of |z|^2 below which nothing is added; `again`:
+    share of the held-out |z|^2 that a further effect must take away as well. closure, p_best: as in evidence.py. margin: of the
+    gain, between the best and the next. shortlist, finalists: candidates that are fitted, and ranked on all records.
     """
 
     gain: float = 40.0

@@ -41,7 +41,7 @@ def investigate(
     plant,
     trials: list[Trial],
     *,
-    gates: Gates = Gates(),
+    gates: Gates | None = None,
     runs: int = NULL_RUNS,
     noise: float = 1.0,
     seed: int = 0,
@@ -55,6 +55,7 @@ def investigate(
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared.
     """
+    gates = gates or Gates()
     records = [record_of(t, plant.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
