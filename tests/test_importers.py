@@ -33,6 +33,7 @@ def test_tail_fish_comes_in_radians_with_both_clocks_as_they_are(tmp_path):
     assert one.tables["gait"]["amplitude"][0] == math.radians(15) and one.tables["gait"]["bias"][0] == math.radians(-20)
     assert one.tables["pose"]["t"][0] == pytest.approx(2 / 30, abs=1e-6) and one.tables["gait"]["t"][0] > 0.3
     assert any("video time may run 2.3" in note for note in one.notes)
+    assert one.value("clock_ratio.pose") == pytest.approx(30 * 0.078, rel=0.01) and two.value("clock_ratio.pose") is None
     assert "gait" not in two.tables and any("control15-202.txt: missing" in note for note in two.notes)
 
 

@@ -10,6 +10,7 @@ Source: github.com/Rhoban/bam, bam/data.bak/raw at af22604, Apache-2.0.
 """
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from fishmj.log.trial import Trial
 HEADER = ("mass", "length", "kp", "vin", "trajectory", "entries")
 ENTRY = ("position", "speed", "load", "input_volts", "temp", "timestamp", "goal_position", "torque_enable")
 PWM = 1000.0  # counts of full duty cycle
+ENCODER = 2 * math.pi / 4096  # rad, one count
 _COLUMNS = {
     **{"t": "timestamp", "c1": "goal_position", "on1": "torque_enable", "j1": "position", "w1": "speed"},
     **{"load1": "load", "temp1": "temp", "V": "input_volts"},
@@ -75,6 +77,7 @@ def _trial(path: Path) -> Trial:
         "controller": f"firmware P gain {log['kp']:g}",
         "rig": {**{key: log[key] for key in ("mass", "length", "kp", "vin", "trajectory")}, "motor": str(log.get("motor", ""))},
         "clock": dict.fromkeys(tables, "host, one stamp a read"),
+        "sigma": {"j1": ENCODER / math.sqrt(12)},  # of rounding to a count; the encoder's own noise is not stated
         "licence": "Apache-2.0",
         "source": "github.com/Rhoban/bam bam/data.bak/raw at af22604",
     }

@@ -3,8 +3,9 @@
 STATES: video time [s], surge, sway [m/s], yaw rate [rad/s], yaw [rad], x, y [m]. control: time on the computer that steers [s],
 tail amplitude [deg], tail bias [deg]. The commanded beat is 1 Hz.
 
-Two clocks, and they disagree. The stamps of STATES are a frame count over 30 Hz; control has one row a frame, on a real
-clock, every 62 or 78 ms. Neither is changed here; the note gives their ratio. Row k of control belongs to frame k.
+Two clocks, and they disagree. The stamps of STATES are a frame count over 30 Hz; control has as many rows as the video has
+frames, on a real clock, every 62 or 78 ms. Neither is changed here; `clock_ratio` in the meta data tells how much too fast the
+video's clock runs if one frame was taken a control cycle.
 
 ASTATES files (five columns: the first four of STATES at other scales, and an angle) are not read: what was done to them is not
 documented, and the authors' own scripts read STATES only.
@@ -58,14 +59,17 @@ def _trial(path: Path) -> tuple[str, Trial]:
     t = rows.column("t")
     pose = {"t": t, **{c: rows.column(c) for c in ("x", "y", "yaw")}}
     velocity = {"t": t, **{c: rows.column(c) for c in ("surge", "sway", "yaw_rate")}}
+    ratio = 0.0
     tables = {"pose": (pose, rows.place), "velocity": (velocity, rows.place)}
     control = path.with_name(f"control{amplitude}{bias}{k}.txt")
     if control.is_file():
         table, told = _gait(control, amplitude, bias)
         tables["gait"] = table
-        notes += [*told, *_clocks(t, table[0]["t"])]
+        ratio, said = _clocks(t, table[0]["t"])
+        notes += [*told, *said]
     else:
         notes.append(f"{control.name}: missing; the gait is known from the folder's name only")
+    clock_ratio = {"pose": ratio, "velocity": ratio} if ratio else None
     condition_name = f"amp{amplitude}_bias{bias}"
     meta = {
         "robot": "tail_fish",
@@ -74,6 +78,7 @@ def _trial(path: Path) -> tuple[str, Trial]:
         "excitation": condition_name,
         "controller": f"tail beat {BEAT_HZ:g} Hz, amplitude {amplitude} deg, bias {bias} deg, open loop",
         "clock": {"pose": "video, frame / 30 Hz", "velocity": "video, frame / 30 Hz", "gait": "steering computer"},
+        "clock_ratio": clock_ratio,
         "licence": "MIT",
         "source": "github.com/giorgosmamakoukas/DerivativeBasedKoopman Koopman_RoboticFish/AllData.zip",
     }
@@ -99,12 +104,13 @@ def _gait(path: Path, amplitude: str, bias: str):
     return (table, renamed(rows.place, {"amplitude": "amplitude_deg", "bias": "bias_deg"})), notes
 
 
-def _clocks(video: np.ndarray, control: np.ndarray) -> list[str]:
-    """The two clocks side by side: rows of control a second against frames a second."""
+def _clocks(video: np.ndarray, control: np.ndarray) -> tuple[float, list[str]]:
+    """Frames counted a second over control rows a second, and what that means; 0 where control has no rate."""
     rate = (len(control) - 1) / (control[-1] - control[0]) if len(control) > 1 else 0.0
     if not rate:
-        return []
-    return [
-        f"clocks: the video counts {VIDEO_HZ:g} frames/s, control has one row a frame at {rate:.2f} rows/s "
+        return 0.0, []
+    said = (
+        f"clocks: the video counts {VIDEO_HZ:g} frames/s, control has {rate:.2f} rows/s "
         f"({len(control)} rows, {round(video[-1] * VIDEO_HZ)} frames): video time may run {VIDEO_HZ / rate:.2f} times too fast"
-    ]
+    )
+    return float(VIDEO_HZ / rate), [said]
