@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import DatasetError, StoreError
+from fishmj.flow import Flow
 from fishmj.store import read_json, read_npz, sha256, write_json, write_npz
 
 SCHEMA = "fishmj.segment/1"
@@ -67,6 +68,11 @@ class Record:
     @property
     def seconds(self) -> float:
         return len(self.q) * self.tick
+
+    @property
+    def background(self) -> Flow:
+        """The undisturbed flow as a whole: `background.at(x, meta["settle"] + t)`."""
+        return Flow(**self.meta["segment"]["flow"])
 
     @property
     def before(self) -> tuple[np.ndarray, np.ndarray]:
