@@ -31,6 +31,7 @@ class Water(NamedTuple):
     wagner_start: float  # part of the circulation that is there at once
     wagner_lengths: float  # trailing-edge heights travelled until the rest is
     stall_slope: float  # tangent of the angle beyond which suction is lost
+    tow: float  # N s2/m2, axial drag of the straight fish at 0.3 m/s
     linear_surge: float = 0.0  # effect, N s/m
     quadratic_surge: float = 0.0  # effect, N s2/m2
     crossflow: float = 0.0  # effect, gain
@@ -99,7 +100,7 @@ class Tank(NamedTuple):
     shear: float = 0.0  # effect, 1/s
     swirl: float = 0.0  # effect, rad/s
     sigma: float = 0.0  # effect, m/s
-    time: float = 0.5  # effect, s
+    time: float = 0.8  # effect, s
     tether: float = 0.0  # effect, N/m
     tether_x: float = 0.0  # effect, m
     tether_y: float = 0.0  # effect, m
@@ -162,15 +163,15 @@ class Odd(NamedTuple):
     pulse_period: float = 6.0  # s
     eccentric: float = 0.0  # rad, encoder magnet off centre
     shift: float = 0.0  # m, ballast slides
-    shift_time: float = 8.0  # s, when
+    shift_time: float = 6.0  # s, when
     crosstalk: float = 0.0  # a motor's drive leaks to its neighbour
     tooth: float = 0.0  # N m, a bad gear tooth
     tooth_angle: float = 0.15  # rad, where
     parallax: float = 0.0  # m, the marker's image depends on the heading
     resonance: float = 0.0  # gain of the shed momentum near one beat rate
-    resonance_rate: float = 6.0  # rad/s
+    resonance_rate: float = 7.0  # rad/s
     busy: float = 0.0  # s per rad/s, commands wait while joints are fast
     reset: float = 0.0  # s, length of a brown-out of the firmware
-    reset_current: float = 1.2  # A, that triggers it
+    reset_current: float = 0.8  # A, that triggers it
     weed: float = 0.0  # N s2/m2, caught on the left of the tail
-    weed_time: float = 6.0  # s, when
+    weed_time: float = 5.0  # s, when

@@ -20,7 +20,7 @@ class Parameter:
     typical: tuple[float, float]
     null: float = 0.0
     signed: bool = False
-    default: bool = False  # keeps its null-like value when only the main parameter is named
+    default: bool = False  # secondary: means nothing while the first is null; null is its usual value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,14 +42,14 @@ class Effect:
 
     @property
     def typical(self) -> dict[str, float]:
-        """The larger typical magnitude of every parameter."""
-        return {p.name: p.typical[1] for p in self.parameters}
+        """The larger typical magnitude; secondary parameters at their usual value."""
+        return {p.name: p.null if p.default else p.typical[1] for p in self.parameters}
 
     def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
         """Values of typical size, log-uniform between low and high times `strength`, either sign where both occur."""
         values = {}
         for p in self.parameters:
-            low, high = p.typical
+            low, high = sorted(p.typical)
             size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
             sign = -1.0 if p.signed and rng.random() < 0.5 else 1.0
             if p.default:

@@ -27,11 +27,11 @@ def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, co
             for j in range(3):
                 s.goal[j] = commands[nxt, j]
             nxt += 1
+        blow(gust, tank, time, stream)
         if time >= s.clock[1] - 1e-9:
             firmware(motor, odd, zero, s)
-            friction_speed(body, s)
+            friction_speed(body, s, stream)
             s.clock[1] += motor.period
-        blow(gust, tank, time, stream)
         assemble(body, water, tank, odd, s, stream, A, f, H)
         if water.active == 0.0:
             hang(air, s, anchor, f)

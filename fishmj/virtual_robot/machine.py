@@ -14,6 +14,7 @@ from fishmj.virtual_robot.constants import Camera, Hull, Meter, Motor, Network, 
 
 CONSTANTS = "virtual_robot"
 GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
+TOW_SPEED = 0.3  # m/s
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
 
@@ -71,10 +72,12 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         wet[key] = drawn(wet[key])
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
     frontal = _frontal(robot)
+    head = 0.5 * rho * frontal * wet["head_forward"]
+    skin = wet["friction"] * float(body_of(robot, wet, Hull()).wetted.sum())
     water = Water(
         active=float(medium == "water"),
         friction=wet["friction"],
-        head_forward=0.5 * rho * frontal * wet["head_forward"],
+        head_forward=head,
         head_backward=0.5 * rho * frontal * wet["head_backward"],
         oblique=wet["oblique"],
         edge_mass=wet["edge"] * rho * pi / 4 * edge_height**2,
@@ -82,6 +85,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         wagner_start=wet["wagner_start"],
         wagner_lengths=wet["wagner_lengths"],
         stall_slope=tan(radians(wet["stall_angle_deg"])),
+        tow=head + skin * TOW_SPEED**-0.2,
     )
     servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
     motor = Motor(

@@ -66,9 +66,10 @@ def firmware(motor, odd, zero, s):
             error = 0.0
         asked = gain * error - rate_gain * (angle - s.seen[j]) / motor.period
         rate = s.rate[3 + j] - s.rate[2 + j]
-        if motor.slowness > 0.0 and asked * rate > 0.0:  # a governor: no push beyond the speed limit
-            left = (1.0 - abs(rate) * motor.slowness) * 8.0
-            asked *= min(max(left, 0.0), 1.0)
+        if motor.slowness > 0.0 and asked * rate > 0.0:  # a steeper torque-speed line through the same stall torque
+            spare = motor.torque * max(1.0 - abs(rate) * motor.slowness, 0.0)
+            most = spare + motor.constant * motor.constant / motor.resistance * min(abs(rate), 1.0 / motor.slowness)
+            asked = min(max(asked, -most), most)
         s.seen[j] = angle
         s.drive[j] = min(max(asked, -motor.limit), motor.limit) * worn
         if time < s.clock[2]:

@@ -10,10 +10,12 @@ w_c is kept between 0 and 2 w_e, so that the edge never returns more than it tak
 is lost when the lagged flow meets the edge steeply: s = 1 / (1 + (z / (u tan a))^4).
 """
 
-from math import sqrt
+from math import cos, sin, sqrt
 
+from fishmj.units import G
 from fishmj.virtual_robot.compiled import compiled
 
+FROUDE = 0.1  # speed over sqrt(g L) at which the effect "free_surface" states its relative drag
 CALM = 1e-8  # m2/s2, keeps square roots smooth at rest
 
 
@@ -52,9 +54,8 @@ def trailing_edge(water, odd, wake, u, w, h):
 @compiled
 def whole_body(body, water, odd, u, v, r, bend):
     """(f_t, f_n, moment) at the reference point that effects add; head axes. bend: tail rate relative to the head, rad/s."""
-    wave = u * u / (9.81 * body.length)  # Froude number squared
-    rough = water.surface * wave / 0.01
-    along = -u * (water.linear_surge + water.quadratic_surge * abs(u) + rough * (water.head_forward + 1.2) * abs(u))
+    waves = water.surface * water.tow * u * u / (G * body.length * FROUDE * FROUDE)
+    along = -u * (water.linear_surge + (water.quadratic_surge + waves) * abs(u))
     across = -water.lift * u * v + odd.cross_force * bend * r
     turn = -water.yaw_drag * r * abs(r) - water.munk * body.munk * u * v
     return along, across, turn
@@ -92,10 +93,13 @@ def link_force(body, water, odd, s, i, u, v, r, bend, time, h):
 
 
 @compiled
-def friction_speed(body, s):
-    """V^0.8 of every link at its middle, over ground; refreshed with the firmware tick."""
-    ox, oy = s.rate[0], s.rate[1]
+def friction_speed(body, s, stream):
+    """V^0.8 of every link's middle through the water that all links share; refreshed with the firmware tick."""
+    ox, oy = s.rate[0] - stream[0], s.rate[1] - stream[1]
     for i in range(4):
-        w = s.rate[2 + i]
-        squared = ox * ox + oy * oy + (w * body.centre[i]) ** 2
-        s.speed[i] = (squared + 1e-6) ** 0.4
+        c, d, w = cos(s.z[2 + i]), sin(s.z[2 + i]), s.rate[2 + i]
+        across = w * body.centre[i]
+        vx, vy = ox - across * d, oy + across * c
+        s.speed[i] = (vx * vx + vy * vy + 1e-6) ** 0.4
+        swing = w * body.hinge[i]
+        ox, oy = ox - swing * d, oy + swing * c

@@ -1,0 +1,89 @@
+"""What the second robot swims like: the figures of docs/virtual_robot.md.
+
+python -m fishmj.virtual_robot.figures
+"""
+
+import time
+
+import numpy as np
+
+from fishmj import console, excitation
+from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot.motion import Recording, run
+from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.trials import plant
+
+SETTLE = 8.0  # s
+GAITS = (
+    (0.5, 60.0, 0.0),
+    (1.0, 60.0, 0.0),
+    (1.5, 60.0, 0.0),
+    (2.0, 60.0, 0.0),
+    (0.5, 0.0, 0.0),
+    (1.0, 0.0, 0.0),
+    (1.5, 0.0, 0.0),
+)
+TURNS = ((1.0, 60.0, 10.0), (1.0, 60.0, 20.0), (1.0, 60.0, 30.0))
+
+
+def steady(
+    made: Plant, frequency: float, amplitude: float, lag: float, bias: float = 0.0, watch: float = 4.0
+) -> dict[str, float]:
+    """Speed from beat to beat, turning rate, servo power of a gait [Hz, rad, rad, rad] in still water, without latency."""
+    commands = excitation.gait(frequency, amplitude, lag, bias, SETTLE + watch)
+    times = np.arange(len(commands)) * excitation.PERIOD
+    record = run(made, at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage), times, commands, times[-1])
+    begin = excitation.LEAD + SETTLE
+    beats = begin + np.arange(int((record.t[-1] - begin) * frequency) + 1) / frequency
+    pose = record.at(beats, "x", "y", "yaw")
+    path = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1).sum()
+    span = beats[-1] - beats[0]
+    return {"speed": path / span, "turn": (pose[-1, 2] - pose[0, 2]) / span, "power": _power(made, record, beats)}
+
+
+def _power(made: Plant, record: Recording, beats: np.ndarray) -> float:
+    """Mean electrical power over whole beats without the idle part, W."""
+    volts, amps = record.at(np.arange(beats[0], beats[-1], 1e-3), "V", "I").T
+    return float((volts * amps).mean()) - made.motor.idle
+
+
+def coast(made: Plant, speed: float = 0.3) -> float:
+    """Seconds until a straight fish that was let go at `speed` is half as fast."""
+    record = run(made, at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
+    slow = np.flatnonzero(record.at(record.t, "vx")[:, 0] < speed / 2)
+    return float(record.t[slow[0]]) if len(slow) else float("nan")
+
+
+def main(argv: list[str]) -> int:
+    console.parser("virtual_robot.figures", "Steady gaits of the second robot.", json=False).parse_args(argv)
+    made, degree = plant({}, nuisance=0.0), np.pi / 180
+    rows = []
+    for frequency, lag, bias in GAITS + TURNS:
+        figures = steady(made, frequency, 30 * degree, lag * degree, bias * degree)
+        rows.append(
+            {
+                "Hz": frequency,
+                "lag deg": lag,
+                "bias deg": bias,
+                "speed m/s": round(figures["speed"], 3),
+                "turn deg/s": round(figures["turn"] / degree, 1),
+                "servo power W": round(figures["power"], 2),
+            }
+        )
+    console.say(console.table(rows))
+    body = made.body
+    sway = ", ".join(f"{m:.2f}" for m in body.sway[:, 0])
+    console.say(f"added mass sideways {body.sway[:, 0].sum():.2f} kg, links {sway}; along {body.surge.sum():.3f} kg")
+    console.say(f"tow drag at 0.3 m/s {made.water.tow * 0.09:.3f} N; glide from 0.3 to 0.15 m/s {coast(made):.1f} s")
+    commands = excitation.gait(1.0, 30 * degree, 60 * degree, seconds=19.4)
+    best = np.inf
+    for _ in range(20):
+        state, begin = at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage), time.perf_counter()
+        run(made, state, np.arange(len(commands)) * excitation.PERIOD, commands, 20.0)
+        best = min(best, time.perf_counter() - begin)
+    console.say(f"20 s of swimming take {1e3 * best:.1f} ms")
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

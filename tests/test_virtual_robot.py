@@ -1,0 +1,219 @@
+"""The second robot: does it move like a fish, and do its parts keep the laws that hold whatever the coefficients."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from fishmj import excitation
+from fishmj.errors import ConfigError, SimDiverged
+from fishmj.virtual_robot import Live, generate, plant
+from fishmj.virtual_robot.chain import assemble
+from fishmj.virtual_robot.figures import coast, steady
+from fishmj.virtual_robot.motion import run, workspace
+from fishmj.virtual_robot.servo import stick_slip
+from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.water import crossflow, trailing_edge
+
+DEG = np.pi / 180
+STILL = np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return plant({}, nuisance=0.0)
+
+
+def swim(made, commands, start=STILL, push=STILL, seconds=None):
+    """Recording with commands that arrive at once."""
+    t = np.arange(len(commands)) * excitation.PERIOD
+    return run(made, at_rest(start, commands[0], made.motor.voltage, push), t, commands, seconds or t[-1])
+
+
+def test_it_swims_forward_about_as_fast_as_the_first_robot(made):
+    assert 0.8 * 0.274 < steady(made, 1.0, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.274  # docs/water.md
+    assert 0.8 * 0.125 < steady(made, 0.5, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.125
+
+
+def test_a_bias_turns_it_and_the_mirror_bias_turns_it_back(made):
+    left, right = (steady(made, 1.0, 30 * DEG, 60 * DEG, b * DEG)["turn"] for b in (-20, 20))
+    assert left > 20 * DEG and left == pytest.approx(-right, rel=1e-3)
+
+
+def test_mirrored_commands_mirror_the_motion(made):
+    commands = excitation.get("ramps").commands[:300]
+    one, two = swim(made, commands), swim(made, -commands)
+    for name, sign in (("x", 1), ("y", -1), ("yaw", -1), ("j2", -1)):
+        assert one.at(one.t, name) == pytest.approx(sign * two.at(two.t, name), abs=1e-9)
+
+
+def test_turning_the_tank_turns_the_result(made):
+    commands, angle = excitation.get("ramps").commands[:300], 0.7
+    one, two = swim(made, commands), swim(made, commands, start=(0.0, 0.0, angle))
+    x, y = one.at(one.t, "x", "y").T
+    turned = np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], 1)
+    assert two.at(two.t, "x", "y") == pytest.approx(turned, abs=1e-3)  # a count of the servo may round the other way
+
+
+def test_swimming_in_a_stream_is_swimming_seen_from_a_boat(made):
+    commands = excitation.get("gait").commands[:250]
+    stream = made.with_fields({"tank.flow_x": 0.2, "tank.flow_y": -0.1})
+    still, moved = swim(made, commands), swim(stream, commands, push=(0.2, -0.1, 0.0))
+    drift = still.t[:, None] * np.array([0.2, -0.1])
+    assert moved.at(moved.t, "x", "y") - drift == pytest.approx(still.at(still.t, "x", "y"), abs=1e-6)
+
+
+def test_a_resting_fish_in_still_water_rests(made):
+    record = swim(made, np.zeros((100, 3)))
+    assert np.all(record.at(record.t, "x", "y", "yaw", "j1", "k3") == 0.0)
+
+
+def test_a_fish_that_is_let_go_slows_down_and_goes_straight(made):
+    record = swim(made, np.zeros((400, 3)), push=(0.4, 0.0, 0.0))
+    speed = record.at(record.t, "vx")[:, 0]
+    assert np.all(np.diff(speed) < 0) and np.all(record.at(record.t, "y", "yaw") == 0.0)
+    assert 1.0 < coast(made) < 4.0  # halving from 0.3 m/s
+
+
+def kinetic_energy(made, state):
+    """Energy of links and water in still water, J: half v^T (J^T A J) v with the loop's own matrix."""
+    A, f, *_, stream, _ = workspace()
+    assemble(made.body, made.water, made.tank, made.odd, state, stream, A, f, 0.0)
+    full = np.tril(A) + np.tril(A, -1).T
+    return 0.5 * state.rate @ full @ state.rate
+
+
+def test_a_limp_fish_only_loses_energy(made):
+    limp = made.with_fields({"motor.gain": 0.0, "motor.rate_gain": 0.0})
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        state = at_rest(STILL, rng.uniform(-0.6, 0.6, 3), 7.4, (0.3, *rng.uniform(-0.2, 0.2, 2)))
+        state.rate[3:] += rng.uniform(-2, 2, 3)
+        energy = [kinetic_energy(made, state)]
+        for _ in range(40):
+            run(limp, state, [], [], 0.02)
+            energy.append(kinetic_energy(made, state))
+        energy = np.array(energy)
+        assert np.all(np.diff(energy) < 1e-3 * energy[0]) and energy[-1] < 0.7 * energy[0]
+
+
+def test_the_mass_matrix_is_symmetric_positive_and_weighs_the_fish(made):
+    air = made.with_fields({"water.active": 0.0})
+    state = at_rest((0.0, 0.0, 0.4), (0.3, -0.5, 0.8), 7.4)
+    A, f, *_, stream, _ = workspace()
+    assemble(air.body, air.water, air.tank, air.odd, state, stream, A, f, 0.0)
+    full = np.tril(A) + np.tril(A, -1).T
+    assert np.all(np.linalg.eigvalsh(full) > 0)
+    assert full[:2, :2] == pytest.approx(made.robot.mass * np.eye(2), abs=1e-12)
+
+
+def test_the_trailing_edge_never_feeds_energy(made):
+    """Power 1/2 m w_c^2 u s - m u+ w_c w_e <= 0 for any lagged circulation; compiled functions run as plain Python here."""
+    rng = np.random.default_rng(0)
+    for u, w, z in rng.uniform(-2, 2, (2000, 3)):
+        wake = np.array([z, 0, 0, 0, 0, 0.0])
+        along, across = trailing_edge.py_func(made.water, made.odd, wake, u, w, 0.0)
+        assert along * u + across * w <= 1e-9
+
+
+def test_crossflow_drag_never_feeds_energy(made):
+    rng, body = np.random.default_rng(1), made.body
+    for u, v, r in rng.uniform(-2, 2, (200, 3)):
+        force, moment = crossflow.py_func(body.station[3], body.drag[3], u, v, r, 0.05)
+        assert force * v + moment * r <= 0.0
+
+
+def test_friction_sticks_or_opposes_the_motion():
+    """Coulomb's law on impulses: inside the bound the joint rests, at the bound the impulse opposes what motion is left."""
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        root = rng.normal(size=(3, 3))
+        mobility, w, bound = root @ root.T + 0.5 * np.eye(3), rng.normal(size=3), rng.uniform(0, 0.5, 3)
+        impulse = np.zeros(3)
+        for _ in range(20):
+            stick_slip.py_func(w, mobility, bound, impulse)
+        left = w + mobility @ impulse
+        stuck = np.abs(impulse) < bound - 1e-9
+        assert np.abs(left[stuck]) == pytest.approx(0.0, abs=1e-6)
+        assert np.all(impulse[~stuck] * left[~stuck] <= 1e-9)
+
+
+def test_a_strong_stiction_locks_a_joint_to_the_bit():
+    rusty = plant({"coulomb_friction": {"torque": 1.0}}, nuisance=0.0)
+    record = swim(rusty, np.tile([3 * DEG, 0.0, 0.0], (100, 1)) * (np.arange(100) > 5)[:, None])
+    assert np.max(np.abs(record.at(record.t, "j1"))) < 1e-12
+
+
+def test_a_step_is_no_faster_than_the_motor_and_settles_within_its_friction(made):
+    commands = np.tile([40 * DEG, 0.0, 0.0], (100, 1)) * (np.arange(100) > 5)[:, None]
+    record = swim(made, commands)
+    assert np.max(record.at(record.t, "k1")) < 1.05 * made.robot.servo.speed_no_load
+    band = made.motor.dry / made.motor.gain + made.motor.step  # friction, and a count of the potentiometer
+    assert record.at(record.t[-1:], "j1")[0, 0] == pytest.approx(40 * DEG, abs=band)
+
+
+def test_at_rest_the_battery_gives_the_idle_power(made):
+    record = swim(made, np.zeros((50, 3)))
+    volts, amps = record.at(record.t[-1:], "V", "I")[0]
+    assert volts * amps == pytest.approx(made.motor.idle, rel=1e-3)
+
+
+def test_one_seed_is_one_trial_and_another_seed_another():
+    one, again, other = (generate({}, ["steps"], seed)[0].tables for seed in (4, 4, 5))
+    for table in one:
+        for column in one[table]:
+            assert np.array_equal(one[table][column], again[table][column])
+    assert not np.array_equal(one["pose"]["x"], other["pose"]["x"])
+
+
+def test_replicates_share_the_robot_but_not_the_noise():
+    first, second = generate({}, ["drift_east"] * 2, 1)
+    assert second.meta["replicate_of"] == first.name
+    assert not np.array_equal(first.tables["pose"]["x"], second.tables["pose"]["x"])
+    assert np.mean(first.tables["pose"]["x"]) == pytest.approx(np.mean(second.tables["pose"]["x"]), abs=0.01)
+
+
+def test_the_body_is_seen_late_and_the_joints_are_told_late():
+    trial = generate({}, ["steps"], 2, noise=0.0, nuisance=0.0)[0]
+    command, joint = trial.tables["cmd"], trial.tables["joint"]
+    sent = command["t"][np.flatnonzero(command["c1"] != 0)[0]]
+    moved = joint["t"][np.flatnonzero(np.abs(joint["j1"]) > 1 * DEG)[0]]
+    assert 0.06 <= moved - sent < 0.14
+    fish = swim(plant({}, nuisance=0.0), excitation.get("gait").commands, start=(-1.4, 0.0, 0.0))
+    seen = generate({}, ["gait"], 2, noise=0.0, nuisance=0.0)[0].tables["pose"]
+    late = np.interp(seen["t"] - 0.065 - 0.06, fish.t, fish.at(fish.t, "x")[:, 0])
+    assert seen["x"] == pytest.approx(late, abs=0.004)
+
+
+def test_in_air_there_is_no_water_and_no_camera():
+    dry, thick = (generate(e, ["chirp"], 1, medium="air")[0] for e in ({}, {"quadratic_drag": {"coefficient": 5.0}}))
+    assert "pose" not in dry.tables and dry.meta["medium"] == "air"
+    assert np.array_equal(dry.tables["joint"]["j3"], thick.tables["joint"]["j3"])
+    wet = generate({}, ["chirp"], 1)[0]
+    used = [np.mean(trial.tables["power"]["I"]) for trial in (dry, wet)]
+    assert used[0] < used[1]
+    assert np.max(np.abs(dry.tables["joint"]["j1"])) > 12 * DEG
+
+
+def test_live_and_recorded_are_the_same_robot():
+    run_ = excitation.get("ramps")
+    fish, seen, joints = Live(seed=3, noise=0.0), [], []
+    for command in run_.commands[:200]:
+        fish.send(command)
+        tables = fish.advance(excitation.PERIOD)
+        seen.append(tables["pose"]["x"][-1])
+        joints.append(tables["joint"]["j2"][-1])
+    trial = generate({}, ["ramps"], 3, noise=0.0)[0]
+    assert seen == pytest.approx(trial.tables["pose"]["x"][:200], abs=1e-9)
+    assert joints == pytest.approx(trial.tables["joint"]["j2"][:200], abs=1e-9)
+    with pytest.raises(ConfigError, match="three finite angles"):
+        fish.send([1.0, 2.0])
+
+
+def test_bad_input_is_one_clear_error(made):
+    with pytest.raises(ConfigError, match="medium"):
+        plant({}, medium="oil")
+    with pytest.raises(ConfigError, match="nuisance"):
+        plant({}, nuisance=2.0)
+    with pytest.raises(SimDiverged, match="left the finite numbers"):
+        swim(made.with_fields({"tank.tether": -1e9, "tank.tether_x": 1.0}), np.zeros((200, 3)))
