@@ -44,15 +44,16 @@ def main(argv: list[str]) -> int:
         run.begin()
     if args.preset in PREVIEWS:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
-    recorder, kept = _recorder(args, run), LastGood()
+    recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
     wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
     if args.out:
         found["out"] = str(write_trial(args.out, run.trial(), overwrite=args.overwrite))
     if recorder:
         found |= {"fields": str(recorder.folder), "frames": recorder.frames}
-    if lost := run.stopped.startswith("diverged"):
-        found["last_good"] = kept.save(args.save or f"{args.out or 'swim'}.last_good.safetensors", run)
+    lost = run.stopped.startswith("diverged")
+    if lost and kept:
+        found["last_good"] = kept.save(args.save or f"{args.out}.last_good.safetensors", run)
     elif args.save:
         found["state"] = str(state.save(args.save, run.coupled, robot=robot.name))
     console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
