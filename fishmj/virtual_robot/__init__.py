@@ -23,7 +23,7 @@ def __getattr__(name: str) -> Any:
 
         return Live
     if name in __all__:
-        from importlib import import_module
+        from fishmj.virtual_robot import trials
 
-        return getattr(import_module("fishmj.virtual_robot.trials"), name)
+        return getattr(trials, name)
     raise AttributeError(f"module 'fishmj.virtual_robot' has no attribute {name!r}")
