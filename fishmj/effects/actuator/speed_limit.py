@@ -10,7 +10,7 @@ def gear(xp, p, g, memory, h):
     """
     ahead = xp.where(g.drive >= 0.0, 1.0, -1.0)
     line = g.limit * (1.0 - p.slowness * xp.maximum(g.rate * ahead, 0.0))
-    over = g.drive * ahead > line
+    over = g.drive * ahead >= line
     slope = xp.where(over, p.slowness * g.limit, 0.0)
     drive = xp.where(over, ahead * line, g.drive)
     return g._replace(drive=drive, torque=g.torque + slope * g.rate, resist=g.resist + slope), memory

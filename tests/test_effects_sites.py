@@ -1,0 +1,241 @@
+"""What single effects claim, in numbers: each against its formula, worked out by hand or by another route."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
+
+from fishmj import effects
+from fishmj.effects import Active
+from fishmj.effects.commands import delivered
+from fishmj.effects.scatter import arrivals, gusts, noise
+from fishmj.effects.sites import Body, Gear, Place, Seen, Servo, Water
+from fishmj.hydro_fit.hooks import Effects
+
+AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
+
+
+def one(name: str, **values):
+    """(Active of one effect, its parameter row)."""
+    active = Active([effects.get(name)], JOINTS)
+    return active, active.flat({name: values})
+
+
+def told(name: str, sent, h: float = H, **values):
+    """Commands (T,) of a single joint as the servo gets them."""
+    active, row = one(name, **values)
+    return delivered(np, active, row, np.asarray(sent, float)[:, None], h)[:, 0]
+
+
+def fields(kind, **given):
+    return kind(**dict.fromkeys(kind._fields, 0.0) | given)
+
+
+def test_commands_are_ramped_limited_scaled_and_counted():
+    step = np.r_[np.zeros(5), np.full(45, 0.3)]
+    ramp = told("move_time_ramp", step, move_time=0.1)
+    np.testing.assert_allclose(ramp[5:30], 0.3 * np.arange(1, 26) * H / 0.1, atol=1e-12)
+    np.testing.assert_array_equal(ramp[30:], 0.3)
+    small = told("move_time_ramp", step / 3, move_time=0.1)
+    np.testing.assert_allclose(small, ramp / 3, atol=1e-12)  # the slope goes with the step
+    limited = told("rate_limit", step, slowness=0.25)
+    assert np.isclose(np.diff(limited).max(), H / 0.25) and np.isclose(limited[-1], 0.3)
+    np.testing.assert_allclose(told("command_gain_error", step, gain=0.05), 1.05 * step)
+    counted = told("command_quantisation", np.linspace(-1, 1, 101), step=0.03)
+    np.testing.assert_allclose(counted, 0.03 * np.round(np.linspace(-1, 1, 101) / 0.03), atol=1e-12)
+
+
+def test_a_new_command_restarts_the_ramp_from_where_it_is():
+    ramp = told("move_time_ramp", np.r_[np.full(10, 0.3), np.full(60, -0.1)], move_time=0.1)
+    middle = 0.3 * 10 * H / 0.1
+    np.testing.assert_allclose(ramp[10:35], middle + (-0.1 - middle) * np.arange(1, 26) * H / 0.1, atol=1e-12)
+
+
+def test_dead_band_is_silent_inside_and_whole_outside():
+    error = np.array([0.0, 0.01, -0.017, 0.0201, -0.2])
+    s, _ = effects.get("servo_deadband").servo(np, SimpleNamespace(deadband=0.02), fields(Servo, error=error), (), H)
+    np.testing.assert_array_equal(s.error, [0.0, 0.0, 0.0, 0.0201, -0.2])
+
+
+def test_supply_and_heat_weaken_the_servo_in_proportion():
+    given = fields(Servo, limit=1.667, kp=8.0, kv=0.1, current=3.7, time=100.0)
+    s, _ = effects.get("voltage_sag").servo(np, SimpleNamespace(resistance=0.4), given, (), H)
+    assert np.isclose(s.limit, 1.667 * (7.4 - 0.4 * 3.7) / 7.4)
+    s, _ = effects.get("thermal_derating").servo(np, SimpleNamespace(rate=0.001), given, (), H)
+    assert np.isclose(s.limit, 1.667 / 1.1) and np.isclose(s.kp, 8 / 1.1)
+    s, _ = effects.get("torque_saturation").servo(np, SimpleNamespace(limit=1.0), given, (), H)
+    assert s.limit == 1.0
+
+
+def test_stribeck_friction_is_gone_at_speed_and_dry_friction_is_not():
+    rate = np.array([0.05, 2.0])
+    brake = {
+        name: effects.get(name).gear(np, SimpleNamespace(torque=0.1, speed=0.1), fields(Gear, rate=rate), (), H)[0].resist * rate
+        for name in ("stribeck", "coulomb_friction")
+    }
+    assert brake["stribeck"][0] > 0.05 and brake["stribeck"][1] < 1e-12
+    assert np.isclose(brake["coulomb_friction"][1], 0.1, rtol=1e-3)
+
+
+def test_the_extra_torque_speed_line_ends_at_its_speed():
+    active, row = one("speed_limit", slowness=0.5)
+    sent = np.full((250, JOINTS), 1.0)
+    rate = swim(active, [row], sent, swimmer=AIR, wet=0.0)[1][0, :, 5]
+    free = swim(active, [active.null], sent, swimmer=AIR, wet=0.0)[1][0, :, 5]
+    end = 1.667 / (0.5 * 1.667 + SWIMMER.kb[2])  # rad/s, where line and back-EMF leave nothing
+    assert free.max() > 3.0 and rate.max() < 1.02 * end and np.isclose(np.median(rate[5:60]), end, rtol=0.01)
+
+
+def test_play_is_lost_motion_at_reversals_and_holds_no_torque_inside():
+    gear, p = effects.get("gear_backlash").gear, SimpleNamespace(half_gap=0.02)
+    drive, memory, lost = np.r_[np.full(30, 0.5), np.full(30, -0.5)], (0.0,), []
+    for torque in drive:
+        g, memory = gear(np, p, fields(Gear, drive=torque, kb=0.3), memory, H)
+        assert -0.02 <= memory[0] <= 0.02
+        lost.append(1.0 - g.drive / torque)
+    crossing = 0.3 / 0.5 / H  # steps a radian at the motor's no-load speed
+    assert np.isclose(sum(lost[:30]), 0.02 * crossing) and np.isclose(sum(lost[30:]), 0.04 * crossing)
+
+
+def test_skin_branch_relaxes_with_its_time_and_the_spring_does_not():
+    gear, memory, held = effects.get("skin_hysteresis").gear, (0.0,), []
+    for _ in range(250):
+        g, memory = gear(np, SimpleNamespace(stiffness=0.5, time=0.5), fields(Gear, angle=0.4), memory, H)
+        held.append(g.torque)
+    np.testing.assert_allclose(held, -0.5 * 0.4 * np.exp(-H * np.arange(1, 251) / 0.5), rtol=1e-10)
+
+
+def test_a_skin_costs_power_to_hold_an_angle():
+    active = Active([effects.get("skin_stiffness")], JOINTS)
+    q, _, power = swim(active, [active.null, [0.8]], np.full((400, JOINTS), 0.5), swimmer=AIR, wet=0.0)
+    slack = 0.5 - q[:, -1, 4]
+    assert abs(slack[0]) < 1e-3 and np.isclose(8.0 * slack[1], 0.8 * q[1, -1, 4], rtol=1e-2)
+    torque = 0.8 * q[1, -1, 3:]
+    assert power[0, -1] < 1e-3 and np.isclose(power[1, -1], np.sum(torque**2) / SWIMMER.kb[0], rtol=2e-2)
+
+
+def test_a_zero_offset_bends_the_fish_and_its_encoders_do_not_tell():
+    active, row = one("joint_zero_offset", offset1=0.1, offset3=-0.05)
+    q, _, power = swim(active, [row], np.full((500, JOINTS), 0.2))
+    np.testing.assert_allclose(q[0, -1, 3:], [0.3, 0.2, 0.15], atol=2e-3)
+    np.testing.assert_allclose(sense(active, [row], q, power).joint[0, -1], 0.2, atol=2e-3)
+
+
+def test_wake_reaches_63_per_cent_of_a_new_force_after_its_time():
+    water, memory, felt = effects.get("wake_memory").water, (0.0, 0.0, 0.0), []
+    given = fields(Water, forces=[(0.0, 0.0, 0.0), (1.0, 5.0, 0.2)], instant=[(0.0, 0.0, 0.0), (0.0, 3.0, 0.0)])
+    for _ in range(50):
+        w, memory = water(np, SimpleNamespace(time=0.2), given, memory, H)
+        felt.append(w.forces[1][1])
+    assert np.isclose(felt[49], 3.0 + 2.0 * (1 - np.exp(-1.0)))  # what belongs to the added mass comes at once
+
+
+def test_walls_raise_drag_by_their_gain_at_the_wall_and_hardly_in_the_middle():
+    water, p = effects.get("wall_effect").water, SimpleNamespace(gain=0.4)
+    given = fields(Water, x=np.array([1.8, 0.0, 0.3]), y=np.array([0.2, 0.0, -1.8]))
+    given = given._replace(forces=[(2.0, 0.0, 0.0)], instant=[(1.0, 0.0, 0.0)])
+    near, _ = water(np, p, given, (), H)
+    np.testing.assert_allclose(near.forces[0][0], [2.4, 2.0 + 0.4 * np.exp(-1.8 / 0.535), 2.4])
+
+
+def test_moments_and_forces_of_the_hull_have_their_signs():
+    given = fields(Body, u=0.3, w=0.1, sway_mass=2.0, wet=1.0)
+    munk, _ = effects.get("munk_moment").body(np, SimpleNamespace(gain=0.2), given, (), H)
+    assert np.isclose(munk.n, -0.2 * 2.0 * 0.3 * 0.1)  # drifting left, the nose is turned right: further askew
+    for u in (0.3, -0.3):
+        lift, _ = effects.get("body_lift").body(np, SimpleNamespace(coefficient=10.0), given._replace(u=u), (), H)
+        assert np.isclose(lift.fy, -0.3)
+    pull, _ = effects.get("tether").body(np, SimpleNamespace(stiffness=0.5, x=1.0, y=0.0), fields(Body, heading=np.pi / 2), (), H)
+    assert np.allclose((pull.fx, pull.fy), (0.0, -0.5))  # facing north, the anchor in the east lies to the right
+    wave = [effects.get("free_surface").body(np, SimpleNamespace(gain=8.0), given._replace(u=u), (), H)[0].fx for u in (0.2, 0.4)]
+    assert np.isclose(wave[1] / wave[0], 16.0)
+
+
+def test_in_air_no_water_acts_on_body_or_joints():
+    given = fields(Body, u=0.3, w=0.1, r=1.0)
+    for name in ("linear_surge_drag", "quadratic_drag", "yaw_drag", "body_lift", "free_surface", "munk_moment") + tuple(
+        f"{way}_added_mass" for way in ("surge", "sway", "yaw")
+    ):
+        effect = effects.get(name)
+        p = SimpleNamespace(**{q.name: q.probe for q in effect.parameters})
+        assert all(value == 0.0 for value in effect.body(np, p, given, (), H)[0][-6:]), name
+    g, _ = effects.get("joint_hydro_damping").gear(np, SimpleNamespace(coefficient=0.05), fields(Gear, rate=2.0), (), H)
+    assert g.resist == 0.0
+
+
+def test_water_turns_shears_and_drifts():
+    at = fields(Place, x=1.0, y=-0.5)
+    place = effects.get("swirl").flow(np, SimpleNamespace(rate=0.04), at)
+    assert np.allclose((place.u, place.v), (0.02, 0.04))
+    place = effects.get("current_shear").flow(np, SimpleNamespace(rate=0.1), at)
+    assert np.allclose((place.u, place.v), (-0.05, 0.0))
+
+
+def test_mass_is_spread_by_weight_and_only_its_sum_with_added_mass_shows_in_a_straight_coast():
+    heavy, row = one("body_mass", mass=0.2)
+    added, other = one("surge_added_mass", mass=0.2)
+    still = np.zeros((200, JOINTS))
+    a = swim(heavy, [row], still, push=(0.4, 0, 0, 0, 0, 0))[1][0, :, 0]
+    b = swim(added, [other], still, push=(0.4, 0, 0, 0, 0, 0))[1][0, :, 0]
+    plain = swim(heavy, [heavy.null], still, push=(0.4, 0, 0, 0, 0, 0))[1][0, :, 0]
+    np.testing.assert_allclose(a, b, rtol=1e-9)
+    assert a[-1] > plain[-1] + 1e-3
+    hooks = Effects(np, heavy, row, heavy.memory)
+    share = np.array(hooks.fish(CHAIN, SWIMMER)[1].mass) @ CHAIN.mass
+    assert np.isclose(share, 1.3)
+
+
+def test_sensors_turn_stretch_and_shift_what_they_see():
+    seen = Seen(np.zeros(1), *(np.array([v]) for v in (1.0, 0.5, 0.2)), np.zeros((1, 3)), np.array([4.0]))
+    look = lambda name, **values: effects.get(name).measure(np, SimpleNamespace(**values), seen)  # noqa: E731
+    turned = look("camera_yaw", angle=np.pi / 2)
+    assert np.allclose((turned.x, turned.y, turned.yaw), ([-0.5], [1.0], [0.2 + np.pi / 2]))
+    assert np.allclose(look("camera_scale", scale=0.02).x, 1.02) and np.allclose(look("power_offset", power=0.3).power, 4.3)
+    assert np.allclose(look("lens_distortion", k1=0.01).y, 0.5 * (1 + 0.01 * 1.25))
+    assert np.allclose(look("marker_offset", x=0.03).y, 0.5 + 0.03 * np.sin(0.2))
+    assert np.allclose(look("heading_marker_offset", angle=-0.05).yaw, 0.15)
+
+
+def test_clocks_add_their_delays_and_drift():
+    active = Active([effects.get(name) for name in ("camera_latency", "clock_offset", "joint_sensor_delay")], JOINTS)
+    row = active.flat({"camera_latency": {"delay": 0.05}, "clock_offset": {"offset": -0.02, "drift": 1.0001}})
+    np.testing.assert_allclose(active.delay(np, row, "pose", np.array([0.0, 100.0])), [0.03, 0.04])
+    assert active.delay(np, row, "joint") == 0.0
+
+
+def test_stochastic_effects_have_the_scatter_that_they_claim():
+    names = ("latency_jitter", "packet_loss", "turbulence", "noise_level")
+    active = Active([effects.get(name) for name in names], JOINTS)
+    t, sent = np.arange(20_000) * 0.02, gait(400, 1.0, 20)[::5]
+    rng = np.random.default_rng(11)
+    late, same = arrivals(active, active.flat({"latency_jitter": {"sigma": 0.004}}), t, sent, rng)
+    assert np.all(np.diff(late) >= 0) and np.isclose(np.mean(late - t), 0.004, rtol=0.1) and np.array_equal(same, sent)
+    assert np.isclose(np.std(late - t), 0.004, rtol=0.1)
+    _, holes = arrivals(active, active.flat({"packet_loss": {"probability": 0.05}}), t, sent, rng)
+    assert np.isclose(np.mean(np.any(holes != sent, axis=1)), 0.05, atol=0.01)
+    wind = gusts(active, active.flat({"turbulence": {"sigma": 0.02, "time": 0.5}}), t, rng)
+    assert np.allclose(wind.std(0), 0.02, rtol=0.15)
+    assert np.isclose(np.corrcoef(wind[:-25, 0], wind[25:, 0])[0, 1], np.exp(-1.0), atol=0.06)  # half a second apart
+    still = Seen(t, *np.zeros((3, len(t))), np.zeros((len(t), 3)), np.zeros(len(t)))
+    sigma = Seen(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
+    extra = noise(active, active.flat({"noise_level": {"factor": 2.0}}), still, sigma, rng)
+    assert np.isclose(extra.x.std(), 0.002 * np.sqrt(3), rtol=0.05) and np.isclose(
+        extra.joint.std(), 0.004 * np.sqrt(3), rtol=0.05
+    )
+    assert np.array_equal(gusts(active, active.flat({}), t, rng), np.zeros((len(t), 2)))
+
+
+@pytest.mark.parametrize("name", ["crossflow_drag", "tail_normal_force", "com_offset", "yaw_inertia"])
+def test_constants_change_where_they_say_and_nowhere_else(name):
+    active, row = one(name, **{effects.get(name).parameters[0].name: effects.get(name).parameters[0].probe})
+    ch, sw = Effects(np, active, row, active.memory).fish(CHAIN, SWIMMER)
+    changed = {f for f in ch._fields if getattr(ch, f) != getattr(CHAIN, f)}
+    changed |= {f for f in sw._fields if f != "water" and getattr(sw, f) != getattr(SWIMMER, f)}
+    changed |= {f for f in sw.water._fields if getattr(sw.water, f) != getattr(SWIMMER.water, f)}
+    claims = {"crossflow_drag": {"cn"}, "tail_normal_force": {"cn", "ke"}, "com_offset": {"com"}, "yaw_inertia": {"inertia"}}
+    assert changed == claims[name]
+    if name == "tail_normal_force":
+        assert sw.water.cn[:-1] == SWIMMER.water.cn[:-1] and np.isclose(sw.water.cn[-1], 1.3 * SWIMMER.water.cn[-1])
+    if name == "yaw_inertia":
+        assert np.isclose(sum(ch.inertia) - sum(CHAIN.inertia), 0.008)
