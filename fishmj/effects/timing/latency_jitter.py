@@ -6,9 +6,9 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def scatter(rng, p, record):
-    """t'_k = max(t_k + sigma^2-gamma of mean sigma, t'_{k-1}): late, never early, in order. record = (t [s], commands)."""
+    """t'_k = max(t_k + d_k, t'_{k-1}), d_k exponential of mean sigma: late, never early, in order. record = (t [s], commands)."""
     t, commands = record
-    late = t + p.sigma * rng.standard_gamma(1.0, size=np.shape(t))  # gamma of shape 1: deviation = mean = sigma
+    late = t + p.sigma * rng.standard_exponential(np.shape(t))
     return np.maximum.accumulate(late), commands
 
 
@@ -16,7 +16,7 @@ EFFECT = Effect(
     name="latency_jitter",
     stage="timing",
     about="each packet has its own delay: scatter between replicates that grows with the speed of the command",
-    formula="t_arrival = t + delay + Gamma(1, sigma)",
+    formula="t_arrival = t + delay + d, d exponential of mean and deviation sigma",
     source="wireless links: 2 to 20 ms with a long tail",
     parameters=(Parameter(name="sigma", unit="s", low=0.0, high=0.1, typical=(0.002, 0.02)),),
     shows=("joint", "position", "heading"),
