@@ -23,9 +23,9 @@ function legend() {
     <br><small>${safe(track.origin)}, drawn from ${safe(track.source)}</small>
     <dl><dt>distance</dt><dt>speed</dt><dt>power</dt><dd id="d${i}"></dd><dd id="s${i}"></dd><dd id="p${i}"></dd></dl></div>`).join("");
   const [ux, uy] = data.tracks[0].meanFlow, speed = Math.hypot(ux, uy);
-  const water = isFinite(speed) ? `current ${speed.toFixed(2)} m/s towards ${Math.round(Math.atan2(uy, ux) * 180 / Math.PI)}&deg;` : "current not in the log";
+  const water = speed < 1e-3 ? "still water" : isFinite(speed) ? `current ${speed.toFixed(2)} m/s towards ${Math.round(Math.atan2(uy, ux) * 180 / Math.PI)}&deg;` : "current not in the log";
   el("legend").innerHTML = `<h1>${safe(data.title)}</h1>${fish}<div class="marks">
-    <i style="background:#ff9d2e"></i>target, ring ${data.arrival} m (green inside)<br>
+    ${chart.aimed ? `<i style="background:#ff9d2e"></i>target, ring ${data.arrival} m (green inside)<br>` : ""}
     <i style="background:#7ef0ff"></i>water at the fish<br><i style="background:#e9fbff"></i>${water}<br>
     <i class="tile"></i>floor tiles 0.25 m</div>${wake ? wake.legend() : ""}`;
 }
@@ -120,7 +120,8 @@ el("time").addEventListener("input", event => { play(false); seek(Number(event.t
 el("play").addEventListener("click", () => play(!clock.playing));
 const speeds = [...new Set([0.25, 0.5, 1, 2, 4, data.speed])].sort((a, b) => a - b);
 buttons("speeds", speeds.map(s => s + "x"), name => { clock.speed = parseFloat(name); }, data.speed + "x");
-buttons("views", Object.keys(VIEWS), look, wish.get("view") || "3-D");
+const view = VIEWS[wish.get("view")] ? wish.get("view") : wake ? "near" : "3-D";
+buttons("views", Object.keys(VIEWS), look, view);
 document.addEventListener("keydown", event => {
   const act = {" ": () => play(!clock.playing), ArrowLeft: () => seek(clock.time - 0.1), ArrowRight: () => seek(clock.time + 0.1), f: () => el("follow").click(), v: () => el("wake").click()}[event.key];
   if (act && event.target.type !== "range") { event.preventDefault(); act(); }
@@ -131,7 +132,7 @@ if (wake && wish.get("wake") === "0") el("wake").click();
 play(clock.playing);
 el("follow").checked = wish.get("follow") === "1";
 seek(clock.time);
-look(VIEWS[wish.get("view")] ? wish.get("view") : "3-D");
+look(view);
 if (wake) wake.loaded.then(() => { document.body.dataset.wake = `${wake.t.length} slices`; });
 requestAnimationFrame(() => requestAnimationFrame(now => {
   document.body.dataset.ready = `ready: ${frames} frames`;
