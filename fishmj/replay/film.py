@@ -209,24 +209,26 @@ class TopView:
         patch[:] = small if tint is None else self.cv2.addWeighted(small, 0.7, patch, 0.3, 0)
 
     def _chart(self, image, time: float) -> None:
-        """Distance over time in the strip below."""
+        """Distance over time in the strip below; speed over ground where no log has a target."""
         w, top, h = self.size[0], self.size[1] - CHART, CHART
         image[top:] = (image[top:] * 0.1 + np.array([38, 26, 8])).astype(np.uint8)
-        finite = [t.distance[np.isfinite(t.distance)] for t in self.tracks]
-        high = 1.08 * max([0.2, *(float(d.max()) for d in finite if len(d))])
+        aimed = any(np.isfinite(t.distance).any() for t in self.tracks)
+        curves = [t.distance if aimed else t.speed for t in self.tracks]
+        high = 1.08 * max([0.2, *(float(np.nanmax(c)) for c in curves if np.isfinite(c).any())])
         x = lambda s: 56 + (w - 72) * np.asarray(s) / self.duration  # noqa: E731
         y = lambda d: top + h - 22 - (h - 34) * np.asarray(d) / high  # noqa: E731
         for d in np.linspace(0, high / 1.08, 3):
             self.cv2.line(image, (56, int(y(d))), (w - 16, int(y(d))), (88, 76, 58), 1)
-            self._text(image, f"{d:.1f} m", (8, int(y(d)) + 4), 0.4)
-        self.cv2.line(image, (56, int(y(ARRIVAL))), (w - 16, int(y(ARRIVAL))), (106, 212, 63), 1)
-        for t, colour in zip(self.tracks, self.colours, strict=True):
-            keep = np.isfinite(t.distance)
-            line = np.stack([x(t.t[keep]), y(t.distance[keep])], -1)
+            self._text(image, f"{d:.1f} {'m' if aimed else 'm/s'}", (8, int(y(d)) + 4), 0.4)
+        if aimed:
+            self.cv2.line(image, (56, int(y(ARRIVAL))), (w - 16, int(y(ARRIVAL))), (106, 212, 63), 1)
+        for t, curve, colour in zip(self.tracks, curves, self.colours, strict=True):
+            keep = np.isfinite(curve)
+            line = np.stack([x(t.t[keep]), y(curve[keep])], -1)
             self.cv2.polylines(image, [np.round(line * 16).astype(np.int32)], False, colour, 2, self.cv2.LINE_AA, 4)
         at = int(x(min(time, self.duration)))
         self.cv2.line(image, (at, top + 6), (at, top + h - 20), INK, 1)
-        self._text(image, "distance to the target", (60, top + 14), 0.42)
+        self._text(image, "distance to the target" if aimed else "speed over ground", (60, top + 14), 0.42)
         self._text(image, f"{time:.1f} / {self.duration:.1f} s", (w - 130, top + h - 6), 0.45)
 
     def _words(self, image, time: float) -> None:
