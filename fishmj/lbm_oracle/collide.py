@@ -1,6 +1,7 @@
 """Recursive-regularised collision, written in moments.
 
     rho = sum f_i      rho u = sum c_i f_i      P = sum (c_i c_i - c_s^2 I) f_i - rho u u            (departure from equilibrium)
+    P <- P + b (-2 rho c_s^2 tau dev S - dev P)      S = (grad u + grad u^T) / 2, with eddy viscosity only
     P' = (1 - omega) (P - tr P / 3 I) + (1 - omega_bulk) tr P / 3 I                                 omega = 1 / tau
     A2 = rho v v + P',  v = u + G                                                                    exact-difference force
     A3_abc = rho v_a v_b v_c + u_a P'_bc + u_b P'_ac + u_c P'_ab                                     recursion
@@ -11,8 +12,13 @@ the difference between v and u in A2 and A3. In terms of u + G/2, the velocity o
 The third-order terms are H_xxy + H_yzz and H_xxy - H_yzz with their permutations, of norm 2 c_s^6 and 6 c_s^6. Summed at each
 velocity they shrink to -9 c_y (a_xxy + a_yzz) on the axes and 9 (c_y a_xxy + c_x a_xyy) on the diagonals.
 
-Sources: Malaspinas 2015, arXiv 1505.06900 (recursion); Jacob, Malaspinas, Sagaut 2018, J. Turbulence, hal-02114308 (six terms);
-Kupershtokh 2009, Comput. Math. Appl. 58:862 (exact difference); Nicoud and Ducros 1999, Flow Turbul. Combust. 62:183 (WALE).
+The blend is what keeps water stable: at tau = 0.50003 P only changes its sign in a collision, so that stress which
+alternates from cell to cell never decays, and grows in any stream (docs/oracle.md, "The collision alone is not stable"). Central
+differences do not see such a stress: a share b of it is lost in every step. On resolved scales both agree, and b does next to
+nothing: at wave number k it acts as a viscosity of b k^2 / 48, a fourth-order term.
+
+Sources: Malaspinas 2015, arXiv 1505.06900 (recursion); Jacob, Malaspinas, Sagaut 2018, J. Turbulence, hal-02114308 (six terms,
+blend); Kupershtokh 2009, Comput. Math. Appl. 58:862 (exact difference); Nicoud, Ducros 1999, Flow Turbul. Combust. 62:183 (WALE).
 Departure: the trace of P relaxes on its own, omega_bulk = 1, so that sound between the walls dies out.
 
 Populations are stored as f_i - w_i: single precision then resolves the small part that moves.
@@ -59,6 +65,23 @@ def departure(f: vec19, drho: float, u: wp.vec3):
         a - b - rho * u[0] * u[1],
         c - d - rho * u[0] * u[2],
         e - g - rho * u[1] * u[2],
+    )
+
+
+@wp.func
+def blended(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float):
+    """P with a share of its traceless part replaced by what the slopes dx = d u / d x, ... of the velocity say."""
+    a = share * _CS2 * rho_tau
+    mean = _CS2 * (p[0] + p[1] + p[2])
+    third = 2.0 * _CS2 * (dx[0] + dy[1] + dz[2])
+    keep = 1.0 - share
+    return vec6(
+        mean + keep * (p[0] - mean) - a * (2.0 * dx[0] - third),
+        mean + keep * (p[1] - mean) - a * (2.0 * dy[1] - third),
+        mean + keep * (p[2] - mean) - a * (2.0 * dz[2] - third),
+        keep * p[3] - a * (dy[0] + dx[1]),
+        keep * p[4] - a * (dz[0] + dx[2]),
+        keep * p[5] - a * (dz[1] + dy[2]),
     )
 
 

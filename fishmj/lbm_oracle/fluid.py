@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.stream import Numbers, box_array, kernels
 from fishmj.lbm_oracle.units import Lattice
 
 SUBGRID = ("wale", "none")
-CW, OMEGA_BULK = constant("oracle", "wale"), constant("oracle", "omega_bulk")
+CW, OMEGA_BULK, BLEND = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
 
@@ -52,7 +52,8 @@ class Fluid:
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
         clock: (1,) int32, steps done.
 
-    Arrays are indexed by world node modulo shape. Raises ConfigError and UnknownName for what cannot be.
+    `blend` (collide.py) is quoted at the paper's grid; 0 is kept to show that it fails. Arrays are indexed by world node modulo
+    shape. Raises ConfigError and UnknownName for what cannot be.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class Fluid:
         drive: tuple[float, float, float] = (0.0, 0.0, 0.0),
         cw: float = CW,
         omega_bulk: float = OMEGA_BULK,
+        blend: float = BLEND,
         dtype: str = "float32",
         keep_velocity: bool = True,
         threads: int | None = None,
@@ -78,16 +80,14 @@ class Fluid:
         if subgrid != "none" and not keep_velocity:
             raise ConfigError("fluid: the eddy viscosity reads the velocity of the last step; keep_velocity must be True with it")
         if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
-            raise ConfigError(
-                f"fluid: shape = {shape}; expected three sizes of at least 1 and fewer than {2**31 // Q} cells in all"
-            )
+            raise ConfigError(f"fluid: shape = {shape}; expected three sizes of at least 1, in all under {2**31 // Q} cells")
         self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
         self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
         self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
         self._keeps = keep_velocity
-        self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk)
+        self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend)
         self.threads = slabs.slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
             self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
@@ -284,12 +284,13 @@ class Fluid:
         self.clock.fill_(self.steps)
 
 
-def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk) -> Numbers:
+def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend) -> Numbers:
     made = Numbers()
     made.nx, made.ny, made.nz = shape
     made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
-    made.drive = wp.vec3(*(np.asarray(drive, float) / lattice.acceleration))
-    made.slide = wp.vec3(*boundaries.slide_lu)
+    quoted = constant("oracle", "dx") / constant("oracle", "dt")
+    made.borrowed = min(1.0, blend * quoted / lattice.velocity)  # a finer step borrows less: the same loss in a second
+    made.drive, made.slide = wp.vec3(*(np.asarray(drive, float) / lattice.acceleration)), wp.vec3(*boundaries.slide_lu)
     made.sponge, made.sponge_rate = max(boundaries.sponge, 1), boundaries.sponge_rate
     return made
 

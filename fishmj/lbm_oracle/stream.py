@@ -1,4 +1,4 @@
-"""One step of the fluid in one pass over memory: pull, moments, faces, sponge, eddy viscosity, collision, force.
+"""One step of the fluid in one pass over memory: pull, moments, faces, sponge, slopes, eddy viscosity, collision, force.
 
     f_i(x, t + 1) = f_i'(x - c_i, t)
 
@@ -6,9 +6,9 @@ Arrays are (19, nx, ny, nz) and (nx, ny, nz) with z fastest: neighbouring thread
 Memory is addressed by world node modulo size, so that a window moves by changing `origin`, the world node of its low corner.
 
 Bytes a cell and step, FP32: populations 2 x 76 = 152; with eddy viscosity 12 more to write u and about 12 to read it once (its
-six neighbours come from cache); the force is read inside the body's box only.
+six neighbours come from cache; the same slopes serve the stress); the force is read inside the body's box only.
 
-`kernels(boundaries, subgrid)` compiles the two kernels for one set of faces: what a face does not need costs nothing.
+`kernels(faces, subgrid)` compiles the two kernels for one set of faces: what a face does not need costs nothing.
 """
 
 from functools import cache
@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.lbm_oracle.boundaries import Axis, ramp, through
-from fishmj.lbm_oracle.collide import density, departure, momentum, populations, relaxed, wale
+from fishmj.lbm_oracle.collide import blended, density, departure, momentum, populations, relaxed, wale
 from fishmj.lbm_oracle.inflow import Inflow, background
 from fishmj.lbm_oracle.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
 from fishmj.lbm_oracle.memory import STORAGE, peek, peek3, poke, poke3
@@ -36,6 +36,7 @@ class Numbers:
     nu: float
     omega_bulk: float
     cw2: float  # square of the WALE constant
+    borrowed: float  # share of the stress that the slopes of the velocity give
     drive: wp.vec3  # uniform acceleration
     slide: wp.vec3  # velocity of the wall at high y
     sponge: int
@@ -84,9 +85,9 @@ def within(i: int, n: int):
 
 @cache
 def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32", keeps: bool = True) -> Kernels:
-    """Kernels for these faces of x, y and z; `subgrid` adds the eddy viscosity, `dtype` is how populations are stored.
+    """Kernels for these faces of x, y and z; `subgrid` adds eddy viscosity and blend.
 
-    `keeps` stores the velocity of each step, which the eddy viscosity of the next one needs.
+    `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
     """
     number = STORAGE[dtype]
 
@@ -164,8 +165,8 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
         return out
 
     @wp.func
-    def eddy(u: wp.array(dtype=wp.vec3), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
-        """WALE viscosity from the velocity of the last step; at a face the node stands in for its missing neighbour."""
+    def slopes(u: wp.array(dtype=wp.vec3), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+        """d u / d x, d y, d z in rows, from the last step; at a face the node stands in for its missing neighbour."""
         xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
         ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
         zm, zp = wp.where(z > 0, z - 1, s.nz - 1), wp.where(z < s.nz - 1, z + 1, 0)
@@ -177,11 +178,10 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             zm, zp = wp.where(lz == 0, z, zm), wp.where(lz == s.nz - 1, z, zp)
         plane, row = s.ny * s.nz, s.nz
         over_y_z, over_x_z, over_x_y = y * row + z, x * plane + z, x * plane + y * row
-        return wale(
+        return wp.matrix_from_rows(
             0.5 * (peek3(u, xp * plane + over_y_z) - peek3(u, xm * plane + over_y_z)),
             0.5 * (peek3(u, yp * row + over_x_z) - peek3(u, ym * row + over_x_z)),
             0.5 * (peek3(u, zp + over_x_y) - peek3(u, zm + over_x_y)),
-            s.cw2,
         )
 
     @wp.kernel(module=module, grid_stride=False)
@@ -247,8 +247,10 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             g += push
             bare = wp.length_sq(push) == 0.0
         if wp.static(subgrid):
+            d = slopes(u_old, s, lx, ly, lz, x, y, z)
             if bare:  # the layer that the body's force smears out is no turbulence
-                nu += eddy(u_old, s, lx, ly, lz, x, y, z)
+                nu += wale(d[0], d[1], d[2], s.cw2)
+            p = blended(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), s.borrowed)
         p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
         v = u + g
         if wp.static(any(opened)):
