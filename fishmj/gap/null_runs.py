@@ -1,66 +1,127 @@
 """Null runs: the experiments of the records once more, with an independent simulator in which nothing is hidden.
 
-    make(records, n, seed) -> n sets of records        same commands, start and push; constants, network and noise drawn anew
-    residuals(plant, layout, sets) -> (n, m)           what the model makes of them
+    residuals(plant, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
 
-The simulator is `virtual_robot`: other equations for water, servos, network and camera. A set takes the time of its
-experiments divided by several hundred.
+The simulator is `virtual_robot`: other equations for water, servos, network and camera; constants drawn within their tolerance,
+one fish for all experiments of a set. What an experiment gives is kept on disk under the hash of all that made it, so a
+standard experiment is run once a machine.
 """
 
+import hashlib
+import json
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
-from fishmj.errors import SimDiverged
+from fishmj.engines.native import cache_folder
+from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap.features import Layout
 from fishmj.gap.records import Record, record_of
+from fishmj.store import read_npz, write_npz
 
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
+RUNS = 96
+VERSION = 1  # of what is kept on disk
 
 
-def make(
-    records: list[Record], n: int, seed: int = 0, nuisance: float = 0.1, noise: float = 1.0, progress=None
-) -> list[list[Record]]:
-    """n sets of null runs."""
-    from fishmj.virtual_robot import generate
+@dataclass(frozen=True)
+class Null:
+    """How null runs are drawn.
 
-    experiments = [experiment(r) for r in records]
-    flows = [r.flow for r in records]
+    runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the sensors'.
+    """
 
-    def one(i: int) -> list[Record] | None:
+    runs: int = RUNS
+    nuisance: float = 0.1
+    noise: float = 1.0
+    seed: int = 0
+
+    def residuals(self, plant, records: list[Record], layout: Layout, say: Callable[[int], None] | None = None) -> np.ndarray:
+        """(n, m) residuals of the model as it is on every null run, at the windows of `layout`."""
+        out = np.empty((self.runs, layout.size))
+        for i, record in enumerate(records):
+            kept = self.experiment(plant, record)
+            for b in layout.blocks:
+                if b.record == i:
+                    values = kept[f"{b.sensor}{b.column}"]
+                    grid = np.arange(values.shape[1])
+                    for run in range(self.runs):
+                        out[run, b.where] = np.interp(b.window, grid, values[run])
+            if say:
+                say(i + 1)
+        return out
+
+    def experiment(self, plant, record: Record) -> dict[str, np.ndarray]:
+        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now."""
+        what = repeated(record)
+        key = self._key(plant, record, what)
+        path = cache_folder() / "null" / f"{key}.npz"
         try:
-            made = []
-            for k, (what, flow) in enumerate(zip(experiments, flows, strict=True)):
-                polar = (float(np.hypot(*flow)), float(np.arctan2(flow[1], flow[0])))
-                trial = generate({}, [what], SEED + seed * 10_000 + i, noise, nuisance, flow=polar)[0]
-                made.append(record_of(trial, records[k].dt))
-        except SimDiverged:
-            return None
-        if progress:
-            progress(i)
+            return read_npz(path)
+        except StoreError:
+            pass
+        runs = self._run(what, record)
+        predictions = plant.predict(runs, plant.null)
+        rows: dict[str, list] = {}
+        for run, prediction in zip(runs, predictions, strict=True):
+            layout = Layout([run])
+            residual = layout.residuals([prediction])[0]
+            for b in layout.blocks:
+                grid = np.arange(int(b.window[-1]) + 1)
+                rows.setdefault(f"{b.sensor}{b.column}", []).append(np.interp(grid, b.window, residual[b.where]))
+        least = {name: min(len(r) for r in given) for name, given in rows.items()}
+        made = {name: np.array([r[: least[name]] for r in given], np.float32) for name, given in rows.items()}
+        write_npz(path, made)
         return made
 
-    with ThreadPoolExecutor(2) as pool:
-        return [s for s in pool.map(one, range(n)) if s is not None]
+    def _run(self, what: Excitation, record: Record) -> list[Record]:
+        """The experiment with every fish of the set."""
+        from fishmj.virtual_robot.trials import plant, trial_of
+
+        flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
+        stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
+        index = crc32(repr((what.id, what.start)).encode()) % 100_000  # noise of its own for each experiment
+
+        def one(run: int) -> Record:
+            for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
+                seed = SEED + self.seed * 100_000 + run + attempt * 10_000
+                made = plant({}, seed, nuisance=self.nuisance, medium=record.medium).with_fields(stream)
+                try:
+                    return record_of(trial_of(made, what, seed, index, self.noise, what.id, "", flow), record.dt)
+                except SimDiverged as error:
+                    last = error
+            raise last
+
+        with ThreadPoolExecutor(2) as pool:
+            return list(pool.map(one, range(self.runs)))
+
+    def _key(self, plant, record: Record, what: Excitation) -> str:
+        numbers = [
+            self.runs,
+            self.nuisance,
+            self.noise,
+            self.seed,
+            record.dt,
+            *record.flow,
+            *what.start,
+            *what.push,
+            record.medium,
+        ]
+        text = json.dumps([VERSION, plant.fingerprint, what.id, *numbers])
+        return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
-def experiment(record: Record) -> Excitation:
-    """What was commanded, as an experiment that can be repeated."""
+def repeated(record: Record) -> Excitation:
+    """What was commanded, as an experiment that can be done again."""
     stride = round(0.02 / record.dt)
     return Excitation(
         id=record.excitation or record.name,
         commands=record.commands[::stride],
         about="a record repeated",
-        start=tuple(map(float, record.start)),
+        start=tuple(round(float(v), 3) for v in record.place),
         push=tuple(map(float, record.push)),
     )
-
-
-def residuals(plant, layout: Layout, sets: list[list[Record]]) -> np.ndarray:
-    """(n, m) residuals of the model as it is on every null set, at the windows of `layout`."""
-    out = []
-    for records in sets:
-        theirs = Layout(records)
-        out.append(layout.aligned(theirs, theirs.residuals(plant.predict(records, plant.null))[0]))
-    return np.array(out)

@@ -35,7 +35,9 @@ class Record(NamedTuple):
     pose: Sensor | None  # x, y m, yaw rad unwrapped
     power: Sensor | None  # W, one column
     flow: tuple[float, float]  # what the log says of the mean current, m/s, tank frame
-    start: np.ndarray  # (3,) pose at t = 0
+    medium: str  # water or air
+    place: np.ndarray  # (3,) pose at which it was meant to start
+    start: np.ndarray  # (3,) pose at t = 0, measured
     push: np.ndarray  # (3,) surge, sway [m/s], yaw rate [rad/s] at t = 0
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
@@ -61,6 +63,7 @@ def record_of(trial: Trial, dt: float) -> Record:
     steps = int(np.ceil(end / dt)) + 1
     rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
     push = np.array(trial.value("push", (0.0, 0.0, 0.0)), float)
+    begins = _first(pose, 3, MOVING if push.any() else REST)
     speed, bearing = float(trial.value("flow.speed", 0.0) or 0.0), float(trial.value("flow.direction", 0.0) or 0.0)
     return Record(
         name=trial.name,
@@ -72,7 +75,9 @@ def record_of(trial: Trial, dt: float) -> Record:
         pose=pose,
         power=power,
         flow=(speed * np.cos(bearing), speed * np.sin(bearing)),
-        start=_first(pose, 3, MOVING if np.any(push) else REST),
+        medium=str(trial.value("medium", "water")),
+        place=np.array(trial.value("start", tuple(begins)), float),
+        start=begins,
         push=push,
         joints=_first(joint, c.shape[1], REST),
         session=float(trial.value("session_time", 0.0) or 0.0),

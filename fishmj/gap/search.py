@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from fishmj.calib import read_toml, resolve
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, Search
 from fishmj.gap.features import Layout
@@ -24,7 +25,7 @@ class Gates:
     """Thresholds.
 
     adequacy: held-out |z|^2 / m that null runs do not reach. gain: held-out drop of |z|^2 below which nothing is added; `again`:
-    share of the held-out |z|^2 that a further effect must take away as well. closure, p_best: as in evidence.py. margin: of the
+    share of the held-out |z|^2, `beside`: of the gain so far, that a further effect must take away as well. closure, p_best: as in evidence.py. margin: of the
     gain, between the best and the next. shortlist, finalists: candidates that are fitted, and ranked on all records.
     """
 
@@ -37,6 +38,7 @@ class Gates:
     shortlist: int = 12
     finalists: int = 5
     again: float = 0.05
+    beside: float = 0.005
 
 
 class Evidence:
@@ -129,7 +131,7 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
     while len(best.names) < gates.most:
         known = e.knowing(best.row) if best.names else e
         free = [x for x in effects if x.name not in best.names]
-        step = round_of(known, held, fitted, free, gates)
+        step = round_of(known, held, fitted, free, gates, sum(s.gain for s in steps))
         steps.append(step)
         if progress:
             progress(step)
@@ -139,7 +141,7 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
     return Found(base, best, fitted, tuple(steps), before, _cost(rest, fitted.row), rest.layout.size)
 
 
-def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gates) -> Step:
+def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gates, gained: float) -> Step:
     """One round: candidates one effect larger than `base`, and where it pays, with an earlier choice swapped."""
     fit, rest, whole = e.part(~held), e.part(held), e.part(np.ones(len(held), bool))
     start = moved(fit, base)
@@ -149,7 +151,9 @@ def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gat
     ranked = whole.refine([moved(whole, c) for c in short[: gates.finalists]], 3)
     fitted = {c.names: c for c in short}
     gain = _cost(rest, base.row) - _cost(rest, fitted[ranked[0].names].row)
-    enough = gates.gain if not base.names else gates.gain + gates.again * _cost(rest, base.row)
+    enough = gates.gain
+    if base.names:
+        enough = max(enough + gates.again * _cost(rest, base.row), gates.beside * gained)
     return Step(tuple(ranked), fitted, gain, gain > enough)
 
 
@@ -196,3 +200,8 @@ def moved(search: Search, c: Candidate) -> Candidate:
 def _cost(search: Search, row) -> float:
     z = search.z(np.asarray(row)[None])[0]
     return float(z @ z)
+
+
+def frozen() -> Gates:
+    """The thresholds of `data/calib/gap.toml`, set on null runs and planted effects before any benchmark was scored."""
+    return Gates(**read_toml(resolve("gap"))["gates"])

@@ -1,6 +1,5 @@
 """The five answers, and the form in which they are written down."""
 
-import json
 from dataclasses import asdict, dataclass, field
 
 ANSWERS = ("AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE")
@@ -48,9 +47,9 @@ class Verdict:
     gates: dict = field(default_factory=dict)
     steps: tuple[dict, ...] = ()
 
-    def json(self) -> str:
-        """One JSON object."""
-        return json.dumps(asdict(self), indent=1)
+    def plain(self) -> dict:
+        """As nested dictionaries, for JSON."""
+        return asdict(self)
 
     def text(self) -> str:
         """The answer in words, for a terminal."""

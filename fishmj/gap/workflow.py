@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.gap import null_runs
 from fishmj.gap.decide import decide
 from fishmj.gap.features import Layout
+from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Evidence, Found, Gates, find, split
 from fishmj.gap.verdict import Verdict
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
 
-NULL_RUNS = 96
 UNSEEN = 9  # records from which on a quarter is set aside for the last figure only
 
 
@@ -42,30 +41,26 @@ def investigate(
     trials: list[Trial],
     *,
     gates: Gates | None = None,
-    runs: int = NULL_RUNS,
-    noise: float = 1.0,
+    null: Null | None = None,
     seed: int = 0,
     say: Callable[[str], None] = lambda text: None,
-    sets: list[list[Record]] | None = None,
 ) -> Inquiry:
     """Find what the model of `plant` is missing in `trials`.
 
     Args:
-        runs: null runs of each record. noise: factor on the sensors' noise in them. sets: null runs that were made before.
+        null: how null runs are drawn.
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared.
     """
-    gates = gates or Gates()
+    gates, null = gates or Gates(), null or Null()
     records = [record_of(t, plant.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(plant.active.effects)} effects in question")
-    if sets is None:
-        say(f"null: {runs} runs of every record in an independent simulator with nothing hidden")
-        sets = null_runs.make(records, runs, seed, noise=noise)
+    say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
-    e = evidence_of(plant, seen, [[r for r, u in zip(s, unseen, strict=True) if not u] for s in sets])
+    e = evidence_of(plant, seen, null)
     held = split(seen, seed)
     found = find(e, gates, held, progress=lambda step: say(_round(step)))
     verdict = decide(e, found, gates, held)
@@ -74,14 +69,13 @@ def investigate(
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
     if unseen.any():
         last = [r for r, u in zip(records, unseen, strict=True) if u]
-        apart = evidence_of(plant, last, [[r for r, u in zip(s, unseen, strict=True) if u] for s in sets])
-        verdict = replace(verdict, gap_after_unseen=apart.gap(found.best.row)[0])
+        verdict = replace(verdict, gap_after_unseen=evidence_of(plant, last, null).gap(found.best.row)[0])
     return Inquiry(verdict, e, found, records, held, unseen)
 
 
-def evidence_of(plant, records: list[Record], sets: list[list[Record]]) -> Evidence:
+def evidence_of(plant, records: list[Record], null: Null) -> Evidence:
     """Records with the null that their null runs make."""
-    return Evidence(plant, records, null_runs.residuals(plant, Layout(records), sets))
+    return Evidence(plant, records, null.residuals(plant, records, Layout(records)))
 
 
 def set_aside(records: list[Record], seed: int) -> np.ndarray:

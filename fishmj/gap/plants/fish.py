@@ -3,6 +3,7 @@
 A parameter row is [constants (factors on the calibrated fish), effects]. Its null row is the calibrated fish, nothing else.
 """
 
+import hashlib
 from functools import cached_property
 from typing import NamedTuple
 
@@ -65,6 +66,11 @@ class Fish:
     def index(self, effect: str, parameter: str) -> int:
         """Place of an effect's parameter in a row."""
         return len(CONSTANTS) + self.active.index(effect, parameter)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Changes with anything that changes the null row's predictions."""
+        return hashlib.sha256(repr((self.robot, self.camera, self.latency)).encode()).hexdigest()[:16]
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -1,0 +1,85 @@
+"""`gap bench`: how often the search is right, wrong or silent on data whose answer it does not know."""
+
+import json
+from pathlib import Path
+
+from fishmj import console
+from fishmj.gap.bench import cases
+from fishmj.gap.bench.run import run
+from fishmj.gap.bench.score import score
+from fishmj.gap.null_runs import Null
+from fishmj.gap.search import frozen
+from fishmj.store import write_text
+
+ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap bench", __doc__)
+    add = parser.add_argument
+    add("--cases", type=int, default=400, help="how many")
+    add("--seed", type=int, default=0, help="draws everything anew: effects, sizes, fish, noise")
+    add("--kinds", default="", metavar="KIND,..", help=f"only {', '.join(cases.KINDS)}; default all, in their shares")
+    add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
+    add("--shard", default="0/1", metavar="I/N", help="every N-th case from the I-th: for several machines")
+    add("--out", type=Path, help="folder for rows.jsonl and score.json; the same command continues where it stopped")
+    args = parser.parse_args(argv)
+    kinds = {k: cases.KINDS[k] for k in args.kinds.split(",")} if args.kinds else None
+    index, shards = map(int, args.shard.split("/"))
+    todo = cases.draw(args.cases, args.seed, kinds, small=args.small)[index::shards]
+    rows = judged(todo, args.out)
+    result = score(list(rows))
+    if args.out:
+        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
+    console.say(*told(result))
+    if args.json:
+        flat = {k: v["value"] if isinstance(v, dict) else v for k, v in result.items()}
+        console.emit_json(flat | {"detail": result})
+    wrong = result["precision"]["n"] - result["precision"]["hits"]
+    fails = wrong > ALLOWED or result["false_alarm_rate"]["hits"] > ALLOWED
+    return console.FAILED_CHECK if args.small and fails else console.OK
+
+
+def judged(todo: list[cases.Case], out: Path | None) -> list[dict]:
+    """Rows of all cases, those that `out` holds already read from there."""
+    from fishmj.gap.plants.fish import Fish
+
+    plant, gates, rows = Fish(), frozen(), {}
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
+    with console.Progress(len(todo), "bench", unit="cases") as bar:
+        for i, case in enumerate(todo):
+            if case.id not in rows:
+                rows[case.id] = console.plain(run(plant, case, gates, Null(noise=case.noise)))
+                if out:
+                    with (out / "rows.jsonl").open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(rows[case.id]) + "\n")
+            bar.update(i + 1)
+    return [rows[case.id] for case in todo]
+
+
+def kept(path: Path) -> list[dict]:
+    """Whole lines of a file; a line that was cut off is done again."""
+    if not path.is_file():
+        return []
+    out = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            out.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return out
+
+
+def told(result: dict) -> list[str]:
+    """The score in lines."""
+    lines = []
+    for key, value in result.items():
+        if isinstance(value, dict):
+            lines.append(
+                f"{key:26s} {value['value']:6.1%}  ({value['hits']} of {value['n']}; 95 %: {value['low']:.1%} to {value['high']:.1%})"
+            )
+        else:
+            lines.append(f"{key:26s} {value if value is None or isinstance(value, int) else round(value, 3)}")
+    return lines

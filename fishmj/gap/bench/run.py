@@ -1,0 +1,75 @@
+"""One case: make the data, hide the effect, ask the search, write down what it said beside what is true."""
+
+import time
+
+import numpy as np
+
+from fishmj.errors import SimDiverged
+from fishmj.gap.bench.cases import Case
+from fishmj.gap.features import Layout
+from fishmj.gap.null_runs import Null
+from fishmj.gap.records import Record, record_of
+from fishmj.gap.search import Gates
+from fishmj.gap.workflow import investigate
+
+
+def run(plant, case: Case, gates: Gates, null: Null) -> dict:
+    """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so."""
+    from fishmj.virtual_robot import generate
+
+    start = time.monotonic()
+    row = {
+        "id": case.id,
+        "kind": case.kind,
+        "truth": case.effects,
+        "noise": case.noise,
+        "logs": len(case.logs),
+        "seed": case.seed,
+    }
+    try:
+        trials = generate(case.effects, case.logs, case.seed, case.noise)
+        row["true_gap"] = true_gap(plant, case)
+    except SimDiverged as error:
+        return row | {"answer": "DIVERGED", "reason": str(error)}
+    verdict = investigate(plant, trials, gates=gates, null=null, seed=case.seed).verdict
+    said = [
+        {"name": e.name, "p_best": e.p_best, "values": {k: [v.value, v.low, v.high] for k, v in e.parameters.items()}}
+        for e in verdict.effects
+    ]
+    row |= {"answer": verdict.answer, "said": said, "rivals": [r["name"] for r in verdict.rivals]}
+    row |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
+    row |= {"explained": verdict.explained, "gates": verdict.gates, "steps": verdict.steps, "seconds": time.monotonic() - start}
+    return row
+
+
+def true_gap(plant, case: Case) -> float:
+    """1 + mean square of what the hidden effects change, in units of the sensors' own noise, without noise and scatter.
+
+    The same fish with and without its effects; every record and channel counts alike.
+    """
+    from fishmj.virtual_robot import generate
+
+    if not case.effects:
+        return 1.0
+    sides = []
+    for effects in (case.effects, {}):
+        records = [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, 0.0)]
+        sides.append(records)
+    noise = {}
+    for record in (record_of(t, plant.dt) for t in generate({}, case.logs[:1], case.seed, case.noise)):
+        noise = {s: getattr(record, s).sigma for s in ("joint", "pose", "power") if getattr(record, s) is not None}
+    ratios = [r for a, b in zip(*sides, strict=True) for r in _ratios(a, b, noise)]
+    return 1.0 + float(np.mean(ratios))
+
+
+def _ratios(a: Record, b: Record, noise: dict) -> list[float]:
+    """Mean square difference of each channel of two records, over its noise; channels of unknown noise are left out."""
+    out = []
+    for block, other in zip(Layout([a]).blocks, Layout([b]).blocks, strict=True):
+        sigma = noise[block.sensor][block.column]
+        if np.isfinite(sigma) and sigma > 0:
+            x, y = getattr(a, block.sensor), getattr(b, other.sensor)
+            t = x.t[x.t <= y.t[-1]]
+            difference = x.values[: len(t), block.column] - np.interp(t, y.t, y.values[:, block.column])
+            out.append(float(np.mean((difference / sigma) ** 2)))
+    return out

@@ -1,0 +1,98 @@
+"""What the rows of a benchmark amount to, each share with its 95 % bounds (Clopper & Pearson 1934)."""
+
+import numpy as np
+
+DETECTABLE = 5.0  # true gap from which naming is expected
+
+
+def bounds(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:
+    """Exact binomial interval of a share."""
+    from scipy.stats import beta
+
+    if n == 0:
+        return 0.0, 1.0
+    tail = (1 - level) / 2
+    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, n - hits + 1))
+    high = 1.0 if hits == n else float(beta.ppf(1 - tail, hits + 1, n - hits))
+    return low, high
+
+
+def share(hits: int, n: int) -> dict:
+    """{"value", "hits", "n", "low", "high"}."""
+    low, high = bounds(hits, n)
+    return {"value": hits / n if n else float("nan"), "hits": int(hits), "n": int(n), "low": low, "high": high}
+
+
+def names(row: dict) -> set[str]:
+    return {e["name"] for e in row.get("said", ())}
+
+
+def same(a: str, b: str) -> bool:
+    """Equal, or of one class that no experiment of the standard session splits."""
+    from fishmj.effects.classes import CLASSES
+
+    return a == b or any({a, b} <= set(c.effects) for c in CLASSES)
+
+
+def score(rows: list[dict]) -> dict:
+    """All figures of a benchmark."""
+    rows = [r for r in rows if r["answer"] != "DIVERGED"]
+    kind = {k: [r for r in rows if r["kind"] == k] for k in ("single", "pair", "none", "off")}
+    singles = [r for r in kind["single"] if r["true_gap"] > DETECTABLE]
+    named = [r for r in singles if r["answer"] == "NAMED"]
+    right = [r for r in named if names(r) == set(r["truth"])]
+    alike = [r for r in named if len(names(r)) == 1 and same(next(iter(names(r))), next(iter(r["truth"])))]
+    everything = [r for r in kind["single"] if r["answer"] == "NAMED" and names(r) == set(r["truth"])]
+    said = [r for r in singles if r["answer"] != "AGREES" and r["said"]]
+    top = [r for r in said if same(r["said"][0]["name"], next(iter(r["truth"])))]
+    pairs = [r for r in kind["pair"] if r["true_gap"] > DETECTABLE]
+    both = [r for r in pairs if set(r["truth"]) <= names(r)]
+    errors = [e for r in right for e in relative_errors(r)]
+    closed = [
+        1 - (r["gap_unseen"] - 1) / (r["gap_before"] - 1) for r in right if r["gap_unseen"] is not None and r["gap_before"] > 1.5
+    ]
+    covered = [c for r in right for c in inside(r)]
+    return {
+        "n": len(rows),
+        "precision": share(len(right), len(named)),
+        "precision_of_class": share(len(alike), len(named)),
+        "coverage": share(len(right), len(singles)),
+        "coverage_all_magnitudes": share(len(everything), len(kind["single"])),
+        "class_top1": share(len(top), len(said)),
+        "false_alarm_rate": share(sum(r["answer"] in ("NAMED", "CLASS") for r in kind["none"]), len(kind["none"])),
+        "misnamed_off_catalogue": share(sum(r["answer"] == "NAMED" for r in kind["off"]), len(kind["off"])),
+        "pairs_both_found": share(len(both), len(pairs)),
+        "interval_coverage": share(sum(covered), len(covered)),
+        "parameter_error_median": float(np.median(errors)) if errors else None,
+        "parameter_error_p90": float(np.percentile(errors, 90)) if errors else None,
+        "excess_gap_closed_median": float(np.median(closed)) if closed else None,
+        "seconds_median": float(np.median([r["seconds"] for r in rows])) if rows else None,
+    }
+
+
+def relative_errors(row: dict) -> list[float]:
+    """|found - true| / |true - null| of the first parameter of each effect; vectors by their length."""
+    from fishmj import effects
+
+    out = []
+    for e in row["said"]:
+        truth = row["truth"][e["name"]]
+        spec = {p.name: p for p in effects.get(e["name"]).parameters}
+        shared = [k for k in truth if k in e["values"] and spec[k].unit == effects.get(e["name"]).parameters[0].unit]
+        size = np.linalg.norm([truth[k] - spec[k].null for k in shared])
+        if size > 0:
+            out.append(float(np.linalg.norm([e["values"][k][0] - truth[k] for k in shared]) / size))
+    return out
+
+
+def inside(row: dict) -> list[bool]:
+    """Whether each first parameter lies in its 90 % interval."""
+    from fishmj import effects
+
+    out = []
+    for e in row["said"]:
+        first = effects.get(e["name"]).parameters[0].name
+        if first in row["truth"][e["name"]]:
+            _, low, high = e["values"][first]
+            out.append(low <= row["truth"][e["name"]][first] <= high)
+    return out
