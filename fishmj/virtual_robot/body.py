@@ -91,9 +91,9 @@ def body_of(robot: Robot, water: dict, hull: Hull) -> Body:
 
 
 def _rigid(geometry: Geometry, hull: Hull) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mass, first and second moment of every link about its origin; ballast in the head moves the whole centre of mass."""
+    """Mass, first and second moment of every link about its origin; ballast slides along the head."""
     mass, x = geometry.mass.copy(), geometry.com[:, 0].copy()
-    x[0] += hull.com * mass.sum() / mass[0]
+    x[0] += hull.com
     first, second = mass * x, geometry.inertia[:, 2] + mass * x**2
     mass[0] += hull.mass
     second[0] += hull.inertia

@@ -92,7 +92,7 @@ _ROWS: list[tuple] = [
         "timing",
         (
             *_one("offset", "s", "camera.offset", 0.01, 0.05, signed=True),
-            *_one("drift", "1", "camera.drift", 1e-5, 4e-5, signed=True),
+            *_one("drift", "1", "camera.drift", 1.00001, 1.00004, null=1.0),
         ),
         BODY,
         _TURN,
@@ -100,7 +100,7 @@ _ROWS: list[tuple] = [
     ("camera_latency", "timing", _one("delay", "s", "camera.delay", 0.01, 0.06), BODY, _TURN),
     ("velocity_filter", "timing", _one("time", "s", "camera.filter", 0.04, 0.15), ("velocity",), _TURN),
     ("body_mass", "inertia", _one("mass", "kg", "hull.mass", 0.05, 0.3), ("position",), ("tow_oblique", "burst_and_coast")),
-    ("com_offset", "inertia", _one("x", "m", "hull.com", 0.005, 0.02, signed=True), BODY, ("spin", "gait_fast")),
+    ("com_offset", "inertia", _one("x", "m", "hull.com", 0.008, 0.03, signed=True), BODY, ("spin", "gait_fast")),
     ("yaw_inertia", "inertia", _one("inertia", "kg m2", "hull.inertia", 0.003, 0.01), ("heading",), ("spin", "gait_fast")),
     ("surge_added_mass", "inertia", _one("mass", "kg", "hull.surge", 0.1, 0.4), ("position",), ("tow_ahead", "burst_and_coast")),
     ("sway_added_mass", "inertia", _one("mass", "kg", "hull.sway", 0.3, 1.2), BODY, ("tow_sideways", "gait")),
@@ -131,7 +131,13 @@ _ROWS: list[tuple] = [
     ("munk_moment", "hydrodynamics", _one("gain", "1", "water.munk", 0.15, 0.6, signed=True), BODY, ("tow_oblique", "turn_left")),
     ("tail_normal_force", "hydrodynamics", _one("gain", "1", "water.tail", 0.1, 0.4, signed=True), BODY, _SWIM),
     ("wake_memory", "hydrodynamics", _one("time", "s", "water.memory", 0.03, 0.2), BODY, ("gait", "gait_fast")),
-    ("free_surface", "hydrodynamics", _one("gain", "1", "water.surface", 0.3, 2.0), ("position",), ("gait_fast", "tow_ahead")),
+    (
+        "free_surface",
+        "hydrodynamics",
+        _one("gain", "N s2/m2", "water.surface", 30.0, 250.0),
+        ("position",),
+        ("gait_fast", "tow_ahead"),
+    ),
     ("wall_effect", "hydrodynamics", _one("gain", "1", "water.wall", 0.3, 1.5), BODY, ("station_left", "tow_sideways")),
     (
         "joint_hydro_damping",
@@ -157,7 +163,7 @@ _ROWS: list[tuple] = [
     (
         "turbulence",
         "environment",
-        (*_one("sigma", "m/s", "tank.sigma", 0.01, 0.04), _keep("time", "s", "tank.time", 0.8, 2.0)),
+        (*_one("sigma", "m/s", "tank.sigma", 0.01, 0.04), _keep("time", "s", "tank.time", 1.0, 2.0)),
         ("position",),
         ("drift_north", "gait"),
     ),

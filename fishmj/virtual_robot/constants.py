@@ -11,7 +11,7 @@ class Hull(NamedTuple):
     """What is added to the weighed and drawn fish, at the reference point; all effects."""
 
     mass: float = 0.0  # kg
-    com: float = 0.0  # m, the whole fish's centre of mass moves forward
+    com: float = 0.0  # m, the head's centre of mass moves forward
     inertia: float = 0.0  # kg m2
     surge: float = 0.0  # kg, added mass along the head
     sway: float = 0.0  # kg, across
@@ -31,7 +31,6 @@ class Water(NamedTuple):
     wagner_start: float  # part of the circulation that is there at once
     wagner_lengths: float  # trailing-edge heights travelled until the rest is
     stall_slope: float  # tangent of the angle beyond which suction is lost
-    tow: float  # N s2/m2, axial drag of the straight fish at 0.3 m/s
     linear_surge: float = 0.0  # effect, N s/m
     quadratic_surge: float = 0.0  # effect, N s2/m2
     crossflow: float = 0.0  # effect, gain
@@ -40,7 +39,7 @@ class Water(NamedTuple):
     munk: float = 0.0  # effect, gain
     tail: float = 0.0  # effect, gain
     memory: float = 0.0  # effect, s
-    surface: float = 0.0  # effect, gain
+    surface: float = 0.0  # effect, N s2/m2
     wall: float = 0.0  # effect, gain
     joint: float = 0.0  # effect, N m s2
 
@@ -100,7 +99,7 @@ class Tank(NamedTuple):
     shear: float = 0.0  # effect, 1/s
     swirl: float = 0.0  # effect, rad/s
     sigma: float = 0.0  # effect, m/s
-    time: float = 0.8  # effect, s
+    time: float = 1.0  # effect, s
     tether: float = 0.0  # effect, N/m
     tether_x: float = 0.0  # effect, m
     tether_y: float = 0.0  # effect, m
@@ -132,7 +131,7 @@ class Camera(NamedTuple):
     window: float  # frames in the velocity fit
     delay: float = 0.0  # effect, s
     offset: float = 0.0  # effect, s
-    drift: float = 0.0  # effect
+    drift: float = 1.0  # effect, the camera's second in seconds
     filter: float = 0.0  # effect, s
     scale: float = 0.0  # effect
     angle: float = 0.0  # effect, rad

@@ -15,6 +15,11 @@ def jitter(rng: np.random.Generator) -> float:
     return (rng.gamma(2.0) - 2.0) / 2.0**0.5
 
 
+def lateness(rng: np.random.Generator) -> float:
+    """A delay of unit spread that is never early (gamma, shape 1.5; mean 1.22)."""
+    return rng.gamma(1.5) / 1.5**0.5
+
+
 def gusts(rng: np.random.Generator, n: int, step: float, sigma: float, time: float, smooth: float = 0.1) -> np.ndarray:
     """(n, 2) velocities [m/s] every `step` s with spread sigma and memory `time` s: Ornstein-Uhlenbeck, then smoothed.
 

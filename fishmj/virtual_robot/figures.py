@@ -47,6 +47,12 @@ def _power(made: Plant, record: Recording, beats: np.ndarray) -> float:
     return float((volts * amps).mean()) - made.motor.idle
 
 
+def tow(made: Plant, speed: float = 0.3) -> float:
+    """Axial drag of the straight fish, N."""
+    skin = made.water.friction * float(made.body.wetted.sum()) * speed**1.8
+    return made.water.head_forward * speed**2 + skin
+
+
 def coast(made: Plant, speed: float = 0.3) -> float:
     """Seconds until a straight fish that was let go at `speed` is half as fast."""
     record = run(made, at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
@@ -74,7 +80,7 @@ def main(argv: list[str]) -> int:
     body = made.body
     sway = ", ".join(f"{m:.2f}" for m in body.sway[:, 0])
     console.say(f"added mass sideways {body.sway[:, 0].sum():.2f} kg, links {sway}; along {body.surge.sum():.3f} kg")
-    console.say(f"tow drag at 0.3 m/s {made.water.tow * 0.09:.3f} N; glide from 0.3 to 0.15 m/s {coast(made):.1f} s")
+    console.say(f"tow drag at 0.3 m/s {tow(made):.3f} N; glide from 0.3 to 0.15 m/s {coast(made):.1f} s")
     commands = excitation.gait(1.0, 30 * degree, 60 * degree, seconds=19.4)
     best = np.inf
     for _ in range(20):

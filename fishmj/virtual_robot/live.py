@@ -51,7 +51,7 @@ class Live:
         self.plant = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
         self.noise = noise
         self._state = at_rest(start, made.zero, made.motor.voltage)
-        for told in (self._state.goal, self._state.aim, self._state.seen, self._state.ring):
+        for told in (self._state.goal, self._state.aim, self._state.seen, self._state.ramp):
             told[:] = 0.0
         self._anchor = self._state.z[:3].copy()
         changing = made.tank.sigma > 0.0 or made.odd.pulse != 0.0

@@ -14,7 +14,6 @@ from fishmj.virtual_robot.constants import Camera, Hull, Meter, Motor, Network, 
 
 CONSTANTS = "virtual_robot"
 GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
-TOW_SPEED = 0.3  # m/s
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
 
@@ -73,7 +72,6 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
     frontal = _frontal(robot)
     head = 0.5 * rho * frontal * wet["head_forward"]
-    skin = wet["friction"] * float(body_of(robot, wet, Hull()).wetted.sum())
     water = Water(
         active=float(medium == "water"),
         friction=wet["friction"],
@@ -85,7 +83,6 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         wagner_start=wet["wagner_start"],
         wagner_lengths=wet["wagner_lengths"],
         stall_slope=tan(radians(wet["stall_angle_deg"])),
-        tow=head + skin * TOW_SPEED**-0.2,
     )
     servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
     motor = Motor(

@@ -1,7 +1,8 @@
 """Radio and bus: a queue of command packets, each with its own delay; telemetry of the joints.
 
 A packet that is sent at t_k reaches the servos at t_k + latency + jitter, unless it is lost; a late packet may be overtaken, and
-then the older command comes last and stays until the next one. Stamps are the sender's.
+then the older command comes last and stays until the next one. The small jitter of a good radio has no mean (the nominal latency
+holds it); the effect only ever delays. Stamps are the sender's.
 """
 
 import heapq
@@ -32,7 +33,7 @@ class Radio:
     def arrival(self, sent: float, command: np.ndarray) -> float | None:
         """Time of arrival [s] of a command (3,) sent at `sent`; None when it is lost."""
         n, (base, tail, loss) = self.network, self._streams
-        delay = n.latency + n.delay + self.noise * n.jitter * draws.jitter(base) + n.sigma * draws.jitter(tail)
+        delay = n.latency + n.delay + self.noise * n.jitter * draws.jitter(base) + n.sigma * draws.lateness(tail)
         if self.odd.busy > 0.0:  # the bus is slower while the joints are asked to be fast
             last = command if self._last is None else self._last
             delay += self.odd.busy * float(np.max(np.abs(command - last))) / n.period

@@ -2,7 +2,7 @@
 
 marker      p = (X, Y) + R(yaw) (d, 0)                        where the marker sits
 lens        p (1 + k1 |p|^2),  then scale, then turned by the mounting angle
-stamp       t = exposure + latency, on the camera's own clock t (1 + drift) + offset
+stamp       t = exposure + latency, on the camera's own clock t drift + offset
 velocity    slope of a straight line through the last frames, then an optional low-pass
 """
 
@@ -40,7 +40,7 @@ def track(camera: Camera, seen: dict) -> dict:
 
 def on_its_clock(camera: Camera, seen: dict) -> dict:
     """The pose table with the stamps of the camera's own clock."""
-    return seen | {"t": seen["t"] * (1.0 + camera.drift) + camera.offset}
+    return seen | {"t": seen["t"] * camera.drift + camera.offset}
 
 
 def slope(t: np.ndarray, value: np.ndarray, window: int) -> np.ndarray:

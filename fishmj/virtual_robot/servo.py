@@ -5,13 +5,13 @@
     motor      i' = (V - K w - R i) / L,  torque K i         exactly over a step, back-EMF taken implicitly
     friction   |p| <= h F,  w+ = w* + W p,  p opposes w+     Coulomb's law on impulses: a joint at rest is locked until F breaks
 
-The aim is the latest command after gain error, counts, clamp, motion-time ramp (running mean over it) and rate limit.
+The aim is the latest command after gain error, counts, clamp, motion-time ramp (anew with every new
+command) and rate limit.
 """
 
 from math import exp
 
 from fishmj.virtual_robot.compiled import compiled
-from fishmj.virtual_robot.state import RING
 
 SWEEPS = 12  # of the friction solver; three joints settle in a few
 
@@ -29,15 +29,11 @@ def shaped(motor, s, j, command):
     if motor.command_step > 0.0:
         c = counts(c, motor.command_step)
     c = counts(min(max(c, -motor.range), motor.range), motor.step)
-    tick = int(s.clock[3])
-    s.ring[j, tick % RING] = c
     if motor.move_time > 0.0:
-        length = min(motor.move_time / motor.period, RING - 2.0)
-        whole = int(length)
-        total = 0.0
-        for k in range(whole):
-            total += s.ring[j, (tick - k) % RING]
-        c = (total + (length - whole) * s.ring[j, (tick - whole) % RING]) / length
+        if c != s.ramp[j, 1]:
+            s.ramp[j, 0], s.ramp[j, 1], s.ramp[j, 2] = s.aim[j], c, s.clock[0]
+        part = min((s.clock[0] + motor.period - s.ramp[j, 2]) / motor.move_time, 1.0)
+        c = s.ramp[j, 0] + part * (c - s.ramp[j, 0])
     if motor.command_slowness > 0.0:
         most = motor.period / motor.command_slowness
         c = s.aim[j] + min(max(c - s.aim[j], -most), most)
@@ -57,7 +53,7 @@ def firmware(motor, odd, zero, s):
         worn = 1.0
     for j in range(3):
         s.aim[j] = shaped(motor, s, j, s.goal[j])
-        angle = s.z[3 + j] - s.z[2 + j] - zero[j] + s.gap[j]
+        angle = s.z[3 + j] - s.z[2 + j] - zero[j]
         if odd.eccentric != 0.0:
             angle += odd.eccentric * _sine(3.0 * angle)
         angle = counts(angle, motor.step)
@@ -79,7 +75,6 @@ def firmware(motor, odd, zero, s):
         s.drive[0] += odd.crosstalk * second
         s.drive[1] += odd.crosstalk * (first + third)
         s.drive[2] += odd.crosstalk * second
-    s.clock[3] += 1.0
 
 
 @compiled

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-RING = 64  # firmware ticks of commands that a motion-time ramp can look back on
 LOG = 20  # columns of the recording, see `COLUMNS`
 COLUMNS = ("x", "y", "yaw", "vx", "vy", "wz", "j1", "j2", "j3", "k1", "k2", "k3", "V", "I", "e1", "e2", "e3", "d1", "d2", "d3")
 
@@ -19,15 +18,15 @@ class State(NamedTuple):
     seen: np.ndarray  # (3,) angle at the last firmware tick, rad
     goal: np.ndarray  # (3,) latest command, rad
     aim: np.ndarray  # (3,) command after ramp and rate limit, rad
-    ring: np.ndarray  # (3, RING) goals of the last firmware ticks, rad
-    gap: np.ndarray  # (3,) motor side less link side, rad
+    ramp: np.ndarray  # (3, 3) of the motion-time ramp: from rad, to rad, since s
+    gap: np.ndarray  # (3,) play: motor side less link side, rad
     branch: np.ndarray  # (3,) stretch of the skin's viscous branch, rad
     bouc: np.ndarray  # (3,) hysteresis state of the skin, rad
     stuck: np.ndarray  # (3,) friction impulse of the last step, N m s
     wake: np.ndarray  # (6,) circulation m/s; lagged tail force N, N, moment N m; two states of the resonance
     speed: np.ndarray  # (4,) skin friction speed of each link to the power 0.8
     battery: np.ndarray  # (3,) terminal voltage V, current A, charge drawn A s
-    clock: np.ndarray  # (4,) time s; next firmware tick s; firmware resets until s; firmware ticks so far
+    clock: np.ndarray  # (3,) time s; next firmware tick s; firmware resets until s
 
 
 def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
@@ -45,7 +44,7 @@ def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
         seen=joints.copy(),
         goal=joints.copy(),
         aim=joints.copy(),
-        ring=np.repeat(joints[:, None], RING, 1),
+        ramp=np.stack([joints, joints, np.zeros(3)], 1),
         gap=np.zeros(3),
         branch=np.zeros(3),
         bouc=np.zeros(3),
@@ -53,5 +52,5 @@ def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
         wake=np.zeros(6),
         speed=np.zeros(4),
         battery=np.array([voltage, 0.0, 0.0]),
-        clock=np.zeros(4),
+        clock=np.zeros(3),
     )

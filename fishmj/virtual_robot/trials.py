@@ -92,7 +92,7 @@ def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> 
     start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
     state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
     state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
-    state.ring[:] = what.commands[0][:, None]
+    state.ramp[:, :2] = what.commands[0][:, None]
     queue = network.deliver(made.network, made.odd, what.t, what.commands, seed, index, noise)
     return run(made, state, queue.times, queue.commands, what.seconds, weather(made, what.seconds, seed, index))
 

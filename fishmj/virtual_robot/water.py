@@ -15,7 +15,6 @@ from math import cos, sin, sqrt
 from fishmj.units import G
 from fishmj.virtual_robot.compiled import compiled
 
-FROUDE = 0.1  # speed over sqrt(g L) at which the effect "free_surface" states its relative drag
 CALM = 1e-8  # m2/s2, keeps square roots smooth at rest
 
 
@@ -54,7 +53,7 @@ def trailing_edge(water, odd, wake, u, w, h):
 @compiled
 def whole_body(body, water, odd, u, v, r, bend):
     """(f_t, f_n, moment) at the reference point that effects add; head axes. bend: tail rate relative to the head, rad/s."""
-    waves = water.surface * water.tow * u * u / (G * body.length * FROUDE * FROUDE)
+    waves = water.surface * u * u / (G * body.length)  # grows with the Froude number squared
     along = -u * (water.linear_surge + (water.quadratic_surge + waves) * abs(u))
     across = -water.lift * u * v + odd.cross_force * bend * r
     turn = -water.yaw_drag * r * abs(r) - water.munk * body.munk * u * v
