@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
 SETUP = tank.Setup(domain=preset("laptop"), device="cpu")
 SMALL = replace(SETUP, domain=replace(SETUP.domain, shape=(60, 36, 16)))
 FULL = plan.full(FISH)
+SHIPPED = Path(__file__).parent.parent / "data" / "hydro" / "preview"
 
 
 class Toys:
@@ -139,6 +141,13 @@ def test_a_segment_survives_json():
     assert changed.sha256 != FULL.segments[0].sha256
 
 
+def test_the_fish_of_a_data_set_is_its_body_not_its_paint_or_its_fitted_water():
+    water = replace(FISH, title="another", water=FISH.water | {"cf": 0.5})
+    painted = replace(FISH, links=(replace(FISH.links[0], colour=(0.0, 0.0, 0.0)), *FISH.links[1:]))
+    heavier = replace(FISH, links=(replace(FISH.links[0], mass=0.8), *FISH.links[1:]))
+    assert tank.fingerprint(FISH) == tank.fingerprint(water) == tank.fingerprint(painted) != tank.fingerprint(heavier)
+
+
 # on disk
 
 
@@ -223,3 +232,12 @@ def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
     assert said["plan"] == "preview" and 80 < said["water_s"] < 130 and not (tmp_path / "no").exists()
     assert console.run(main, ["--preview", "--fresh-test", "2"]) == console.BAD_INPUT
     assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
+
+
+def test_the_shipped_preview_is_what_its_command_makes():
+    data = open_dataset(SHIPPED)
+    wanted = {segment.id: segment.sha256 for segment in plan.preview(FISH).segments}
+    assert {name: Segment.of(meta["segment"]).sha256 for name, meta in data.about.items()} == wanted
+    assert data.meta["complete"] and data.meta["origin"] == "synthetic" and data.meta["grid"]["preview"]
+    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 3e6
+    assert sum(record.seconds for record in data.records("train")) > 60

@@ -7,10 +7,11 @@ A segment whose water or fish leaves the finite numbers, or whose fish reaches a
 
 import gc
 import hashlib
+import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from math import ceil
 from typing import NamedTuple
@@ -56,11 +57,18 @@ class Setup:
         """What the fit must know, and what another machine must agree on; not the device."""
         domain, robot = self.domain, self.robot
         grid = {"domain": domain.name, "dx": domain.dx, "dt": domain.dt, "shape": list(domain.shape)}
-        sha = hashlib.sha256(repr(robot).encode()).hexdigest()
         return {
-            "robot": {"name": robot.name, "joints": robot.n_joints, "sha256": sha},
+            "robot": {"name": robot.name, "joints": robot.n_joints, "sha256": fingerprint(robot)},
             "grid": grid | {"kernel": self.width, "passes": self.passes, "preview": domain.name in PREVIEWS},
         }
+
+
+def fingerprint(robot: Robot) -> str:
+    """sha256 of the body, servos and timing: what moves in the solver. Colours and coefficients of simpler waters are no part."""
+    table = asdict(robot)
+    links = [{key: value for key, value in link.items() if key != "colour"} for link in table["links"]]
+    body = {key: table[key] for key in ("servo", "fins", "timing", "density_water")} | {"links": links}
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
 class Driven(Run):
