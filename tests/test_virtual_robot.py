@@ -1,5 +1,7 @@
 """The second robot: does it move like a fish, and do its parts keep the laws that hold whatever the coefficients."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,12 +77,60 @@ def test_a_fish_that_is_let_go_slows_down_and_goes_straight(made):
     assert 1.0 < coast(made) < 4.0  # halving from 0.3 m/s
 
 
-def kinetic_energy(made, state):
-    """Energy of links and water in still water, J: half v^T (J^T A J) v with the loop's own matrix."""
+def mass_matrix(made, state):
+    """J^T A J of links and still water (6, 6), the loop's own."""
     A, f, *_, stream, _ = workspace()
     assemble(made.body, made.water, made.tank, made.odd, state, stream, A, f, 0.0)
-    full = np.tril(A) + np.tril(A, -1).T
-    return 0.5 * state.rate @ full @ state.rate
+    return np.tril(A) + np.tril(A, -1).T
+
+
+def kinetic_energy(made, state):
+    """Energy of links and still water, J."""
+    return 0.5 * state.rate @ mass_matrix(made, state) @ state.rate
+
+
+def impulse(made, state):
+    """Linear (2,) and angular impulse of links and still water about the tank's centre, N s and N m s."""
+    momenta = mass_matrix(made, state) @ state.rate
+    turning = state.z[0] * momenta[1] - state.z[1] * momenta[0] + momenta[2:].sum()
+    return np.array([*momenta[:2], turning])
+
+
+def ideal(made):
+    """The same fish in water without friction, separation or wake."""
+    smooth = replace(made, sections={**made.sections, "drag_round": 0.0, "drag_flat": 0.0})
+    return smooth.with_fields(
+        dict.fromkeys(("water.friction", "water.head_forward", "water.head_backward", "water.edge_mass"), 0.0)
+    )
+
+
+@pytest.mark.parametrize("active", [1.0, 0.0])
+def test_in_ideal_water_and_in_empty_space_no_servo_can_change_the_impulse(made, active):
+    """Kirchhoff's equations on a hinged chain: inner torques leave linear and angular impulse alone, whatever they do."""
+    free = replace(ideal(made).with_fields({"water.active": active}), air=np.zeros(4))
+    state = at_rest((0.3, -0.2, 0.5), np.zeros(3), 7.4, (0.3, 0.1, 0.8))
+    before, commands = impulse(free, state), excitation.get("ramps").commands[30:180]
+    record = run(free, state, np.arange(150) * 0.02, commands, 3.0)
+    assert np.ptp(record.at(record.t, "j1", "j2", "j3"), axis=0).min() > 0.5  # it did move
+    assert impulse(free, state) == pytest.approx(before, abs=0.02 * np.abs(before).max())
+
+
+def test_in_ideal_water_a_limp_frictionless_chain_keeps_its_energy(made):
+    free = ideal(made).with_fields(
+        {
+            "motor.gain": 0.0,
+            "motor.rate_gain": 0.0,
+            "motor.constant": 1e-9,
+            "motor.dry": 0.0,
+            "motor.viscous": 0.0,
+            "motor.armature": 0.0,
+        }
+    )
+    state = at_rest(STILL, (0.2, 0.1, -0.3), 7.4, (0.2, 0.1, 0.5))
+    state.rate[3:] += [0.3, -0.4, 0.5]
+    before = kinetic_energy(free, state)
+    run(free, state, [], [], 1.0)
+    assert kinetic_energy(free, state) == pytest.approx(before, rel=0.02)
 
 
 def test_a_limp_fish_only_loses_energy(made):
@@ -100,9 +150,7 @@ def test_a_limp_fish_only_loses_energy(made):
 def test_the_mass_matrix_is_symmetric_positive_and_weighs_the_fish(made):
     air = made.with_fields({"water.active": 0.0})
     state = at_rest((0.0, 0.0, 0.4), (0.3, -0.5, 0.8), 7.4)
-    A, f, *_, stream, _ = workspace()
-    assemble(air.body, air.water, air.tank, air.odd, state, stream, A, f, 0.0)
-    full = np.tril(A) + np.tril(A, -1).T
+    full = mass_matrix(air, state)
     assert np.all(np.linalg.eigvalsh(full) > 0)
     assert full[:2, :2] == pytest.approx(made.robot.mass * np.eye(2), abs=1e-12)
 
