@@ -57,18 +57,25 @@ def leftover(residuals: np.ndarray, tangents: np.ndarray, layout: Layout, rounds
     d = np.where(np.isfinite(noise), noise, 0.1 * residuals.std(0) + 1e-9)
     least = FLOOR * d
     for _ in range(rounds):
-        rest = np.array([unexplained(residuals, tangents, d, i) for i in range(len(residuals))])
+        rest = unexplained(residuals, tangents, d)
         d = np.maximum(smooth(np.sqrt(np.mean(rest**2, 0)), layout), least)
     return d
 
 
-def unexplained(residuals: np.ndarray, tangents: np.ndarray, d: np.ndarray, i: int) -> np.ndarray:
-    """What is left of null run i after its expectation given the others: r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r."""
+def unexplained(residuals: np.ndarray, tangents: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """What is left of each null run after its expectation given the others (n, m): r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
+
+    F are the other runs over sqrt(n - 1) and the tangents; all products come from one Gram matrix.
+    """
     n = len(residuals)
-    factors = np.concatenate([np.delete(residuals, i, 0) / np.sqrt(n - 1), tangents]) / d
-    r = residuals[i] / d
-    weight = np.linalg.solve(np.eye(len(factors)) + factors @ factors.T, factors @ r)
-    return (r - weight @ factors) * d
+    factors = np.concatenate([residuals / np.sqrt(n - 1), tangents]) / d
+    gram = factors @ factors.T
+    weights = np.zeros((n, len(factors)))
+    for i in range(n):
+        others = np.arange(len(factors)) != i
+        inner = np.eye(len(factors) - 1) + gram[np.ix_(others, others)]
+        weights[i, others] = np.linalg.solve(inner, gram[others, i]) * np.sqrt(n - 1)
+    return residuals - (weights @ factors) * d
 
 
 def smooth(values: np.ndarray, layout: Layout) -> np.ndarray:

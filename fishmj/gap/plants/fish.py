@@ -153,10 +153,15 @@ class Fish:
             if sensor is None:
                 continue
             t = sensor.t[None, :] - late[clock][:, None] - nominal.get(clock, 0.0)
-            state = hermite(out[..., :nv], out[..., nv : 2 * nv], h, t)
-            energy = out[..., -1:]
-            power = (linear(energy, h, t) - linear(energy, h, t - h))[..., 0] / h + self.robot.servo.idle_power
-            report = Seen(t=t, x=state[..., 0], y=state[..., 1], yaw=state[..., 2], joint=state[..., 3:], power=power)
+            state = {"pose": slice(0, 3), "joint": slice(3, nv), "power": slice(0, 0)}[clock]
+            state = hermite(out[..., state], out[..., nv + state.start : nv + state.stop], h, t)
+            x, y, yaw = (state[..., i] for i in range(3)) if clock == "pose" else (np.zeros_like(t),) * 3
+            joint = state if clock == "joint" else np.zeros((*t.shape, self.joints))
+            power = np.zeros_like(t)
+            if clock == "power":
+                energy = out[..., -1:]
+                power = (linear(energy, h, t) - linear(energy, h, t - h))[..., 0] / h + self.robot.servo.idle_power
+            report = Seen(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
             report = self.active.measure(np, parameters, report)
             if clock == "pose":
                 seen[clock] = np.stack([report.x, report.y, report.yaw], -1)
