@@ -177,10 +177,9 @@ def test_jax_and_numpy_agree_at_every_site(effect, site):
             np.testing.assert_allclose(np.asarray(a), b, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("effect", [e for e in LASTING if e.remembering], ids=lambda e: e.name)
-def test_gradients_are_finite_at_the_null_at_rest(effect):
+@pytest.mark.parametrize("effect,site", [(e, s) for e in LASTING for s in e.remembering], ids=lambda x: getattr(x, "name", x))
+def test_gradients_are_finite_at_the_null_at_rest(effect, site):
     jax = pytest.importorskip("jax")
-    (site,) = effect.remembering
     given = fields_of(site, lambda shape: 0.0) | ({"kb": 0.3} if site == "gear" else {})
     with jax.enable_x64(True):
         total = lambda row, given: sum(at_site(jax.numpy, effect, site, row, given))  # noqa: E731
@@ -287,7 +286,7 @@ def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
         [sys.executable, "-m", "fishmj.effects", *args], capture_output=True, text=True, check=False
     )
     entry = json.loads(run("gear_backlash", "--json").stdout)
-    assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
+    assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["servo", "gear"] and entry["confusions"]
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
     assert all(e.name in describe.text(e) and e.formula in describe.text(e) for e in EVERY)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import Body, Constants, Gear, Place, Servo, Water
 
-BASE = 2  # memory that is always there: current of all servos [A], time [s]
+BASE = 2  # memory that is always there: current from the supply [A], time [s]
 
 
 class Slot(NamedTuple):
@@ -46,6 +46,7 @@ class Active:
             self.null += list(effect.null)
             memory += list(effect.memory) * (joints if per_joint else 1)
         self.slots, self.memory = tuple(slots), tuple(memory)
+        self.order = tuple(sorted(slots, key=lambda slot: slot.effect.rank))  # in which they act at a site
 
     def index(self, effect: str, parameter: str) -> int:
         """Place of a parameter in the flat list."""
@@ -71,7 +72,7 @@ class Active:
             if clock in slot.effect.delays:
                 total = total + p[slot.effect.delays[clock]]
             if clock in slot.effect.drifts:
-                total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
+                total = total + p[slot.effect.drifts[clock]] * t
         return total
 
     def drawn(self, parameters, stream: str) -> list:
@@ -80,7 +81,7 @@ class Active:
 
     def measure(self, xp, parameters, seen):
         """What the sensors make of the record `seen`; parameters may be arrays that broadcast over its time axis."""
-        for slot in self.slots:
+        for slot in self.order:
             if slot.effect.measure is not None:
                 seen = slot.effect.measure(xp, _values(slot, parameters), seen)
         return seen
@@ -91,11 +92,11 @@ class Session:
 
     def __init__(self, active: Active, xp, parameters: list, memory: list):
         self.xp, self.memory = xp, memory
-        self._placed = [(slot, _values(slot, parameters)) for slot in active.slots]
+        self._placed = [(slot, _values(slot, parameters)) for slot in active.order]
 
     @property
     def current(self):
-        """Current of all servos one step ago, A."""
+        """What all servos drew from the supply one step ago, A."""
         return self.memory[0]
 
     @property

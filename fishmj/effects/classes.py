@@ -77,7 +77,7 @@ CLASSES = (
         effects=("yaw_inertia", "yaw_added_mass"),
         besides=(),
         without="motion in air",
-        reason="both resist the head's yaw acceleration; only on the tail's small share of it do they differ",
+        reason="both resist the head's yaw acceleration, in the same way",
         splits="hang the fish on two threads in air and time its swing; or flap in air",
         excitations=("flap", "impulse"),
     ),

@@ -77,9 +77,10 @@ class Effect:
         command(xp, p, command, memory, h) -> (command, memory) one joint's command, rad, on its way to the servo
         measure(xp, p, Seen) -> Seen                            what the sensors report, whole records
         delays {clock: parameter}                               transport delay of a clock, s
-        drifts {clock: parameter}                               rate of a clock, 1 = true: the delay grows by (rate - 1) t
+        drifts {clock: parameter}                               growth of that delay, s/s
 
     memory: initial values of what a site remembers, one set a joint at the sites servo, gear and command.
+    rank: at a site effects act in order of rank, then as listed: first what comes first on the robot.
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
         scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (scatter.py).
     """
@@ -95,6 +96,7 @@ class Effect:
     native: str = ""
     memory: tuple[float, ...] = ()
     stochastic: bool = False
+    rank: int = 0
     servo: Callable | None = None
     gear: Callable | None = None
     fish: Callable | None = None
@@ -124,8 +126,8 @@ class Effect:
             )
         if len(self.sites) + len(self.delays) == 0 and not drawn:
             raise ConfigError(f"effect {self.name}: acts at no site")
-        if self.memory and len(self.remembering) != 1:
-            raise ConfigError(f"effect {self.name}: memory belongs to one site, got {self.sites}")
+        if self.memory and not (len(self.remembering) == 1 or set(self.remembering) <= {"servo", "gear"}):
+            raise ConfigError(f"effect {self.name}: memory belongs to one site, or to a joint's servo and gear; got {self.sites}")
 
     @property
     def sites(self) -> tuple[str, ...]:

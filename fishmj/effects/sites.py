@@ -13,7 +13,7 @@ class Servo(NamedTuple):
     kv: Any  # N m s/rad, damping added by the controller
     kb: Any  # N m s/rad, back-EMF slope
     limit: Any  # N m, stall torque
-    current: Any  # A, all servos together, one step ago
+    current: Any  # A, what all servos together drew from the supply one step ago
     time: Any  # s since the session began
 
 
@@ -63,6 +63,7 @@ class Body(NamedTuple):
     time: Any  # s
     tail: Any  # normal velocity of the tail tip relative to the water, m/s
     sway_mass: Any  # kg, added mass that the base model has in sway, 0 in air
+    drag: Any  # N s2/m2, surge drag of the base model over u^2, ahead
     wet: Any  # 1 in water, 0 in air
     fx: Any  # N, ahead
     fy: Any  # N, to the left
@@ -70,6 +71,7 @@ class Body(NamedTuple):
     mx: Any  # kg
     my: Any  # kg
     mn: Any  # kg m2
+    added: Any  # 1, share of the base model's added mass that comes on top of it
 
 
 class Water(NamedTuple):

@@ -14,6 +14,8 @@ from fishmj.effects import Active
 from fishmj.effects.sites import Body, Constants, Gear, Place, Servo, Water
 from fishmj.hydro_fit import chain, terms
 
+STILL = 0.0  # of every sum over the effects, before the first
+
 
 class Effects:
     """The sites of one physics step for an ordered set of effects.
@@ -57,11 +59,14 @@ class Effects:
     def water(self, ch: chain.Chain, sw: chain.Swimmer, q, k: chain.Links, hydro):
         if not self.session.acts("water"):
             return hydro
+        given = Water(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, self._instant(ch, sw, k))
+        return self.session.water(given, ch.dt).forces
+
+    def _instant(self, ch: chain.Chain, sw: chain.Swimmer, k: chain.Links) -> list:
+        """Per-link force of the added mass that goes with velocities, (F_t, F_n, moment)."""
         bias = chain.bias_forces(ch, sw, k, rigid=False)
         parts = [terms.reactive(ch.strips, sw.water, i, k.u[i], k.w[i], k.omega[i]) for i in range(ch.n)]
-        instant = [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(bias, parts, strict=True)]
-        given = Water(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, instant)
-        return self.session.water(given, ch.dt).forces
+        return [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(bias, parts, strict=True)]
 
     def body(self, ch: chain.Chain, sw: chain.Swimmer, q, k: chain.Links, rhs, m) -> None:
         for j, torque in enumerate(self.passive):
@@ -70,14 +75,23 @@ class Effects:
             return
         sway = sum(sw.water.k[i] * ch.strips.mu[i][0] for i in range(ch.n))
         tail = k.w[-1] + k.omega[-1] * ch.strips.tail_x
-        still = (0.0,) * 6
-        b = Body(k.u[0], k.w[0], k.omega[0], q[2], q[0], q[1], self.session.time, tail, sway * self.wet, self.wet, *still)
+        drag = 0.5 * ch.strips.rho * (ch.strips.frontal * sw.water.ca_forward + sum(map(sum, ch.strips.p)) * sw.water.cf)
+        b = Body(
+            k.u[0], k.w[0], k.omega[0], q[2], q[0], q[1], self.session.time, tail, sway * self.wet, drag, self.wet, *(STILL,) * 7
+        )
         b = self.session.body(b, ch.dt)
         for i, (force, mass) in enumerate(((b.fx, b.mx), (b.fy, b.my), (b.n, b.mn))):
             rhs[i], m[i][i] = rhs[i] + force, m[i][i] + mass
+        if b.added is not STILL:
+            more = chain.gather(ch, k, self._instant(ch, sw, k))
+            for i, row in enumerate(chain.mass_matrix(ch, sw, k, rigid=False)):
+                rhs[i] = rhs[i] + b.added * more[i]
+                m[i] = [a + b.added * c for a, c in zip(m[i], row, strict=True)]
 
     def end(self, ch: chain.Chain, sw: chain.Swimmer, v, drive):
-        current = sum(self.xp.abs(d - sw.kb[j] * v[3 + j]) for j, d in enumerate(drive)) / ch.motor
+        # supply: the motor's current (drive - kb w) / K times the duty drive / stall torque; nothing flows back
+        amps = (self.xp.maximum(d * (d - sw.kb[j] * v[3 + j]), 0.0) for j, d in enumerate(drive))
+        current = sum(amps) / (ch.torque * ch.motor)
         return self.session.end(current, ch.dt)
 
 

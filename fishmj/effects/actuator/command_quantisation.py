@@ -15,7 +15,7 @@ EFFECT = Effect(
     about="counts are coarser than the model's: slow motion goes in steps",
     formula="c' = q round(c/q)",
     source="open hardware: 240 deg over 1000 counts; one degree where firmware sends whole degrees",
-    parameters=(Parameter(name="step", unit="rad", low=0.0, high=0.1, typical=(0.004, 0.035)),),
+    parameters=(Parameter(name="step", unit="rad", low=0.0, high=0.2, typical=(0.004, 0.035)),),
     shows=("joint", "power"),
     confusions=(
         Confusion(
@@ -28,4 +28,5 @@ EFFECT = Effect(
         ),
     ),
     command=command,
+    rank=1,
 )

@@ -17,7 +17,7 @@ EFFECT = Effect(
     about="teeth under load rub harder: lifting costs more than lowering gives back, holding has a hysteresis",
     formula="tau = -K |tau_motor| sign(w)",
     source="Rhoban BAM M3; 0.1 to 0.3, 0.15 on an XL330",
-    parameters=(Parameter(name="ratio", unit="1", low=0.0, high=0.8, typical=(0.1, 0.3)),),
+    parameters=(Parameter(name="ratio", unit="1", low=0.0, high=1.0, typical=(0.1, 0.3)),),
     shows=("joint", "power"),
     confusions=(
         Confusion(

@@ -27,4 +27,5 @@ EFFECT = Effect(
     ),
     memory=(0.0,),
     command=command,
+    rank=3,
 )

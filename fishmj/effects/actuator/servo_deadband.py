@@ -17,7 +17,7 @@ EFFECT = Effect(
     about="no torque while the error is small, so a joint stops short of its command, whatever the load",
     formula="e' = 0 where |e| < d",
     source="bus servos: one or two counts of 0.24 deg, hobby servos up to 2 deg",
-    parameters=(Parameter(name="deadband", unit="rad", low=0.0, high=0.1, typical=(0.005, 0.035)),),
+    parameters=(Parameter(name="deadband", unit="rad", low=0.0, high=0.2, typical=(0.005, 0.035)),),
     shows=("joint", "power"),
     confusions=(
         Confusion(

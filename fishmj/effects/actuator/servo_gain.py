@@ -14,7 +14,7 @@ EFFECT = Effect(
     about="bandwidth of the joint is off: amplitude and phase change with frequency",
     formula="(k_p, k_v)' = (1 + g) (k_p, k_v)",
     source="spread of gains between servos of one type: 10 to 30 %",
-    parameters=(Parameter(name="gain", unit="1", low=-0.7, high=2.0, typical=(0.1, 0.3)),),
+    parameters=(Parameter(name="gain", unit="1", low=-0.95, high=2.0, typical=(0.1, 0.3)),),
     shows=("joint", "position", "power"),
     native="actuator gainprm, biasprm",
     confusions=(

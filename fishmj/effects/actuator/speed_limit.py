@@ -4,14 +4,15 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """drive along the motion <= line = limit (1 - s |w|), on top of back-EMF.
+    """Torque after back-EMF, drive - k_b w, along the motion <= limit (1 - s |w|); lines above the model's own do nothing.
 
-    On the line its slope s limit is taken implicitly: a damping, and a torque that makes up for it at the present rate.
+    On the line its slope is taken implicitly: a damping, and a torque that makes up for it at the present rate.
     """
     ahead = xp.where(g.drive >= 0.0, 1.0, -1.0)
-    line = g.limit * (1.0 - p.slowness * xp.maximum(g.rate * ahead, 0.0))
+    steeper = xp.maximum(p.slowness * g.limit - g.kb, 0.0)  # N m s/rad, than back-EMF
+    line = xp.maximum(g.limit - steeper * xp.maximum(g.rate * ahead, 0.0), 0.0)
     over = g.drive * ahead >= line
-    slope = xp.where(over, p.slowness * g.limit, 0.0)
+    slope = xp.where(over, steeper, 0.0)
     drive = xp.where(over, ahead * line, g.drive)
     return g._replace(drive=drive, torque=g.torque + slope * g.rate, resist=g.resist + slope), memory
 
@@ -19,10 +20,10 @@ def gear(xp, p, g, memory, h):
 EFFECT = Effect(
     name="speed_limit",
     stage="actuator",
-    about="an extra torque-speed line: fast joints lose torque, a large fast sine becomes a triangle",
-    formula="drive <= limit (1 - s |w|) along the motion; 1/s is the speed at which nothing is left",
+    about="a steeper torque-speed line: fast joints lose torque, a large fast sine becomes a triangle",
+    formula="torque <= limit (1 - s |w|) along the motion; 1/s is the speed at which nothing is left",
     source="paper: 0.2 s per 60 deg without load; low voltage and stiff grease halve it",
-    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.15, 0.5)),),
+    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.25, 0.5)),),
     shows=("joint", "position", "power"),
     native="actuator dcmotor",
     confusions=(

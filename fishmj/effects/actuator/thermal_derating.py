@@ -4,8 +4,8 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def servo(xp, p, s, memory, h):
-    """(limit, k_p, k_v)' = (limit, k_p, k_v) / (1 + a t)."""
-    left = 1.0 / (1.0 + p.rate * s.time)
+    """(limit, k_p, k_v)' = (limit, k_p, k_v) e^(-a t)."""
+    left = xp.exp(-p.rate * s.time)
     return s._replace(limit=left * s.limit, kp=left * s.kp, kv=left * s.kv), memory
 
 
@@ -13,9 +13,9 @@ EFFECT = Effect(
     name="thermal_derating",
     stage="actuator",
     about="torque fades over a session as the windings warm up",
-    formula="torque' = torque / (1 + a t)",
+    formula="torque' = torque e^(-a t)",
     source="copper 0.4 %/K; an XL330 warms by 11 K in two minutes",
-    parameters=(Parameter(name="rate", unit="1/s", low=0.0, high=0.02, typical=(3e-4, 2e-3)),),
+    parameters=(Parameter(name="rate", unit="1/s", low=0.0, high=0.2, typical=(3e-4, 5e-3)),),
     shows=("joint", "position", "power"),
     confusions=(
         Confusion(other="voltage_sag", separates="minutes against milliseconds", excitations=("gait", "steps")),

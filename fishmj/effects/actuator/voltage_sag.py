@@ -8,18 +8,21 @@ LEAST = 0.3  # of it is left: boards switch off below
 
 
 def servo(xp, p, s, memory, h):
-    """limit' = limit V / V_oc, V = V_oc - R I; the no-load speed limit / k_b falls with it. I is that of one step ago."""
+    """(limit, k_p, k_v)' = (limit, k_p, k_v) V / V_oc, V = V_oc - R I: the controller sets a duty, the supply the voltage.
+
+    The no-load speed limit / k_b falls with it. I is what all servos drew from the supply one step ago.
+    """
     share = xp.maximum(1.0 - p.resistance * s.current / OPEN, LEAST)
-    return s._replace(limit=share * s.limit), memory
+    return s._replace(limit=share * s.limit, kp=share * s.kp, kv=share * s.kv), memory
 
 
 EFFECT = Effect(
     name="voltage_sag",
     stage="actuator",
     about="battery and leads have a resistance: everything is weaker and slower while several joints work",
-    formula="limit' = limit (V_oc - R I) / V_oc, I the current of all servos",
-    source="two cells and leads: 60 to 150 mohm fresh, 0.5 ohm worn and cold",
-    parameters=(Parameter(name="resistance", unit="ohm", low=0.0, high=2.0, typical=(0.1, 0.5)),),
+    formula="torque' = torque (V_oc - R I) / V_oc, I the supply's current",
+    source="two cells and leads: 60 to 150 mohm fresh; worn, cold or through thin wire up to an ohm",
+    parameters=(Parameter(name="resistance", unit="ohm", low=0.0, high=6.0, typical=(0.1, 1.0)),),
     shows=("joint", "position", "power"),
     confusions=(
         Confusion(other="torque_saturation", separates="one joint alone against all together", excitations=("steps", "gait")),

@@ -15,7 +15,7 @@ EFFECT = Effect(
     about="every link is harder or easier to push sideways: turns, side slip",
     formula="c_n' = (1 + g) c_n, all links",
     source="cross-flow coefficients of ellipses and plates: 1.1 to 2; this hull has 30 N s2/m2",
-    parameters=(Parameter(name="gain", unit="1", low=-0.8, high=2.0, typical=(0.1, 0.4)),),
+    parameters=(Parameter(name="gain", unit="1", low=-0.95, high=2.0, typical=(0.1, 0.4)),),
     shows=("position", "heading"),
     confusions=(
         Confusion(other="yaw_drag", separates="shows in a side drift without turning", excitations=("tow_sideways", "twirl")),

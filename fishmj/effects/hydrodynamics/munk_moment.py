@@ -14,7 +14,7 @@ EFFECT = Effect(
     about="a body that moves askew is turned further askew; viscosity leaves 0.7 to 1.1 of the ideal moment",
     formula="n = -g m_sway u w",
     source="Munk 1924; factors of 0.7 to 1.1 on hulls",
-    parameters=(Parameter(name="gain", unit="1", low=-1.0, high=1.0, typical=(0.1, 0.3)),),
+    parameters=(Parameter(name="gain", unit="1", low=-1.5, high=2.0, typical=(0.1, 0.3)),),
     shows=("heading", "position"),
     confusions=(
         Confusion(other="body_lift", separates="a moment, not a force", excitations=("tow_oblique", "turn_left")),

@@ -16,7 +16,7 @@ EFFECT = Effect(
     about="normal force and shed momentum of the tail fin: thrust and recoil in one",
     formula="(c_n, k_e)_tail' = (1 + g) (c_n, k_e)_tail",
     source="compliant and printed fins: 30 % either way",
-    parameters=(Parameter(name="gain", unit="1", low=-0.8, high=2.0, typical=(0.1, 0.3)),),
+    parameters=(Parameter(name="gain", unit="1", low=-0.95, high=2.0, typical=(0.1, 0.3)),),
     shows=("position", "heading", "power"),
     confusions=(
         Confusion(

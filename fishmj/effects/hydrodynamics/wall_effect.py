@@ -7,23 +7,32 @@ HALF = constant("tank", "size")[0] / 2  # m, the tank's walls are at x, y = +-HA
 LENGTH = constant("robot", "length")  # m, over which a wall is felt
 
 
+def more(xp, p, x, y):
+    """a e^(-d / L), d the distance from the reference point to the nearest wall."""
+    gap = xp.maximum(HALF - xp.maximum(xp.abs(x), xp.abs(y)), 0.0)
+    return p.gain * xp.exp(-gap / LENGTH)
+
+
 def water(xp, p, w, memory, h):
-    """f' = f (1 + a e^(-d / L)), d the distance to the nearest wall; forces but those of the added mass."""
-    gap = xp.maximum(HALF - xp.maximum(xp.abs(w.x), xp.abs(w.y)), 0.0)
-    more = p.gain * xp.exp(-gap / LENGTH)
-    near = [
-        tuple(f + more * (f - i) for f, i in zip(pair[0], pair[1], strict=True)) for pair in zip(w.forces, w.instant, strict=True)
-    ]
+    """f' = f (1 + a e^(-d / L)) for what drag and trailing edge do."""
+    share = more(xp, p, w.x, w.y)
+    pairs = zip(w.forces, w.instant, strict=True)
+    near = [tuple(f + share * (f - i) for f, i in zip(force, instant, strict=True)) for force, instant in pairs]
     return w._replace(forces=near), memory
+
+
+def body(xp, p, b, memory, h):
+    """m_a' = m_a (1 + a e^(-d / L)): the added mass alike."""
+    return b._replace(added=b.added + more(xp, p, b.x, b.y)), memory
 
 
 EFFECT = Effect(
     name="wall_effect",
     stage="hydrodynamics",
-    about="drag and push of the tail rise within a body length of a wall",
-    formula="f' = f (1 + a e^(-d/L)), d to the nearest wall",
+    about="drag, push of the tail and added mass rise within a body length of a wall",
+    formula="(f, m_a)' = (f, m_a) (1 + a e^(-d/L)), d to the nearest wall",
     source="blockage in tanks: 5 to 30 % within half a length",
-    parameters=(Parameter(name="gain", unit="1", low=-0.5, high=2.0, typical=(0.1, 0.5)),),
+    parameters=(Parameter(name="gain", unit="1", low=-0.5, high=5.0, typical=(0.1, 0.5)),),
     shows=("position", "heading"),
     confusions=(
         Confusion(
@@ -35,4 +44,5 @@ EFFECT = Effect(
         Confusion(other="quadratic_drag", separates="not in the middle of the tank", excitations=("out_and_back", "gait")),
     ),
     water=water,
+    body=body,
 )

@@ -18,7 +18,7 @@ EFFECT = Effect(
     shows=("heading",),
     native="body fluidcoef (ellipsoid model)",
     confusions=(
-        Confusion(other="yaw_inertia", separates="not in air; not on the tail's own turning", excitations=("impulse", "chirp")),
+        Confusion(other="yaw_inertia", separates="not in air", excitations=("impulse", "chirp")),
         Confusion(other="yaw_drag", separates="start of a turn against its end", excitations=("twirl", "spin")),
     ),
     body=body,

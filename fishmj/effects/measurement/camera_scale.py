@@ -18,4 +18,5 @@ EFFECT = Effect(
     shows=("position",),
     confusions=(Confusion(other="quadratic_drag", separates="a run of known length", excitations=("out_and_back",)),),
     measure=measure,
+    rank=2,
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
         ),
     ),
     measure=measure,
+    rank=3,
 )

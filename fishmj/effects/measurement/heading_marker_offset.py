@@ -21,4 +21,5 @@ EFFECT = Effect(
         Confusion(other="com_offset", separates="the same at rest", excitations=("drift_east", "turn_left")),
     ),
     measure=measure,
+    rank=4,
 )

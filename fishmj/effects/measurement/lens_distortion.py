@@ -15,7 +15,7 @@ EFFECT = Effect(
     about="lengths at the edge of the picture come out too long or too short",
     formula="(x, y)' = (x, y) (1 + k_1 r^2)",
     source="wide lenses: 1 to 2 % at the edge, 1.8 m from the centre",
-    parameters=(Parameter(name="k1", unit="1/m2", low=-0.05, high=0.05, typical=(0.003, 0.01)),),
+    parameters=(Parameter(name="k1", unit="1/m2", low=-0.1, high=0.1, typical=(0.003, 0.01)),),
     shows=("position",),
     confusions=(
         Confusion(
@@ -24,4 +24,5 @@ EFFECT = Effect(
         Confusion(other="wall_effect", separates="bends a resting grid", excitations=("out_and_back",)),
     ),
     measure=measure,
+    rank=1,
 )

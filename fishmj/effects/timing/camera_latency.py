@@ -8,7 +8,7 @@ EFFECT = Effect(
     about="exposure, transfer and tracking take longer: position and heading lag, the joints do not",
     formula="pose_log(t) = pose(t - delay)",
     source="paper, calibration of latency; cameras over USB have 30 to 100 ms",
-    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.2, typical=(0.02, 0.1)),),
+    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.25, typical=(0.02, 0.1)),),
     shows=("position", "heading"),
     native="sensor delay",
     confusions=(

@@ -8,7 +8,7 @@ EFFECT = Effect(
     about="radio and firmware hold a command back, so joints and body both lag behind it",
     formula="c_servo(t) = c(t - delay)",
     source="paper, calibration of latency; wireless links have 10 to 80 ms",
-    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.15, typical=(0.01, 0.06)),),
+    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.25, typical=(0.01, 0.06)),),
     shows=("joint", "position", "heading", "power"),
     native="actuator delay",
     confusions=(

@@ -8,7 +8,7 @@ EFFECT = Effect(
     about="joint angles are read over a slow bus: the joint channel lags, the body does not",
     formula="joint_log(t) = joint(t - delay)",
     source="half duplex bus at 115200 baud: 5 to 60 ms",
-    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.15, typical=(0.01, 0.06)),),
+    parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.25, typical=(0.01, 0.06)),),
     shows=("joint",),
     native="sensor delay",
     confusions=(

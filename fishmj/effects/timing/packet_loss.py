@@ -20,7 +20,7 @@ EFFECT = Effect(
     about="a lost command leaves the one before it standing: plateaus in the joints",
     formula="c'_k = c_k with probability 1 - p, else c'_{k-1}",
     source="wireless links: 0.1 to 5 %",
-    parameters=(Parameter(name="probability", unit="1", low=0.0, high=0.5, typical=(0.005, 0.05)),),
+    parameters=(Parameter(name="probability", unit="1", low=0.0, high=0.9, typical=(0.005, 0.05)),),
     shows=("joint", "position", "heading"),
     confusions=(
         Confusion(other="latency_jitter", separates="isolated plateaus of whole packets", excitations=("sine",)),
