@@ -1,0 +1,50 @@
+"""What the water remembers where a piece of a record begins: the tail's attachment and the wake, filled by the recorded motion.
+
+A model walks along the records at the bus tick, its forces not acting on the fish but noted: the judge of forces needs the same.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.hydro_fit import chain, learned, residual, terms
+from fishmj.hydro_fit.fit.rows import Rows
+
+
+class Walk(NamedTuple):
+    """A model along M recorded ticks."""
+
+    force: np.ndarray  # (3, N, M) of the residual, N and N m about the link's origin
+    memory: np.ndarray  # (M, 3 N + 2) before each tick
+    spread: np.ndarray  # (N, M) variance between the members' coefficients
+    outside: np.ndarray  # (M,) 1 where a link was outside the fitted range
+
+
+def walk(ch: chain.Chain, rows: Rows, c: terms.Coefficients, learnt: learned.Residual, tick: float) -> Walk:
+    """Along all records side by side, each from rest."""
+    spans, n = rows.spans(), ch.n
+    longest, count = max(span.stop - span.start for span in spans), len(spans)
+    wide = np.zeros((3, n, longest, count))
+    for j, span in enumerate(spans):
+        for f, value in enumerate((rows.u, rows.w, rows.omega)):
+            wide[f, :, : span.stop - span.start, j] = value[1, :, span]
+    memory = [np.zeros(count) for _ in learned.at_rest(n)]
+    kept: list[tuple] = []
+    for k in range(longest):
+        motion = chain.Links([], [], list(wide[2, :, k]), list(wide[0, :, k]), list(wide[1, :, k]), [])
+        hooks = learned.Learned(np, ch, learnt, memory)
+        force = np.array(hooks.advance(ch.strips, c, motion, tick))  # (N, 3, R)
+        new = [value + np.zeros(count) for value in hooks.end(ch, None, None, None)]
+        kept.append((force.transpose(1, 0, 2), np.array(memory), np.array(hooks.spread), new[-1] - memory[-1]))
+        memory = new
+    force, before, spread, outside = (np.stack(column, -2) for column in zip(*kept, strict=True))
+    line = lambda a: np.concatenate([a[..., : s.stop - s.start, j] for j, s in enumerate(spans)], -1)  # noqa: E731
+    return Walk(line(force), line(before).T, line(spread), line(outside))
+
+
+def features(ch: chain.Chain, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """xi (M, N, 5) and V (M, N) of every row: what the fitted range is made from."""
+    n = ch.n
+    middle = lambda a: [a[1, i] for i in range(n)]  # noqa: E731
+    m = residual.motion(np, residual.panels(ch), chain.Links([], [], middle(rows.omega), middle(rows.u), middle(rows.w), []))
+    return np.array(m.xi).transpose(2, 0, 1), np.array(m.speed).T

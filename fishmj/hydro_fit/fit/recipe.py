@@ -1,0 +1,272 @@
+"""The whole fit, stage by stage: each is kept when done, so an interrupted fit goes on where it was.
+
+    linear     least squares on wrenches                               rollout   factors by free swims
+    residual   forces that are left over                               rehearse  short free swims with the residual
+    retune     the factors again, with the residual in place           finish    members, range and error bar
+A stage that makes the validation swims worse is not taken; the notes say so. The test part is never looked at.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj.errors import DatasetError, StoreError
+from fishmj.hydro_fit import chain, learned, residual
+from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout
+from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
+from fishmj.hydro_fit.fit.rows import Rows, rows_of
+from fishmj.hydro_fit.model import HydroModel, robot_hash
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+from fishmj.store import plain, read_tensors, write_tensors
+
+STAGES = ("linear", "rollout", "residual", "rehearse", "retune", "finish")
+TOW = 0.3  # m/s, of the tow drag that thrust errors are measured in
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a fit may be told. steps of learning; `swim` seconds of free swimming at most in each Gauss-Newton batch."""
+
+    seed: int = 0
+    members: int = 5
+    hidden: int = 16
+    steps: int = 700
+    rehearsals: int = 30
+    swim: float = 600.0
+    residual: bool = True
+    memory: bool = True
+    rollout: bool = True
+
+
+Report = Callable[[str, float, dict], None]  # stage, share of the whole fit, figures
+
+
+def quiet(stage: str, share: float, figures: dict) -> None:
+    """Say nothing."""
+
+
+class Fit:
+    """One fit of one robot.
+
+    Args:
+        train, val: records at one slip ratio. folder: where finished stages are kept; None keeps nothing.
+        dataset: sha256 and what else is to be told about the data.
+    Raises:
+        DatasetError: a part is empty or has no free swim.
+    """
+
+    def __init__(
+        self, robot: Robot, train: Sequence[Record], val: Sequence[Record], *, dataset: dict, settings: Settings | None = None,
+        folder: Path | None = None, report: Report = quiet,
+    ):  # fmt: skip
+        if not train or not val:
+            raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
+        self.robot, self.chain, self.folder, self.report = robot, chain.chain_of(robot), folder, report
+        self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or Settings()
+        self.tick = self.train[0].tick
+        self.swim = rollout.Swim(self.chain, chain.nominal(robot))
+        self.limits = prior_of(robot)
+        about = {"robot": robot_hash(robot), "prior": flat(chain.nominal(robot).water).tolist(), "data": dataset}
+        about |= {"records": [r.id for r in [*self.train, *self.val]], "settings": asdict(self.settings)}
+        self.key = hashlib.sha256(json.dumps(plain(about), sort_keys=True).encode()).hexdigest()
+        self.notes: list[str] = []
+        self.found: dict[str, dict] = {}
+        self.seconds: dict[str, float] = {}
+
+    def run(self) -> HydroModel:
+        """All stages; returns the model."""
+        state: dict[str, Any] = {}
+        for number, stage in enumerate(STAGES):
+            kept = self._read(stage)
+            if kept is None:
+                began = time.perf_counter()
+                state |= getattr(self, f"_{stage}")(state)
+                self.seconds[stage] = time.perf_counter() - began
+                self._write(stage, state)
+            else:
+                state = kept
+            self.report(stage, (number + 1) / len(STAGES), {"seconds": self.seconds.get(stage, 0.0)})
+        return self._model(state)
+
+    # stages: state -> what they add to it
+
+    def _linear(self, state) -> dict:
+        rows = rows_of(self.chain, self.train)
+        done = linear.fit_linear(self.robot, self.chain, rows, self.tick)
+        self.found["linear"] = done.found.table()
+        return {"water": flat(done.water), "noise": done.noise}
+
+    def _rollout(self, state) -> dict:
+        if not self.settings.rollout:
+            return {"factors": np.zeros((1, len(newton.groups(self.chain.n))))}
+        return self._newton(state, None, "rollout")
+
+    def _newton(self, state, learnt, stage: str) -> dict:
+        before = self.score(state["water"], learnt)
+        told = lambda k, n, cost: self._tell(stage, k / n, cost=cost)  # noqa: E731
+        done = newton.fit_rollout(self.robot, self.chain, self._match(self.train, learnt), unflat(state["water"]), report=told)
+        after = self.score(flat(done.water), learnt)
+        if after > before:
+            self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
+            return {}
+        self.found[stage] = done.found.table()
+        names = len(done.found.parameters)
+        normal = done.jacobian.T @ done.jacobian + np.eye(names) / newton.SPREAD**2
+        draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
+        return {"water": flat(done.water), "factors": np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T}
+
+    def _residual(self, state) -> dict:
+        s = self.settings
+        if not s.residual:
+            return {}
+        c = unflat(state["water"].tolist())
+        told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)  # noqa: E731
+        self._lessons = lessons.lessons_of(self.chain, self.train, c)
+        net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
+        net = learning.learn(self.chain, self._lessons, net, steps=s.steps, seed=s.seed, memory=s.memory, report=told).net
+        rows = rows_of(self.chain, self.train)
+        xi, speed = begin.features(self.chain, rows)
+        reach = learned.fitted(xi, speed, 1e6)
+        spread = begin.walk(self.chain, rows, c, learned.Residual(net, reach), self.tick).spread
+        reach = reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6))
+        learnt = learned.Residual(net, reach)
+        before, after = self.score(state["water"], None), self.score(state["water"], learnt)
+        self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
+        return packed(learnt)
+
+    def _rehearse(self, state) -> dict:
+        s, learnt = self.settings, unpacked(state)
+        if learnt is None or not s.rehearsals:
+            return {}
+        c, net = unflat(state["water"].tolist()), learnt.net
+        if not hasattr(self, "_lessons"):
+            self._lessons = lessons.lessons_of(self.chain, self.train, c)
+        before = self.score(state["water"], learnt)
+        memory = begin.walk(self.chain, rows_of(self.chain, self.train), c, learnt, self.tick).memory
+        starts = np.cumsum([0, *(len(r.q) for r in self.train)])
+        for part, (seconds, steps) in enumerate(((0.2, s.rehearsals), (1.0, s.rehearsals))):
+            fleet = rollout.fleet_of(self.chain, self.robot, self.train, seconds=seconds, least=seconds)
+            at = np.array([starts[n] + a for n, a in fleet.source])
+            told = lambda k, n, cost, part=part: self._tell("rehearse", (part + k / n) / 2, loss=cost)  # noqa: E731
+            given = dict(memory=memory[at], steps=steps, seed=s.seed, report=told)
+            net = learning.rehearse(self.chain, self.swim, fleet, self._lessons, net, state["water"], **given).net
+        after = self.score(state["water"], learnt._replace(net=net))
+        if after > before:
+            self.notes.append(f"rehearse: not taken, validation {before:.4g} -> {after:.4g}")
+            return {}
+        return packed(learnt._replace(net=net))
+
+    def _retune(self, state) -> dict:
+        learnt = unpacked(state)
+        return {} if learnt is None or not self.settings.rollout else self._newton(state, learnt, "retune")
+
+    def _finish(self, state) -> dict:
+        learnt, water = unpacked(state), state["water"]
+        if learnt is not None:
+            alone, both = self.score(state["water"], None), self.score(water, learnt)
+            self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
+        fleet = rollout.fleet_of(self.chain, self.robot, self.val, seconds=60.0)
+        members = member_waters(water, state["factors"], self.chain.n, self.limits)
+        swum = lambda w, r: band.means(self.swim.run(fleet, w, r), fleet)  # noqa: E731
+        parts = [swum(w, learnt and learned.member(learnt, e)) for e, w in enumerate(members)]
+        made = band.fit_band(swum(water, learnt), parts, band.means(rollout.recorded(fleet), fleet))
+        return {"members": members, "band": np.array([made[channel] for channel in band.CHANNELS])}
+
+    # what stages share
+
+    def score(self, water: np.ndarray, learnt) -> float:
+        """Mean squared error of the validation swims, in tolerances."""
+        if not hasattr(self, "_val"):
+            self._val = self._match(self.val, None)
+        self._val.learnt = learnt
+        error = self._val.residuals(np.asarray(water)[None])[0]
+        return float(error @ error / len(error) * self._val.seen.surge.shape[1])
+
+    def _match(self, records, learnt) -> newton.Match:
+        fleet = rollout.fleet_of(self.chain, self.robot, records)
+        most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
+        if len(fleet.q) > most:
+            rng = np.random.default_rng([59, self.settings.seed])
+            fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False)))
+        held = [r for r in records if not rollout.is_free(r) and r.meta["block"] in ("chirp", "gait")]
+        rows: Rows | None = rows_of(self.chain, held) if held and learnt is None else None
+        return newton.Match(self.swim, fleet, self.tick, rows, tow_drag(self.chain, self.robot), learnt)
+
+    def _tell(self, stage: str, part: float, **figures) -> None:
+        self.report(stage, (STAGES.index(stage) + min(part, 1.0)) / len(STAGES), figures)
+
+    def _model(self, state) -> HydroModel:
+        made = dict(zip(band.CHANNELS, state["band"].tolist(), strict=True))
+        slips = {float(r.meta["grid"].get("slip", 1.0)) for r in self.train}
+        return HydroModel(
+            name=self.robot.name,
+            robot=self.robot.name,
+            robot_sha256=robot_hash(self.robot),
+            dt=self.chain.dt,
+            slip=slips.pop() if len(slips) == 1 else float("nan"),
+            base=unflat(state["water"].tolist()),
+            members=state["members"],
+            learnt=unpacked(state),
+            found=self.found,
+            dataset=self.dataset | {"train_s": sum(r.seconds for r in self.train), "val_s": sum(r.seconds for r in self.val)},
+            band=made,
+            scores={"validation": self.score(state["water"], unpacked(state)), "seconds": self.seconds},
+            notes="; ".join(self.notes),
+        )
+
+    def _path(self, stage: str) -> Path | None:
+        return None if self.folder is None else self.folder / f"stage-{STAGES.index(stage) + 1}-{stage}.safetensors"
+
+    def _write(self, stage: str, state) -> None:
+        path = self._path(stage)
+        if path is not None:
+            meta = {"key": self.key, "found": self.found, "notes": self.notes, "seconds": self.seconds}
+            write_tensors(path, state, meta)
+
+    def _read(self, stage: str) -> dict | None:
+        """The state after a stage that was finished for the same data and settings."""
+        path = self._path(stage)
+        if path is None or not path.is_file():
+            return None
+        try:
+            arrays, meta = read_tensors(path)
+        except StoreError:  # cut short while it was written, or damaged: the stage is done again
+            return None
+        if meta["key"] != self.key:
+            return None
+        self.found, self.notes, self.seconds = meta["found"], meta["notes"], meta["seconds"]
+        return arrays
+
+
+def tow_drag(ch: chain.Chain, robot: Robot, speed: float = TOW) -> float:
+    """Drag of the straight fish by the prior coefficients, N: the yardstick of thrust errors."""
+    q, v = [0.0] * (ch.n + 2), [speed, *[0.0] * (ch.n + 1)]
+    k = chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
+    forces = chain.water_forces(np, ch, chain.nominal(robot), k, 0.0, (0.0, 0.0), 1.0)
+    return -float(sum(f[0] for f in forces))
+
+
+def member_waters(water: np.ndarray, factors: np.ndarray, links: int, limits) -> np.ndarray:
+    """(E, P): the base, moved along what the swims leave open."""
+    return np.stack([newton.scaled(water, row, links, limits) for row in factors])
+
+
+def packed(learnt: learned.Residual) -> dict:
+    """A residual as named arrays."""
+    net = {f"net.{key}": np.asarray(value) for key, value in learnt.net._asdict().items()}
+    return net | {f"range.{key}": np.asarray(value) for key, value in learnt.reach._asdict().items()}
+
+
+def unpacked(state: dict) -> learned.Residual | None:
+    """The residual of a state, if there is one."""
+    if "net.reach" not in state:
+        return None
+    net = residual.Net(*(state[f"net.{key}"] for key in residual.Net._fields))
+    return learned.Residual(net, learned.Range(*(state[f"range.{key}"] for key in learned.Range._fields)))

@@ -1,0 +1,170 @@
+"""A fitted water: strip coefficients, the learnt residual with its range, and where both come from. TOML and safetensors.
+
+    model = HydroModel.load("swift")            a shipped one, or a path to its .toml
+    sw = model.swimmer(robot)                   the robot in this water
+    hooks = model.water(np, ch, memory)         for chain.step; None where there is no residual
+    model.base_only                             the same without the residual, a water of its own
+
+The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256 the
+first holds. Nothing in either can run code.
+"""
+
+import hashlib
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.hydro_fit import chain, learned, residual, terms
+from fishmj.log.toml import dumps
+from fishmj.mjcf.description import Robot
+from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
+
+SCHEMA = "fishmj.water/1"
+UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"
+_ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = (_ROOT.parent / "data" / "water", _ROOT / "_data" / "water")  # checkout first, then the installed wheel
+_NET, _RANGE = residual.Net._fields, learned.Range._fields
+
+
+def robot_hash(robot: Robot) -> str:
+    """sha256 of everything that describes a robot but for its water: what a model must have been fitted for."""
+    return hashlib.sha256(repr(replace(robot, water={"stations": robot.water.get("stations")})).encode()).hexdigest()
+
+
+def shipped() -> list[str]:
+    """Names of the fitted waters that come with fishmj."""
+    return sorted({path.stem for folder in FOLDERS if folder.is_dir() for path in folder.glob("*.toml")})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HydroModel:
+    """One fitted water.
+
+    Attributes:
+        base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
+        learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
+        dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
+        band: standard error of a mean that the members do not show, by channel. scores: on the validation part.
+    """
+
+    name: str
+    robot: str
+    robot_sha256: str
+    dt: float
+    slip: float
+    base: terms.Coefficients
+    members: np.ndarray
+    learnt: "learned.Residual | None" = None
+    found: dict = field(default_factory=dict)
+    dataset: dict = field(default_factory=dict)
+    band: dict = field(default_factory=dict)
+    scores: dict = field(default_factory=dict)
+    notes: str = ""
+
+    @property
+    def base_only(self) -> "HydroModel":
+        """The strip model alone."""
+        return replace(self, name=f"{self.name}-base", learnt=None)
+
+    @property
+    def calibrated(self) -> dict[str, float]:
+        """Coefficients that the data identified; the others are numbers to swim with, not to quote."""
+        rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
+        return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers that the water remembers besides the attachment."""
+        return 0 if self.learnt is None else 3 * len(self.base.k) + 2
+
+    def swimmer(self, robot: Robot) -> chain.Swimmer:
+        """The nominal robot in this water.
+
+        Raises:
+            ConfigError: the model was fitted for another robot or another time step.
+        """
+        if robot_hash(robot) != self.robot_sha256:
+            raise ConfigError(
+                f"water {self.name!r} was fitted for robot {self.robot!r} {self.robot_sha256[:12]}, got {robot.name!r}"
+                f" {robot_hash(robot)[:12]}: another geometry, servo or timing; fit it: python -m fishmj.hydro_fit --fish FILE"
+            )
+        if abs(robot.timing.physics_dt - self.dt) > 1e-9:
+            raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
+        return chain.nominal(robot)._replace(water=self.base)
+
+    def water(self, xp, ch: chain.Chain, memory=None, inner: Any = None, *, unrolled: bool = False):
+        """Hooks for `chain.step` that add the residual, after `inner`; `inner` itself where there is none.
+
+        Args:
+            memory: flat list, inner's first; at rest when None.
+        """
+        if self.learnt is None:
+            return inner
+        memory = learned.at_rest(ch.n) if memory is None else memory
+        return learned.Learned(xp, ch, self.learnt, memory, inner, unrolled=unrolled)
+
+    def save(self, folder: "str | Path") -> Path:
+        """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
+        folder, arrays = Path(folder), {"members": np.asarray(self.members, np.float64)}
+        if self.learnt is not None:
+            arrays |= {f"net.{key}": np.asarray(getattr(self.learnt.net, key), np.float32) for key in _NET}
+            arrays |= {f"range.{key}": np.asarray(getattr(self.learnt.reach, key), np.float32) for key in _RANGE}
+        weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
+        table = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
+        table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
+        table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
+        table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
+        table |= {"band": self.band, "scores": self.scores, "found": self.found}
+        return write_text(folder / f"{self.name}.toml", dumps(_finite(plain(table))))
+
+    @classmethod
+    def load(cls, source: "str | Path") -> "HydroModel":
+        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual.
+
+        Raises:
+            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model.
+        """
+        path = Path(source)
+        if path.suffix != ".toml":
+            plain_name = str(source).removesuffix("-base")
+            found = [folder / f"{plain_name}.toml" for folder in FOLDERS if (folder / f"{plain_name}.toml").is_file()]
+            if not found:
+                raise UnknownName("fitted water", str(source), shipped())
+            model = cls.load(found[0])
+            return model.base_only if str(source).endswith("-base") else model
+        return _read(cls, path)
+
+
+def _read(cls, path: Path) -> HydroModel:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{path}: not a readable TOML file: {error}") from error
+    if table.get("schema") != SCHEMA:
+        raise ConfigError(f"{path}: schema {table.get('schema')!r}, expected {SCHEMA!r}: this is not a fitted water")
+    try:
+        weights, expected = path.with_name(table["weights"]["file"]), table["weights"]["sha256"]
+        if sha256(weights) != expected:
+            raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
+        arrays, _ = read_tensors(weights)
+        learnt = None
+        if table["weights"]["residual"]:
+            net = residual.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
+            learnt = learned.Residual(net, learned.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
+        keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
+        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "scores")}
+        base = terms.Coefficients(**table["base"])
+        return cls(**{key: table[key] for key in keys}, base=base, members=arrays["members"], learnt=learnt, **rest)
+    except (KeyError, TypeError) as error:
+        raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
+
+
+def _finite(value):
+    """Without the nulls that TOML does not know."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items() if item is not None}
+    return [_finite(item) for item in value if item is not None] if isinstance(value, list) else value
