@@ -2,12 +2,14 @@
 
 import sys
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ray_toys import toy
 
-from fishmj.campaign.collect import collect
+from fishmj.campaign.collect import Local, collect
 from fishmj.campaign.plan import Plan
 from fishmj.campaign.ray_pool import ATTEMPTS, RayPool
 from fishmj.campaign.segment import Segment
@@ -103,6 +105,18 @@ def test_a_task_may_hold_several_segments(tmp_path, two):
     two.tanks = 3
     done = list(two.run(deque(segments(tmp_path / "diary", 5)), SETUP, lambda water: True))
     assert sorted(item.segment.id for item in done) == [f"e{i}" for i in range(5)]
+
+
+@pytest.mark.ray
+@pytest.mark.oracle
+def test_a_worker_with_water_records_what_this_process_records(cluster):
+    small = Setup(domain=replace(preset("laptop"), shape=(60, 36, 16)), device="cpu")
+    gait = {"kind": "gait", "frequency": 1.5, "amplitude": 0.4, "lag": 1.0, "bias": 0.3, "ramp": 0.1}
+    swim = Segment(id="swim", block="gait", episode="swim", split="train", seconds=0.24, drive=gait)
+    (there,), (here,) = (list(pool.run(deque([swim]), small, lambda water: True)) for pool in (RayPool("auto"), Local()))
+    assert there.segment == here.segment and there.meta["start"] == here.meta["start"]
+    for name, values in here.arrays.items():
+        np.testing.assert_array_equal(there.arrays[name], values)
 
 
 @pytest.mark.ray
