@@ -133,6 +133,14 @@ def test_the_second_fish_gets_only_controllers_that_know_it():
         plan.full(FISH, policies=("dod",))
 
 
+def test_a_policy_that_has_changed_since_is_refused():
+    segment = next(s for s in FULL.segments if s.drive.get("controller") == "paper")
+    drives.drive(segment, FISH)
+    other = replace(segment, drive=segment.drive | {"sha256": "0" * 64})
+    with pytest.raises(ConfigError, match="policy paper: expected sha256 0000"):
+        drives.drive(other, FISH)
+
+
 def test_a_segment_survives_json():
     for segment in FULL.segments[::7]:
         back = Segment.of(json.loads(json.dumps(segment.table())))

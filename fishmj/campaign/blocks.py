@@ -120,7 +120,7 @@ def uneven(k: int, u, robot: Robot) -> Made:
     return {"drive": _wave(u, 0.0), "flow": flow, "pose": heading}
 
 
-def steered(k: int, u, robot: Robot, names: tuple[str, ...]) -> Made:
+def steered(k: int, u, robot: Robot, helms: tuple[Made, ...]) -> Made:
     """A controller or policy on its way to a target 1.4 m off and at it, from any heading, in a turbulent stream."""
     speed, direction, far = within(u[0], 0.0, 0.35), 2 * pi * float(u[1]), constant("protocol", "distance")
     near = 0.2 if k % 3 == 2 else 1.0  # of the distance: every third episode begins close to the target
@@ -133,8 +133,8 @@ def steered(k: int, u, robot: Robot, names: tuple[str, ...]) -> Made:
         intensity=within(u[4], 0.0, 0.1),
         seed=int(1e6 * u[5]),
     )
-    drive = {"kind": "policy", "controller": names[k % len(names)], "target": target, "seed": int(1e6 * u[6])}
-    return {"drive": drive, "flow": flow, "pose": _heading(u[3])}
+    drive = {"kind": "policy", "target": target, "seed": int(1e6 * u[6])}
+    return {"drive": drive | helms[k % len(helms)], "flow": flow, "pose": _heading(u[3])}
 
 
 def _wave(u, bias: float) -> Made:

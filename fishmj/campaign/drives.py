@@ -149,11 +149,22 @@ def manoeuvre(segment: Segment, robot: Robot, *, phases, lag: float) -> Drive:
     return Drive(lambda tick, run: wave[min(tick, len(wave) - 1)])
 
 
-def policy(segment: Segment, robot: Robot, *, controller: str, target, seed: int = 0, noise: float = 1.0) -> Drive:
-    """A controller or policy file that steers for `target` (2,) m, with the sensors' noise and latency."""
+def policy(
+    segment: Segment, robot: Robot, *, controller: str, target, sha256: str = "", seed: int = 0, noise: float = 1.0
+) -> Drive:
+    """A controller or policy file that steers for `target` (2,) m, with the sensors' noise and latency.
+
+    Raises:
+        ConfigError: the policy here is not the one with this sha256.
+    """
     from fishmj.campaign.steered import Steered
 
-    return Drive(Steered(segment, robot, controller, target, seed, noise))
+    helm = Steered(segment, robot, controller, target, seed, noise)
+    if sha256 and (got := getattr(helm.brain, "sha256", "")) != sha256:
+        raise ConfigError(
+            f"segment {segment.id}: policy {controller}: expected sha256 {sha256}, got {got}; plan again with this file"
+        )
+    return Drive(helm)
 
 
 def _joints(segment: Segment, robot: Robot) -> np.ndarray:

@@ -157,7 +157,7 @@ def on_policy(
 
 
 def _episodes(
-    part: Part, robot: Robot, seed: int, split: str, count: int, steer: tuple[str, ...], prefix: str = ""
+    part: Part, robot: Robot, seed: int, split: str, count: int, steer: tuple[dict, ...], prefix: str = ""
 ) -> list[Segment]:
     """The first `count` episodes of a block at the default slip."""
     from scipy.stats import qmc
@@ -218,17 +218,18 @@ def _count(part: Part, scale: float) -> int:
     return max(1, ceil(part.episodes * scale - 1e-9)) if scale >= 1 else max(part.least, round(part.episodes * scale))
 
 
-def _steering(robot: Robot, wanted: Sequence[str]) -> tuple[str, ...]:
-    """Controllers for on-policy episodes; without wishes those that can be made for this fish."""
+def _steering(robot: Robot, wanted: Sequence[str]) -> tuple[dict, ...]:
+    """What steers on-policy episodes, policies with their sha256; without wishes those that can be made for this fish."""
     made = []
     for name in wanted or POLICIES:
         try:
-            controllers.make(name, robot)
+            brain = controllers.make(name, robot)
         except FishmjError:
             if wanted:
                 raise
             continue
-        made.append(str(name))
+        sha = getattr(brain, "sha256", "")
+        made.append({"controller": str(name)} | ({"sha256": sha} if sha else {}))
     return tuple(made)
 
 
