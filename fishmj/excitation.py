@@ -11,6 +11,7 @@ moving (let go from a carriage). All are deterministic; `random_ramps(seed)` mak
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -222,7 +223,8 @@ _add(
 )
 _add("station_right", lambda: gait(1.0, SWIM, LAG), "swim along the tank's right side", (-1.4, -1.3, 0.0))
 _add("ramps", lambda: random_ramps(1), "random straight lines, like a policy's commands: everything a little")
-_add("ramps_2", lambda: random_ramps(2), "another draw of ramps, for testing only")
+for _draw in range(2, 7):
+    _add(f"ramps_{_draw}", partial(random_ramps, _draw), "another draw of ramps")
 _add("flap", lambda: _alone_beat(1.2, _deg(35), 3.5), "each joint beats alone: which servo, supply voltage against all together")
 _add("tow_ahead", lambda: np.zeros((400, JOINTS)), "let go at 0.4 m/s ahead: drag from coasting alone", WEST, (0.4, 0.0, 0.0))
 _add(
@@ -246,6 +248,8 @@ DESIGNED = (  # a session of twelve that shows most effects
     *("gait", "chirp", "steps", "slow_triangle", "turn_left", "gait_fast"),
     *("burst_and_coast", "drift_north", "out_and_back", "tow_oblique", "gait_mirrored", "ramps"),
 )
+CASUAL = ("ramps", *(f"ramps_{draw}" for draw in range(2, 7)))  # whatever a policy happened to do
+DRY = ("sine", "square", "impulse", "chirp", "steps", "staircase", "slow_triangle", "hold_angles")  # worth doing in air
 
 
 def _alone_beat(frequency: float, amplitude: float, seconds: float) -> np.ndarray:

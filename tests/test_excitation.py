@@ -25,6 +25,7 @@ def test_every_experiment_is_sound(name):
 def test_what_identification_needs_is_there():
     assert set(WANTED) <= set(excitation.names()) and set(excitation.DESIGNED) <= set(excitation.names())
     assert len(set(excitation.DESIGNED)) == 12
+    assert set(excitation.CASUAL) | set(excitation.DRY) <= set(excitation.names())
 
 
 def test_a_drift_runs_at_four_headings():

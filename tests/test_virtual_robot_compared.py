@@ -50,3 +50,21 @@ def test_the_path_is_similar_and_far_outside_the_noise(both):
     path = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1).sum()
     worst = np.linalg.norm(apart, axis=1).max()
     assert 5 * 0.002 < worst < 0.25 * path, name
+
+
+if __name__ == "__main__":  # the figures of docs/virtual_robot.md
+    for name in (*excitation.DESIGNED, "gait_slow", "tow_ahead", "twirl", "spin"):
+        if "north" in name:
+            continue  # a fish that rests does so in both
+        run = excitation.get(name)
+        t, pose, joint = first_robot(run)
+        tables = generate({}, [run], 0, noise=0.0, nuisance=0.0)[0].tables
+        late = tables["pose"]["t"] - 0.065
+        x, y, yaw = (np.interp(late, t, pose[:, i]) - tables["pose"][c] for i, c in enumerate(("x", "y", "yaw")))
+        told = [np.interp(tables["joint"]["t"], t, joint[:, j]) - tables["joint"][f"j{j + 1}"] for j in range(3)]
+        rms = [
+            1e3 * np.sqrt(np.mean(x**2 + y**2)),
+            np.degrees(np.sqrt(np.mean(yaw**2))),
+            np.degrees(np.sqrt(np.mean(np.square(told), 1).max())),
+        ]
+        print(f"{name:16} path {rms[0]:5.0f} mm  heading {rms[1]:5.2f} deg  joint {rms[2]:5.2f} deg")

@@ -18,7 +18,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--plant", action="append", default=[], metavar="EFFECT[=value]", help="SI; may be repeated; random, random_odd"
     )
-    parser.add_argument("--excitations", default="designed", metavar="LIST", help="designed, all, or ids with commas")
+    parser.add_argument(
+        "--excitations", default="designed", metavar="LIST", help="designed, casual, dry, all, or ids with commas"
+    )
     parser.add_argument("--logs", type=int, help="number of trials; beyond the list they are replicates. Default: the list once")
     parser.add_argument("--seed", type=int, default=0, help="robot and noise")
     parser.add_argument("--noise", type=float, default=1.0, help="factor on every sensor's noise")
@@ -58,7 +60,7 @@ def main(argv: list[str]) -> int:
 
 def _runs(text: str, logs: int | None) -> list[str]:
     """Excitation ids of the session."""
-    shelf = {"designed": excitation.DESIGNED, "all": excitation.names()}
+    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
     listed = list(shelf.get(text, [name.strip() for name in text.split(",")]))
     for name in listed:
         excitation.get(name)

@@ -2,7 +2,7 @@
 
 The loops allocate nothing, so reference counting is off (`_nrt`): with it, handing the groups of arrays from function to function
 costs five times the physics. Everything is inlined into the one cached entry point. numba would notice a change of that one file
-only, so the entry point's cache name holds a hash of all sources of the room.
+only, so the entry point's cache name holds a hash of all that is inlined.
 """
 
 import hashlib
@@ -17,12 +17,13 @@ except ImportError as error:
     raise MissingExtra("numba", "fast", "the virtual robot") from error
 
 _MATH: dict[str, Any] = {"fastmath": {"contract", "nsz", "reassoc", "arcp"}, "error_model": "numpy", "_nrt": False}
+INLINED = ("chain", "compiled", "loop", "servo", "water")  # files with compiled functions
 compiled = njit(forceinline=True, **_MATH)
 
 
 def entry(function):
     """Compile and cache the function that Python calls."""
-    sources = sorted(Path(__file__).resolve().parent.glob("*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+    here = Path(__file__).resolve().parent
+    digest = hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in INLINED)).hexdigest()[:16]
     function.__qualname__ = f"{function.__qualname__}_{digest}"
-    return njit(cache=True, **_MATH)(function)
+    return njit(cache=True, nogil=True, **_MATH)(function)

@@ -34,6 +34,7 @@ class Effect:
     runs: tuple[str, ...]
     stochastic: bool = False  # differs between replicates
     catalogued: bool = True
+    about: str = ""  # for those that no catalogue explains
 
     @property
     def nulls(self) -> dict[str, float]:
