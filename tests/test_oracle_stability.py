@@ -1,0 +1,115 @@
+"""The oracle's water at tau = 0.50003: what keeps it stable, what that costs, and that without it a held fish fails."""
+
+import numpy as np
+import pytest
+
+wp = pytest.importorskip("warp")
+
+from fishmj.flow import Flow  # noqa: E402
+from fishmj.lbm_oracle import collide  # noqa: E402
+from fishmj.lbm_oracle.body import Body  # noqa: E402
+from fishmj.lbm_oracle.boundaries import channel  # noqa: E402
+from fishmj.lbm_oracle.coupling import Coupled  # noqa: E402
+from fishmj.lbm_oracle.fluid import BLEND, Fluid  # noqa: E402
+from fishmj.lbm_oracle.lattice import vec6  # noqa: E402
+from fishmj.lbm_oracle.markers import fish_markers  # noqa: E402
+from fishmj.lbm_oracle.units import Lattice  # noqa: E402
+
+pytestmark = pytest.mark.oracle
+DX, DT = 0.02, 0.004  # the paper's grid
+
+
+def broadside(blend: float) -> Coupled:
+    """A straight fish across a stream of 0.5 m/s that slides along it, in a box as small as it may be."""
+    shape = (44, 44, 24)
+    lattice = Lattice(dx=DX, dt=DT, corner=tuple(-(n - 1) / 2 * DX for n in shape))
+    water = Fluid(lattice, shape, boundaries=channel(sponge=4), flow=Flow(speed=0.5, direction=np.pi), blend=blend)
+    body = Body.of("fish", "planar", DT)
+    body.place([0, 0.1, -np.pi / 2, 0, 0, 0])
+    return Coupled(water, body, fish_markers("fish", DX, slip=1.0), slip=1.0)
+
+
+def fastest(fish: Coupled, steps: int, limit: float) -> float:
+    """Greatest component of velocity in m/s at any of the looks over so many steps, held; stops above the limit."""
+    held, still, worst = np.ones(fish.body.dofs), np.zeros(fish.body.dofs), 0.0
+    for step in range(1, steps + 1):
+        fish.step(held, still)
+        if step % 25 == 0:
+            speed = np.abs(fish.fluid.velocity()).max()
+            worst = max(worst, float(speed)) if np.isfinite(speed) else np.inf
+            if worst > limit:
+                break
+    return worst
+
+
+def test_a_fish_held_across_a_stream_that_slides_along_it_is_stable():
+    assert fastest(broadside(BLEND), 500, 1.2) < 1.2
+
+
+def test_the_same_fish_fails_where_no_stress_follows_the_slopes():
+    assert fastest(broadside(0.0), 500, 1.5) > 1.5
+
+
+def stream(blend: float) -> list[float]:
+    """Greatest standard deviation of a velocity component, m/s, early and late, of noise in a uniform stream of 0.9 m/s."""
+    shape, late = (24, 24, 8), []
+    water = Fluid(Lattice(dx=DX, dt=DT), shape, blend=blend)
+    along = np.array([2.0, 1.0, 0.0]) / 5**0.5
+    water.impose(0.9 * along + 1e-3 * np.random.default_rng(0).standard_normal((*shape, 3)))
+    for steps in (1000, 2000):
+        water.run(steps)
+        late.append(float(water.velocity().std((0, 1, 2)).max()))
+    return late
+
+
+def test_noise_in_a_stream_decays_with_the_blend_and_grows_without():
+    early, late = stream(BLEND)
+    assert late < 0.9 * early
+    early, late = stream(0.0)
+    assert late > 1.1 * early
+
+
+@pytest.mark.parametrize("cells", [16, 32])
+def test_on_resolved_scales_the_blend_is_a_small_viscosity_of_fourth_order(cells):
+    """b k^2 / 48 on top of the water's, from the decay of a Taylor-Green vortex; eddy viscosity off."""
+    nu, k = 1e-3, 2 * np.pi / cells
+    x, y = np.meshgrid(*(k * np.arange(cells),) * 2, indexing="ij")
+    u = 0.02 * np.stack([np.cos(x) * np.sin(y), -np.sin(x) * np.cos(y), 0 * x], -1)[:, :, None]
+    found = []
+    for blend in (0.0, BLEND):
+        water = Fluid(Lattice(dx=DX, dt=DT, nu=nu * DX**2 / DT), (cells, cells, 1), cw=0.0, blend=blend)
+        water.impose(u)
+        water.run(200)
+        before = (water.velocity() ** 2).sum()
+        water.run(400)
+        found.append(np.log(before / (water.velocity() ** 2).sum()) / (4 * k * k * 400))
+    assert found[0] == pytest.approx(nu, rel=2e-3)
+    assert found[1] - found[0] == pytest.approx(BLEND * k * k / 48, rel=0.1)
+
+
+def test_a_finer_step_loses_as_much_stress_in_a_second():
+    whole, half = (Fluid(Lattice(dx=DX, dt=dt), (4, 4, 4)).numbers.borrowed for dt in (DT, DT / 2))
+    assert whole == pytest.approx(BLEND) and half == pytest.approx(BLEND / 2)
+
+
+@wp.kernel(enable_backward=False)
+def _blends(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float, out: wp.array(dtype=vec6)):
+    out[0] = collide.blended(p, dx, dy, dz, rho_tau, share)
+
+
+def test_the_blend_is_its_formula_and_leaves_the_trace_and_a_stress_that_fits_alone():
+    rng = np.random.default_rng(2)
+    g, rho_tau, share = rng.uniform(-0.02, 0.02, (3, 3)), 0.61, 0.3  # g_ab = d u_a / d x_b
+    strain = (g + g.T) / 2 - np.trace(g) / 3 * np.eye(3)
+    fits = -2 * rho_tau / 3 * strain
+    other = rng.uniform(-0.01, 0.01, (3, 3))
+    out = wp.zeros(1, dtype=vec6, device="cpu")
+    for stress in (fits, fits + 0.004 * np.eye(3), (other + other.T) / 2):
+        six = [stress[0, 0], stress[1, 1], stress[2, 2], stress[0, 1], stress[0, 2], stress[1, 2]]
+        wp.launch(_blends, 1, inputs=[vec6(*six), *(wp.vec3(*g[:, i]) for i in range(3)), rho_tau, share, out], device="cpu")
+        mean = np.trace(stress) / 3 * np.eye(3)
+        expected = mean + (1 - share) * (stress - mean) + share * fits
+        got = out.numpy()[0]
+        np.testing.assert_allclose(got[:3], np.diag(expected), atol=1e-8)
+        np.testing.assert_allclose(got[3:], [expected[0, 1], expected[0, 2], expected[1, 2]], atol=1e-8)
+        assert got[:3].sum() == pytest.approx(np.trace(stress), abs=1e-8)
