@@ -63,14 +63,14 @@ class Search:
                 row[self.plant.index(effect.name, effect.parameters[k].name)] = value
                 rows.append(row)
                 owners.append((effect, k, value))
-        rows = np.array(rows)
-        z = self.z(rows)
+        tried = np.array(rows)
+        z = self.z(tried)
         cost = np.einsum("rm,rm->r", z, z)
         found = []
         for effect in effects:
             mine = [i for i, owner in enumerate(owners) if owner[0] is effect]
             best = min(mine, key=lambda i: cost[i])
-            choices = [rows[best]] + secants(self.plant, base, effect, [(owners[i], z[i]) for i in mine])
+            choices = [tried[best]] + secants(self.plant, base, effect, [(owners[i], z[i]) for i in mine])
             found.append((effect, choices))
         flat = np.array([row for _, choices in found for row in choices])
         z = self.z(flat)

@@ -25,7 +25,7 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     before, parts = e.gap(found.base.row)
     checks: dict = {"adequacy": found.held_before / found.held_size, "gap_by_channel": parts}
     steps = tuple(described(s) for s in found.steps)
-    plain = dict(gap_before=before, gap_after=before, gates=checks, steps=steps)
+    plain: dict = dict(gap_before=before, gap_after=before, gates=checks, steps=steps)
     first = found.steps[0] if found.steps else None
     if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
@@ -42,7 +42,9 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     checks["transfer"] = transfer(e, found, held)
     effects = named(e, found.base, [best], held, share)
     warnings = sanity(e, best, effects)
-    whole = dict(effects=effects, rivals=rivals, gap_before=before, gap_after=after, explained=checks["closure"], steps=steps)
+    whole: dict = dict(
+        effects=effects, rivals=rivals, gap_before=before, gap_after=after, explained=checks["closure"], steps=steps
+    )
     whole |= dict(warnings=warnings, gates=checks)
     if checks["closure"] < gates.closure:
         why = f"the catalogue explains {checks['closure']:.0%} of what is unexpected; the best candidate is tentative"
@@ -118,13 +120,11 @@ def intervals(e: Evidence, c: Candidate) -> np.ndarray:
     jac = (z[1:] - z[0]) / np.array(moved)[:, None]
     normal = jac @ jac.T + 1e-12 * np.eye(len(jac))
     curvature = np.sqrt(np.diag(np.linalg.inv(normal)))
-    steps = []
-    for record in range(len(e.records)):
-        mine = e.layout.record == record
-        part = jac[:, ~mine]
-        steps.append(-np.linalg.solve(part @ part.T + 1e-9 * normal, part @ z[0][~mine]))
-    steps = np.array(steps)
-    n = len(steps)
+    n = len(e.records)
+    steps = np.empty((n, len(jac)))
+    for record in range(n):
+        others = jac[:, e.layout.record != record]
+        steps[record] = -np.linalg.solve(others @ others.T + 1e-9 * normal, others @ z[0][e.layout.record != record])
     jackknife = np.sqrt((n - 1) / n * np.sum((steps - steps.mean(0)) ** 2, 0))
     return np.maximum(curvature, jackknife)
 

@@ -12,7 +12,7 @@ import numpy as np
 from fishmj.gap.records import Record
 
 WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2}  # s
-CHANNELS = {"joint": "joint", "pose": ("position", "position", "heading"), "power": "power"}
+CHANNELS = {"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",)}
 
 
 class Block(NamedTuple):
@@ -45,7 +45,7 @@ class Layout:
                 )
                 t = np.add.reduceat(given.t, first) / counts
                 for column in range(given.values.shape[1]):
-                    channel = CHANNELS[sensor] if isinstance(CHANNELS[sensor], str) else CHANNELS[sensor][column]
+                    channel = CHANNELS[sensor][column % len(CHANNELS[sensor])]
                     where = slice(self.size, self.size + len(counts))
                     sigma = float(given.sigma[column])
                     self.blocks.append(Block(i, sensor, column, channel, t, window, where, first, counts, sigma))

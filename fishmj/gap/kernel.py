@@ -82,8 +82,8 @@ class Kernel:
         rows = len(which)
         out = np.full((rows, samples, self.watched), np.nan)
         tidy = lambda a, dtype: np.ascontiguousarray(a, dtype)  # noqa: E731
-        given = (tidy(which, np.int64), tidy(inputs, float), tidy(lengths, np.int64), tidy(parameters, float), tidy(start, float))
-        given += (tidy(delay, float), int(stride), out)
+        rollouts = (tidy(which, np.int64), tidy(inputs, float), tidy(lengths, np.int64), tidy(parameters, float))
+        given = (*rollouts, tidy(start, float), tidy(delay, float), int(stride), out)
         blocks = -(-rows // native.LANES)
         workers = max(1, min(os.cpu_count() or 1, blocks // CHUNK))
         edges = [native.LANES * (blocks * i // workers) for i in range(workers)] + [rows]

@@ -117,11 +117,11 @@ class Null:
 
 def repeated(record: Record) -> Excitation:
     """What was commanded, as an experiment that can be done again."""
-    stride = round(0.02 / record.dt)
+    stride, (x, y, yaw), (u, w, r) = round(0.02 / record.dt), record.place, record.push
     return Excitation(
         id=record.excitation or record.name,
         commands=record.commands[::stride],
         about="a record repeated",
-        start=tuple(round(float(v), 3) for v in record.place),
-        push=tuple(map(float, record.push)),
+        start=(round(float(x), 3), round(float(y), 3), round(float(yaw), 3)),
+        push=(float(u), float(w), float(r)),
     )

@@ -24,21 +24,21 @@ from fishmj.gap.records import Record
 class Gates:
     """Thresholds.
 
-    adequacy: held-out |z|^2 / m that null runs do not reach. gain: held-out drop of |z|^2 below which nothing is added; `again`:
-    share of the held-out |z|^2, `beside`: of the gain so far, that a further effect must take away as well. closure, p_best: as in evidence.py. margin: of the
-    gain, between the best and the next. shortlist, finalists: candidates that are fitted, and ranked on all records.
+    adequacy: held-out |z|^2 / m that null runs do not reach. gain: held-out drop of |z|^2 below which nothing is added. A further
+    effect must also take away `again` of the held-out |z|^2 and `beside` of the gain so far. closure, p_best: as in evidence.py.
+    margin: of the gain, between the best and the next. shortlist, finalists: candidates fitted, and ranked on all records.
     """
 
-    gain: float = 40.0
-    adequacy: float = 1.2
-    closure: float = 0.6
-    margin: float = 0.1
-    p_best: float = 0.9
-    most: int = 4
-    shortlist: int = 12
-    finalists: int = 5
-    again: float = 0.05
-    beside: float = 0.005
+    adequacy: float
+    gain: float
+    again: float
+    beside: float
+    closure: float
+    margin: float
+    p_best: float
+    most: int
+    shortlist: int
+    finalists: int
 
 
 class Evidence:

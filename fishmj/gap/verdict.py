@@ -30,7 +30,7 @@ class Verdict:
     """What a search found. Gaps are mean squares in units of the floor: agreement is about 1.
 
     effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, with its share of the bootstrap.
-    gap_after_unseen: on records that took no part in any decision.
+    gap_unseen_before, gap_after_unseen: on records that took no part in any decision.
     """
 
     answer: str
@@ -38,6 +38,7 @@ class Verdict:
     rivals: tuple[dict, ...] = ()
     gap_before: float = 1.0
     gap_after: float = 1.0
+    gap_unseen_before: float | None = None
     gap_after_unseen: float | None = None
     explained: float = 0.0
     reason: str = ""

@@ -13,7 +13,7 @@ from fishmj.gap.decide import decide
 from fishmj.gap.features import Layout
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
-from fishmj.gap.search import Evidence, Found, Gates, find, split
+from fishmj.gap.search import Evidence, Found, Gates, find, frozen, split
 from fishmj.gap.verdict import Verdict
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
@@ -52,7 +52,7 @@ def investigate(
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared.
     """
-    gates, null = gates or Gates(), null or Null()
+    gates, null = gates or frozen(), null or Null()
     records = [record_of(t, plant.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
@@ -69,7 +69,9 @@ def investigate(
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
     if unseen.any():
         last = [r for r, u in zip(records, unseen, strict=True) if u]
-        verdict = replace(verdict, gap_after_unseen=evidence_of(plant, last, null).gap(found.best.row)[0])
+        apart = evidence_of(plant, last, null)
+        before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
+        verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
     return Inquiry(verdict, e, found, records, held, unseen)
 
 

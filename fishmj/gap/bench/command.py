@@ -77,9 +77,8 @@ def told(result: dict) -> list[str]:
     lines = []
     for key, value in result.items():
         if isinstance(value, dict):
-            lines.append(
-                f"{key:26s} {value['value']:6.1%}  ({value['hits']} of {value['n']}; 95 %: {value['low']:.1%} to {value['high']:.1%})"
-            )
+            of, within = f"{value['hits']} of {value['n']}", f"95 %: {value['low']:.1%} to {value['high']:.1%}"
+            lines.append(f"{key:26s} {value['value']:6.1%}  ({of}; {within})")
         else:
             lines.append(f"{key:26s} {value if value is None or isinstance(value, int) else round(value, 3)}")
     return lines

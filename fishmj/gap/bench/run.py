@@ -10,6 +10,7 @@ from fishmj.gap.features import Layout
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Gates
+from fishmj.gap.verdict import Named
 from fishmj.gap.workflow import investigate
 
 
@@ -18,28 +19,25 @@ def run(plant, case: Case, gates: Gates, null: Null) -> dict:
     from fishmj.virtual_robot import generate
 
     start = time.monotonic()
-    row = {
-        "id": case.id,
-        "kind": case.kind,
-        "truth": case.effects,
-        "noise": case.noise,
-        "logs": len(case.logs),
-        "seed": case.seed,
-    }
+    row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}
+    row |= {"noise": case.noise, "logs": len(case.logs)}
     try:
         trials = generate(case.effects, case.logs, case.seed, case.noise)
         row["true_gap"] = true_gap(plant, case)
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
     verdict = investigate(plant, trials, gates=gates, null=null, seed=case.seed).verdict
-    said = [
-        {"name": e.name, "p_best": e.p_best, "values": {k: [v.value, v.low, v.high] for k, v in e.parameters.items()}}
-        for e in verdict.effects
-    ]
-    row |= {"answer": verdict.answer, "said": said, "rivals": [r["name"] for r in verdict.rivals]}
+    row |= {"answer": verdict.answer, "said": [said(e) for e in verdict.effects], "rivals": [r["name"] for r in verdict.rivals]}
     row |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
-    row |= {"explained": verdict.explained, "gates": verdict.gates, "steps": verdict.steps, "seconds": time.monotonic() - start}
-    return row
+    row["gap_unseen_before"] = verdict.gap_unseen_before
+    row |= {"explained": verdict.explained, "gates": verdict.gates, "steps": verdict.steps}
+    return row | {"warnings": verdict.warnings, "seconds": time.monotonic() - start}
+
+
+def said(effect: Named) -> dict:
+    """A named effect in short: values as [value, low, high]."""
+    values = {k: [v.value, v.low, v.high] for k, v in effect.parameters.items()}
+    return {"name": effect.name, "p_best": effect.p_best, "values": values}
 
 
 def true_gap(plant, case: Case) -> float:

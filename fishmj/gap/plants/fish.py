@@ -13,7 +13,7 @@ from fishmj import effects
 from fishmj.effects.sites import Seen
 from fishmj.gap.kernel import Kernel
 from fishmj.gap.records import Record
-from fishmj.hydro_fit import chain, terms
+from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.hooks import Effects
 from fishmj.mjcf.description import Robot, load_robot
 
@@ -106,7 +106,7 @@ class Fish:
         k = [a * f for a, f in zip(w.k, spread(c["added_mass_body"], c["added_mass_tail"]), strict=True)]
         cn = [a * f for a, f in zip(w.cn, spread(c["crossflow_body"], c["crossflow_tail"]), strict=True)]
         water = w._replace(k=k, cn=cn, cf=w.cf * c["friction"], ke=w.ke * c["trailing_edge"])
-        water: terms.Coefficients = water._replace(ca_forward=w.ca_forward * c["form_drag"])
+        water = water._replace(ca_forward=w.ca_forward * c["form_drag"])
         scaled = lambda values, factor: [value * factor for value in values]  # noqa: E731
         return s._replace(mass=scaled(s.mass, c["mass"]), kp=scaled(s.kp, c["kp"]), kv=scaled(s.kv, c["kv"]), water=water)
 
@@ -153,8 +153,8 @@ class Fish:
             if sensor is None:
                 continue
             t = sensor.t[None, :] - late[clock][:, None] - nominal.get(clock, 0.0)
-            state = {"pose": slice(0, 3), "joint": slice(3, nv), "power": slice(0, 0)}[clock]
-            state = hermite(out[..., state], out[..., nv + state.start : nv + state.stop], h, t)
+            first, last = {"pose": (0, 3), "joint": (3, nv), "power": (0, 0)}[clock]
+            state = hermite(out[..., first:last], out[..., nv + first : nv + last], h, t)
             x, y, yaw = (state[..., i] for i in range(3)) if clock == "pose" else (np.zeros_like(t),) * 3
             joint = state if clock == "joint" else np.zeros((*t.shape, self.joints))
             power = np.zeros_like(t)
