@@ -8,6 +8,7 @@ python -m fishmj.lbm_oracle cases same_physics --device cuda
 python -m fishmj.lbm_oracle.cases.same_physics --why "markers are drawn in by another length"      makes it anew, on the CPU
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def folder() -> Path:
 
 def run(device: str, **options) -> Run:
     """The swim, at its end; options change the stage."""
-    stage = Stage(**{"domain": DOMAIN, "flow": FLOW, "slip": SLIP, "pose": (0.02, -0.02, 0.15), "device": device} | options)
+    stage = replace(Stage(domain=DOMAIN, flow=FLOW, slip=SLIP, pose=(0.02, -0.02, 0.15), device=device), **options)
     made, gait = stage.run(latency=0.0), Gait(ramp=0.2)
     while made.coupled.steps < STEPS:
         made.tick(gait(made.time))
