@@ -9,9 +9,9 @@ import pytest
 from ray_toys import toy
 
 from fishmj import console
-from fishmj.campaign import drives, plan, tank
-from fishmj.campaign.__main__ import main
-from fishmj.campaign.collect import collect
+from fishmj.campaign import command, drives, plan, tank
+from fishmj.campaign.collect import Collected, collect
+from fishmj.campaign.command import main
 from fishmj.campaign.segment import Segment
 from fishmj.errors import ConfigError, DatasetError, UnknownName
 from fishmj.flow import BOXES
@@ -207,6 +207,18 @@ def test_a_budget_stops_with_what_is_finished(tmp_path):
     assert len(data.about) == 1 and data.meta["missing"] == 5
 
 
+def test_what_a_budget_leaves_is_a_mixture_of_the_blocks(tmp_path):
+    class Look(Toys):
+        def run(self, waiting, setup, go_on):
+            self.blocks = [segment.block for segment in waiting]
+            return iter(())
+
+    plain, cut = Look(), Look()
+    collect(FULL, tmp_path, SETUP, pool=plain, quiet=True)
+    collect(FULL, tmp_path, SETUP, pool=cut, budget=100.0, quiet=True)
+    assert len(set(plain.blocks[:20])) == 1 and len(set(cut.blocks[:20])) >= 5
+
+
 def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_path):
     small = some()
 
@@ -232,6 +244,22 @@ def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
     found = collect(more, tmp_path, SETUP, pool=Toys(), quiet=True)
     assert found.complete and len(open_dataset(tmp_path).names("train", block="policy")) == 2
     assert len(open_dataset(tmp_path).about) == 8
+
+
+def test_hours_on_a_cpu_are_not_begun_unasked(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "device_of", lambda name: "cpu")
+    assert console.run(main, ["--out", str(tmp_path / "no")]) == console.FAILED_CHECK
+    assert "s of water are missing" in capsys.readouterr().err and not (tmp_path / "no").exists()
+    asked = []
+    monkeypatch.setattr(command, "collect", lambda plan, out, setup, **rest: asked.append(rest["budget"]) or collected(out))
+    assert console.run(main, ["--out", str(tmp_path / "no"), "--budget", "60"]) == console.OK and asked == [60.0]
+
+
+def collected(folder):
+    """What collecting everything gives back."""
+    return Collected(
+        folder, segments=1, there=0, run=1, missing=0, stopped={}, lost=[], recorded_s=1, water_s=1, wall_s=1, bytes=1
+    )
 
 
 def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):

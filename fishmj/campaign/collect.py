@@ -86,7 +86,9 @@ def collect(
     if budget is not None and not budget > 0:
         raise ConfigError(f"collect: budget = {budget} s; expected a positive time, or none")
     _state_split(folder, plan, setup)
-    left = deque(s for s in plan.segments if not _there(folder, s, setup, retry))
+    left = missing(plan, folder, retry)
+    if budget is not None:  # whatever it is cut down to is a mixture of all blocks
+        left = deque(sorted(left, key=lambda segment: segment.sha256))
     there, before, done = len(plan.segments) - len(left), 0.0, 0
     total = sum(segment.water for segment in left)
     with console.Progress(max(total, 1e-9), "collect", unit="s", every=1e9 if quiet else None) as bar:
@@ -95,11 +97,17 @@ def collect(
             bar.update(before + water, segments=there + done, of=len(plan.segments))
             return budget is None or time.perf_counter() - began < budget
 
-        for finished in (pool or Local()).run(deque(left), setup, go_on) if left else ():
+        for finished in (pool or Local()).run(left, setup, go_on) if left else ():
             write_record(folder / SEGMENTS, finished.meta, finished.arrays)
             before, done = before + finished.segment.water, done + 1
             bar.update(before, segments=there + done, of=len(plan.segments))
     return _closed(folder, plan, setup, there, done, before, time.perf_counter() - began)
+
+
+def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
+    """Segments of the plan that are not in the folder whole and made as planned; with `retry` those that stopped early, too."""
+    there = {segment.id: _about(folder, segment) for segment in plan.segments}
+    return deque(s for s in plan.segments if (meta := there[s.id]) is None or (retry and meta.get("stopped")))
 
 
 def _closed(folder: Path, plan: Plan, setup: Setup, there: int, run: int, water: float, wall: float) -> Collected:
@@ -174,8 +182,3 @@ def _about(folder: Path, segment: Segment) -> dict | None:
         return None
     whole = "file" not in meta or path.is_file() and sha256(path) == meta["file"]["sha256"]
     return meta if whole else None
-
-
-def _there(folder: Path, segment: Segment, setup: Setup, retry: bool) -> bool:
-    meta = _about(folder, segment)
-    return meta is not None and not (retry and meta.get("stopped"))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.campaign import plan as plans
-from fishmj.campaign.collect import Collected, Local, Pool, collect
+from fishmj.campaign.collect import Collected, Local, Pool, collect, missing
 from fishmj.campaign.plan import Plan
 from fishmj.campaign.tank import Setup
 from fishmj.errors import ConfigError
@@ -21,12 +21,15 @@ from fishmj.lbm_oracle.domain import PREVIEWS, preset
 from fishmj.mjcf.description import Robot, load_robot
 
 ON_GPU = 12  # tanks of two million cells that fill one
+PATIENCE = 300.0  # s of water: more is not begun on a CPU that nobody asked for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `collect`; `--json` is the caller's."""
     parser.add_argument("--fish", default="fish", metavar="NAME|FILE", help="description of the robot")
-    parser.add_argument("--out", metavar="FOLDER", help="data set to write or continue; data/hydro/<fish>[-...] by default")
+    parser.add_argument(
+        "--out", "--data", metavar="FOLDER", help="data set to write or continue; data/hydro/<fish>[-...] by default"
+    )
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="as many times the episodes; 1 is the whole campaign"
     )
@@ -67,11 +70,22 @@ def run(args: argparse.Namespace) -> int:
                 {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows(), "split_sha256": plan.split_sha256}
             )
         return console.OK
+    if _too_much(args, device, water := sum(segment.water for segment in missing(plan, out, args.retry))):
+        said = f"{water:.0f} s of water are missing in {out} and there is no accelerator: nothing was collected"
+        console.warn(f"{said}. --budget SECONDS or --device cpu collects all the same, --preview a little, --ray elsewhere")
+        return console.FAILED_CHECK
     found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
     report(found)
     if args.json:
         console.emit_json({**asdict(found), "complete": found.complete})
     return console.OK if found.complete and not found.lost else console.FAILED_CHECK
+
+
+def main(argv: list[str]) -> int:
+    """The verb by itself."""
+    parser = console.parser("hydro_fit collect", "Segments of the flow solver that a water is fitted to.")
+    add_arguments(parser)
+    return run(parser.parse_args(argv))
 
 
 def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
@@ -105,6 +119,11 @@ def pool_of(args: argparse.Namespace, device: str) -> Pool:
 
         return RayPool(args.ray, tanks=tanks or (ON_GPU if device.startswith("cuda") else 1))
     return Local(tanks or (ON_GPU if device.startswith("cuda") else 1))
+
+
+def _too_much(args: argparse.Namespace, device: str, water: float) -> bool:
+    """Hours of work on a CPU that the user may not have meant."""
+    return not args.ray and args.device == "auto" and device == "cpu" and args.budget is None and water > PATIENCE
 
 
 def report(found: Collected) -> None:

@@ -208,7 +208,7 @@ def _repeats(episodes: list[Segment]) -> list[Segment]:
 
 
 def _ordered(segments: list[Segment]) -> tuple[Segment, ...]:
-    """Long ones first, so that tanks side by side finish together; unless a budget cuts it, when blocks should be mixed."""
+    """Long ones first, so that tanks side by side finish together; blocks mixed."""
     rng = np.random.default_rng(0)
     mixed = [segments[i] for i in rng.permutation(len(segments))]
     return tuple(sorted(mixed, key=lambda segment: -segment.water))
