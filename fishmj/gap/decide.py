@@ -60,17 +60,29 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
 
 
 def contest(e: Evidence, ranked: tuple[Candidate, ...], gates: Gates) -> tuple[dict, tuple[dict, ...]]:
-    """P(best) of the last effect of each finalist, and the rivals that come within the margin of the best's gain."""
-    per_record = np.stack([evidence.costs(c.z, e.layout) for c in ranked])
-    share = evidence.p_best(per_record)
-    names = [c.names[-1] if c.names[:-1] == ranked[0].names[:-1] else "+".join(c.names) for c in ranked]
+    """P(best) of each finalist's last effect, and the rivals: within the margin of the best's gain, or likely in the bootstrap.
+
+    A candidate that came to rest on a bound is no rival: it is a limiting form that mimics the best.
+    """
+    low, high, size = bounds(e.plant)
+    free = [c for c in ranked[1:] if not _on_bound(e, c, low, high, size)]
+    contestants = [ranked[0], *free]
+    share = evidence.p_best(np.stack([evidence.costs(c.z, e.layout) for c in contestants]))
+    names = [c.names[-1] if c.names[:-1] == ranked[0].names[:-1] else "+".join(c.names) for c in contestants]
     gained = e.part(np.ones(len(e.records), bool)).base().cost - ranked[0].cost
     rivals = [
         {"name": n, "p_best": float(p), "behind": float((c.cost - ranked[0].cost) / gained)}
-        for n, p, c in zip(names[1:], share[1:], ranked[1:], strict=True)
+        for n, p, c in zip(names[1:], share[1:], free, strict=True)
         if c.cost - ranked[0].cost < gates.margin * gained or p > 1 - gates.p_best
     ]
     return dict(zip(names, map(float, share), strict=True)), tuple(rivals)
+
+
+def _on_bound(e: Evidence, c: Candidate, low, high, size) -> bool:
+    """Whether a parameter lies on a bound that is not its null."""
+    null = e.plant.null
+    near = lambda place, edge: edge != null[place] and abs(c.row[place] - edge) < ON_BOUND * size[place]  # noqa: E731
+    return any(near(place, low[place]) or near(place, high[place]) for place in c.places)
 
 
 def transfer(e: Evidence, found: Found, held: np.ndarray) -> float:
