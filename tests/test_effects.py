@@ -286,7 +286,7 @@ def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
         [sys.executable, "-m", "fishmj.effects", *args], capture_output=True, text=True, check=False
     )
     entry = json.loads(run("gear_backlash", "--json").stdout)
-    assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["servo", "gear"] and entry["confusions"]
+    assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
     assert all(e.name in describe.text(e) and e.formula in describe.text(e) for e in EVERY)

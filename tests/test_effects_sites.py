@@ -34,6 +34,11 @@ def fields(kind, **given):
 
 def test_commands_are_ramped_limited_scaled_and_counted():
     step = np.r_[np.zeros(5), np.full(45, 0.3)]
+    ramp = told("move_time_ramp", step, move_time=0.1)
+    np.testing.assert_allclose(ramp[5:30], 0.3 * np.arange(1, 26) * H / 0.1, atol=1e-12)
+    np.testing.assert_array_equal(ramp[30:], 0.3)
+    small = told("move_time_ramp", step / 3, move_time=0.1)
+    np.testing.assert_allclose(small, ramp / 3, atol=1e-12)  # the slope goes with the step
     limited = told("rate_limit", step, slowness=0.25)
     assert np.isclose(np.diff(limited).max(), H / 0.25) and np.isclose(limited[-1], 0.3)
     np.testing.assert_allclose(told("command_gain_error", step, gain=0.05), 1.05 * step)
@@ -41,25 +46,10 @@ def test_commands_are_ramped_limited_scaled_and_counted():
     np.testing.assert_allclose(counted, 0.03 * np.round(np.linspace(-1, 1, 101) / 0.03), atol=1e-12)
 
 
-@pytest.mark.parametrize("move_time", [0.004, 0.02, 0.05, 0.1, 0.27])
-@pytest.mark.parametrize("first", [0, 1, 2, 3, 7])
-def test_a_step_becomes_a_ramp_of_the_move_time(move_time, first):
-    step = np.r_[np.zeros(first), np.full(120, 0.3)]
-    ramp = told("move_time_ramp", step, move_time=move_time)
-    expected = 0.3 * np.clip((1 + np.arange(120)) * H / move_time, 0.0, 1.0)
-    np.testing.assert_allclose(ramp[first:], expected, atol=0.3 / 20)  # the last sixth is rounded
-    early = (1 + np.arange(120)) * H <= 5 / 6 * move_time - H
-    np.testing.assert_allclose(ramp[first:][early], expected[early], atol=1e-12)
-    assert np.isclose(ramp[-1], 0.3, atol=1e-12)
-    np.testing.assert_allclose(told("move_time_ramp", step / 3, move_time=move_time), ramp / 3, atol=1e-12)
-
-
-def test_a_stream_of_commands_is_late_by_half_the_move_time():
-    t = np.arange(1000) * H
-    beat = told("move_time_ramp", np.sin(2 * np.pi * 1.5 * t), move_time=0.1)
-    late = 0.05 - H / 2  # the newest command counts at once
-    expected = np.sinc(1.5 * 0.1) * np.sin(2 * np.pi * 1.5 * (t - late))
-    np.testing.assert_allclose(beat[100:], expected[100:], atol=0.01)
+def test_a_new_command_restarts_the_ramp_from_where_it_is():
+    ramp = told("move_time_ramp", np.r_[np.full(10, 0.3), np.full(60, -0.1)], move_time=0.1)
+    middle = 0.3 * 10 * H / 0.1
+    np.testing.assert_allclose(ramp[10:35], middle + (-0.1 - middle) * np.arange(1, 26) * H / 0.1, atol=1e-12)
 
 
 def test_dead_band_is_silent_inside_and_whole_outside():
@@ -164,7 +154,7 @@ def test_walls_raise_the_added_mass_too():
 
 
 def test_moments_and_forces_of_the_hull_have_their_signs():
-    given = fields(Body, u=0.3, w=0.1, sway_mass=2.0, wet=1.0, drag=1.5)
+    given = fields(Body, u=0.3, w=0.1, sway_mass=2.0, wet=1.0)
     munk, _ = effects.get("munk_moment").body(np, SimpleNamespace(gain=0.2), given, (), H)
     assert np.isclose(munk.n, -0.2 * 2.0 * 0.3 * 0.1)  # drifting left, the nose is turned right: further askew
     for u in (0.3, -0.3):
@@ -174,9 +164,7 @@ def test_moments_and_forces_of_the_hull_have_their_signs():
     assert np.allclose((pull.fx, pull.fy), (0.0, -0.5))  # facing north, the anchor in the east lies to the right
     wave = [effects.get("free_surface").body(np, SimpleNamespace(gain=8.0), given._replace(u=u), (), H)[0].fx for u in (0.2, 0.4)]
     assert np.isclose(wave[1] / wave[0], 16.0)
-    at = 0.1 * np.sqrt(9.81 * 0.535)  # m/s, Froude number 0.1: the gain is the share of the drag that comes on top
-    slow, _ = effects.get("free_surface").body(np, SimpleNamespace(gain=0.5), given._replace(u=at), (), H)
-    assert np.isclose(slow.fx, -0.5 * 1.5 * at**2)
+    assert np.isclose(wave[1], -8.0 * 0.4**4 / (9.81 * 0.535))
 
 
 def test_in_air_no_water_acts_on_body_or_joints():
@@ -226,7 +214,7 @@ def test_sensors_turn_stretch_and_shift_what_they_see():
 
 def test_clocks_add_their_delays_and_drift():
     active = Active([effects.get(name) for name in ("camera_latency", "clock_offset", "joint_sensor_delay")], JOINTS)
-    row = active.flat({"camera_latency": {"delay": 0.05}, "clock_offset": {"offset": -0.02, "drift": 1e-4}})
+    row = active.flat({"camera_latency": {"delay": 0.05}, "clock_offset": {"offset": -0.02, "drift": 1.0001}})
     np.testing.assert_allclose(active.delay(np, row, "pose", np.array([0.0, 100.0])), [0.03, 0.04])
     assert active.delay(np, row, "joint") == 0.0
 
@@ -266,5 +254,5 @@ def test_constants_change_where_they_say_and_nowhere_else(name):
         assert sw.water.cn[:-1] == SWIMMER.water.cn[:-1] and np.isclose(sw.water.cn[-1], 1.3 * SWIMMER.water.cn[-1])
     if name == "yaw_inertia":
         assert np.isclose(ch.inertia[0] - CHAIN.inertia[0], 0.008) and ch.inertia[1:] == CHAIN.inertia[1:]
-    if name == "com_offset":  # the links' origins do not move, so the whole moves by what its moment gains
-        assert np.isclose(np.dot(ch.mass, ch.com) - np.dot(CHAIN.mass, CHAIN.com), 0.015 * sum(CHAIN.mass))
+    if name == "com_offset":
+        assert np.isclose(ch.com[0] - CHAIN.com[0], 0.03) and ch.com[1:] == CHAIN.com[1:]

@@ -131,7 +131,7 @@ def test_brakes_of_gears_and_water_never_push():
         g, _ = effect.gear(np, probes(effect), Gear(*rng.normal(size=(3, 500)), 0.0, 0.0, 1.0, 0.3, 1.667), (), H)
         assert np.all(g.resist * g.rate**2 - g.torque * g.rate > -1e-12), effect.name
     for name in ("linear_surge_drag", "quadratic_drag", "yaw_drag", "body_lift", "free_surface"):
-        still = dict.fromkeys(Body._fields, 0.0) | {"wet": 1.0, "drag": 1.5}
+        still = dict.fromkeys(Body._fields, 0.0) | {"wet": 1.0}
         moving = still | dict(zip("uwr", rng.normal(size=(3, 500)), strict=True))
         b, _ = effects.get(name).body(np, probes(effects.get(name)), Body(**moving), (), H)
         power = b.fx * b.u + b.fy * b.w + b.n * b.r

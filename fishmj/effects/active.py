@@ -72,7 +72,7 @@ class Active:
             if clock in slot.effect.delays:
                 total = total + p[slot.effect.delays[clock]]
             if clock in slot.effect.drifts:
-                total = total + p[slot.effect.drifts[clock]] * t
+                total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
         return total
 
     def drawn(self, parameters, stream: str) -> list:

@@ -77,7 +77,7 @@ class Effect:
         command(xp, p, command, memory, h) -> (command, memory) one joint's command, rad, on its way to the servo
         measure(xp, p, Seen) -> Seen                            what the sensors report, whole records
         delays {clock: parameter}                               transport delay of a clock, s
-        drifts {clock: parameter}                               growth of that delay, s/s
+        drifts {clock: parameter}                               rate of a clock, 1 = true: the delay grows by (rate - 1) t
 
     memory: initial values of what a site remembers, one set a joint at the sites servo, gear and command.
     rank: at a site effects act in order of rank, then as listed: first what comes first on the robot.
@@ -126,8 +126,8 @@ class Effect:
             )
         if len(self.sites) + len(self.delays) == 0 and not drawn:
             raise ConfigError(f"effect {self.name}: acts at no site")
-        if self.memory and not (len(self.remembering) == 1 or set(self.remembering) <= {"servo", "gear"}):
-            raise ConfigError(f"effect {self.name}: memory belongs to one site, or to a joint's servo and gear; got {self.sites}")
+        if self.memory and len(self.remembering) != 1:
+            raise ConfigError(f"effect {self.name}: memory belongs to one site, got {self.sites}")
 
     @property
     def sites(self) -> tuple[str, ...]:

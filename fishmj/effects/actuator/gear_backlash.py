@@ -1,11 +1,6 @@
-"""Play in the gears between the servo's own potentiometer and the link; logged joint angles are the link's, behind the play."""
+"""Play in the gears; the encoder sits on the output side, behind the play."""
 
 from fishmj.effects.effect import Confusion, Effect, Parameter
-
-
-def servo(xp, p, s, memory, h):
-    """The controller sees the motor, which is x ahead of the link: e' = e - x."""
-    return s._replace(error=s.error - memory[0]), memory
 
 
 def gear(xp, p, g, memory, h):
@@ -23,8 +18,8 @@ def gear(xp, p, g, memory, h):
 EFFECT = Effect(
     name="gear_backlash",
     stage="actuator",
-    about="the link floats at reversals until the motor has taken up the gap; the controller sees the motor, the log the link",
-    formula="e' = e - x, x' = clip(x + h (drive/k_b - w), +-b); torque reaches the link only at the ends of the gap",
+    about="the link floats in a gap at each reversal until the motor has taken it up; the encoder sees the link",
+    formula="x' = clip(x + h (drive/k_b - w), +-b); torque reaches the link only at the ends of the gap",
     source="play operator with memory; small gear trains have 0.3 to 2 deg",
     parameters=(Parameter(name="half_gap", unit="rad", low=0.0, high=0.2, typical=(0.005, 0.035)),),
     shows=("joint", "power"),
@@ -42,6 +37,5 @@ EFFECT = Effect(
         ),
     ),
     memory=(0.0,),
-    servo=servo,
     gear=gear,
 )

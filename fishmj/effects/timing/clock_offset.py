@@ -6,11 +6,11 @@ EFFECT = Effect(
     name="clock_offset",
     stage="timing",
     about="poses are stamped by a clock that is off and drifts against that of the commands",
-    formula="t_stamp = t + offset + drift t",
+    formula="t_stamp = t + offset + (drift - 1) t",
     source="computers without a time server: 0 to 50 ms, 10 to 40 ppm",
     parameters=(
         Parameter(name="offset", unit="s", low=-0.2, high=0.2, typical=(0.01, 0.05)),
-        Parameter(name="drift", unit="1", low=-0.001, high=0.001, typical=(1e-5, 4e-5)),
+        Parameter(name="drift", unit="1", null=1.0, low=0.999, high=1.001, typical=(1.00001, 1.00004), about="rate of the clock"),
     ),
     shows=("position", "heading"),
     confusions=(
