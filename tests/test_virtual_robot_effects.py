@@ -93,6 +93,14 @@ def test_drawn_values_are_of_typical_size():
                 assert low <= abs(value) <= high and (p.signed or value > 0)
 
 
+def test_even_strong_draws_are_possible():
+    rng = np.random.default_rng(1)
+    for effect in EFFECTS.values():
+        for _ in range(20):
+            effect.fields(effect.draw(rng, 5.0))
+        effect.fields(effect.nulls)
+
+
 def planted(run, noise=0.0, **effects):
     return generate({name: value for name, value in effects.items()}, [run], SEED, noise=noise)[0].tables
 
@@ -174,4 +182,11 @@ def test_unknown_names_and_impossible_values_are_refused():
         plant({"tether": {"length": 1.0}})
     with pytest.raises(ConfigError, match="finite number in N/m"):
         plant({"tether": {"stiffness": float("nan")}})
+    for name, values in {
+        "crossflow_drag": {"gain": -1.2},
+        "servo_deadband": {"deadband": -0.1},
+        "packet_loss": {"probability": 2.0},
+    }.items():
+        with pytest.raises(ConfigError, match="impossible"):
+            plant({name: values})
     assert plant({}).motor.range == pytest.approx(pi / 3)

@@ -3,19 +3,26 @@
 Units are SI, nulls 0 unless the row says otherwise. Delays come on top of the nominal ones in the fish description.
 """
 
+import numpy as np
+
 from fishmj.virtual_robot.effect import Effect, Parameter
 
 SERVO, BODY, ALL = ("joint",), ("position", "heading"), ("joint", "position", "heading")
 _SWIM, _TURN = ("gait", "turn_left"), ("turn_left", "spin")
 
 
-def _one(name, unit, field, low, high, *, null=0.0, signed=False) -> tuple[Parameter, ...]:
-    return (Parameter(name=name, unit=unit, field=field, typical=(low, high), null=null, signed=signed),)
+def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, most=np.inf) -> tuple[Parameter, ...]:
+    """The main parameter. What is not signed is not negative, except inertia and water: there may be less than believed."""
+    if least is None:
+        least = -np.inf if signed or field.startswith(("hull.", "water.")) else 0.0
+    return (Parameter(name=name, unit=unit, field=field, typical=(low, high), null=null, signed=signed, least=least, most=most),)
 
 
-def _keep(name, unit, field, value, spread=1.5) -> Parameter:
+def _keep(name, unit, field, value, spread=1.5, least=1e-3) -> Parameter:
     """A second parameter that means nothing while the first is null."""
-    return Parameter(name=name, unit=unit, field=field, typical=(value / spread, value * spread), null=value, default=True)
+    return Parameter(
+        name=name, unit=unit, field=field, typical=(value / spread, value * spread), null=value, default=True, least=least
+    )
 
 
 _ROWS: list[tuple] = [
@@ -38,10 +45,22 @@ _ROWS: list[tuple] = [
         ("creep", "slow_triangle"),
     ),
     ("load_friction", "actuator", _one("ratio", "1", "motor.load", 0.1, 0.3), SERVO, ("gait_fast", "steps")),
-    ("torque_saturation", "actuator", _one("limit", "N m", "motor.limit", 1.0, 0.4, null=1.667), SERVO, ("gait_fast", "steps")),
+    (
+        "torque_saturation",
+        "actuator",
+        _one("limit", "N m", "motor.limit", 1.0, 0.4, null=1.667, least=0.05, most=1.667),
+        SERVO,
+        ("gait_fast", "steps"),
+    ),
     ("speed_limit", "actuator", _one("slowness", "s/rad", "motor.slowness", 0.25, 0.5), SERVO, ("gait_fast", "steps")),
     ("move_time_ramp", "actuator", _one("move_time", "s", "motor.move_time", 0.02, 0.1), SERVO, ("steps", "chirp")),
-    ("servo_gain", "actuator", _one("gain", "1", "motor.gain_error", 0.1, 0.3, signed=True), SERVO, ("gait_fast", "chirp")),
+    (
+        "servo_gain",
+        "actuator",
+        _one("gain", "1", "motor.gain_error", 0.1, 0.3, signed=True, least=-0.9),
+        SERVO,
+        ("gait_fast", "chirp"),
+    ),
     (
         "voltage_sag",
         "actuator",
@@ -71,7 +90,7 @@ _ROWS: list[tuple] = [
     (
         "command_gain_error",
         "actuator",
-        _one("gain", "1", "motor.command_gain", 0.02, 0.08, signed=True),
+        _one("gain", "1", "motor.command_gain", 0.02, 0.08, signed=True, least=-0.9),
         SERVO,
         ("staircase", "gait"),
     ),
@@ -86,13 +105,13 @@ _ROWS: list[tuple] = [
     ("command_latency", "timing", _one("delay", "s", "network.delay", 0.01, 0.06), ALL, ("chirp", "gait_fast")),
     ("joint_sensor_delay", "timing", _one("delay", "s", "network.joint_delay", 0.01, 0.06), SERVO, ("chirp", "gait_fast")),
     ("latency_jitter", "timing", _one("sigma", "s", "network.sigma", 0.004, 0.02), SERVO, ("gait_fast", "chirp")),
-    ("packet_loss", "timing", _one("probability", "1", "network.loss", 0.02, 0.2), SERVO, ("gait_fast", "chirp")),
+    ("packet_loss", "timing", _one("probability", "1", "network.loss", 0.02, 0.2, most=0.95), SERVO, ("gait_fast", "chirp")),
     (
         "clock_offset",
         "timing",
         (
             *_one("offset", "s", "camera.offset", 0.01, 0.05, signed=True),
-            *_one("drift", "1", "camera.drift", 1.00001, 1.00004, null=1.0),
+            *_one("drift", "1", "camera.drift", 1.00001, 1.00004, null=1.0, least=0.99, most=1.01),
         ),
         BODY,
         _TURN,
@@ -122,14 +141,14 @@ _ROWS: list[tuple] = [
     (
         "crossflow_drag",
         "hydrodynamics",
-        _one("gain", "1", "water.crossflow", 0.15, 0.6, signed=True),
+        _one("gain", "1", "water.crossflow", 0.15, 0.6, signed=True, least=-0.9),
         BODY,
         ("tow_sideways", "turn_left"),
     ),
     ("yaw_drag", "hydrodynamics", _one("coefficient", "N m s2", "water.yaw_drag", 0.005, 0.05), ("heading",), ("twirl", "spin")),
     ("body_lift", "hydrodynamics", _one("coefficient", "N s2/m2", "water.lift", 5.0, 25.0), BODY, ("tow_oblique", "turn_left")),
     ("munk_moment", "hydrodynamics", _one("gain", "1", "water.munk", 0.15, 0.6, signed=True), BODY, ("tow_oblique", "turn_left")),
-    ("tail_normal_force", "hydrodynamics", _one("gain", "1", "water.tail", 0.1, 0.4, signed=True), BODY, _SWIM),
+    ("tail_normal_force", "hydrodynamics", _one("gain", "1", "water.tail", 0.1, 0.4, signed=True, least=-0.9), BODY, _SWIM),
     ("wake_memory", "hydrodynamics", _one("time", "s", "water.memory", 0.03, 0.2), BODY, ("gait", "gait_fast")),
     (
         "free_surface",
@@ -181,7 +200,7 @@ _ROWS: list[tuple] = [
     (
         "camera_scale",
         "measurement",
-        _one("scale", "1", "camera.scale", 0.01, 0.04, signed=True),
+        _one("scale", "1", "camera.scale", 0.01, 0.04, signed=True, least=-0.9),
         ("position",),
         ("gait", "out_and_back"),
     ),

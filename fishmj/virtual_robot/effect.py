@@ -12,7 +12,7 @@ CHANNELS = ("joint", "position", "heading", "velocity", "power")
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur."""
+    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur; least, most: what is possible."""
 
     name: str
     unit: str
@@ -20,6 +20,8 @@ class Parameter:
     typical: tuple[float, float]
     null: float = 0.0
     signed: bool = False
+    least: float = -np.inf
+    most: float = np.inf
     default: bool = False  # secondary: means nothing while the first is null; null is its usual value
 
 
@@ -59,13 +61,14 @@ class Effect:
                 values[p.name] = p.null + (size - p.null) * strength
             else:
                 values[p.name] = sign * size * strength
+            values[p.name] = float(np.clip(values[p.name], p.least, p.most))
         return values
 
     def fields(self, values: Mapping[str, float]) -> dict[str, float]:
         """{"motor.deadband": 0.01} for given parameter values; those not named stay at their null.
 
         Raises:
-            UnknownName: a parameter that the effect does not have. ConfigError: a value that is no finite number.
+            UnknownName: a parameter that the effect does not have. ConfigError: a value that is no number or impossible.
         """
         known = {p.name: p for p in self.parameters}
         for name, value in values.items():
@@ -73,4 +76,7 @@ class Effect:
                 raise UnknownName(f"parameter of {self.name}", name, known)
             if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not np.isfinite(value):
                 raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected a finite number in {known[name].unit}")
+            if not known[name].least <= value <= known[name].most:
+                bounds = f"{known[name].least:g} to {known[name].most:g} {known[name].unit}"
+                raise ConfigError(f"effect {self.name}: {name} = {value!r} is impossible; it lies in {bounds}")
         return {p.field: float(values.get(p.name, p.null)) for p in self.parameters}

@@ -66,7 +66,7 @@ _ROWS: list[tuple] = [
     (
         "gear_tooth",
         "a bad tooth: the joint snaps into one angle",
-        (*_one("torque", "N m", "odd.tooth", 0.1, 0.5), _keep("angle", "rad", "odd.tooth_angle", 0.15)),
+        (*_one("torque", "N m", "odd.tooth", 0.1, 0.5), _keep("angle", "rad", "odd.tooth_angle", 0.15, least=-1.0)),
         SERVO,
         ("slow_triangle", "gait"),
     ),
