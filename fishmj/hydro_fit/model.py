@@ -3,10 +3,10 @@
     model = HydroModel.load("swift")            a shipped one, or a path to its .toml
     sw = model.swimmer(robot)                   the robot in this water
     hooks = model.water(np, ch, memory)         for chain.step; None where there is no residual
-    model.base_only                             the same without the residual, a water of its own
+    model.base_only                             the strip model fitted by itself, a water of its own
 
-The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256 the
-first holds. Nothing in either can run code.
+The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256
+the first holds. Nothing in either can run code.
 """
 
 import hashlib
@@ -19,6 +19,7 @@ import numpy as np
 
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
+from fishmj.hydro_fit.fit.prior import unflat
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
@@ -46,9 +47,10 @@ class HydroModel:
 
     Attributes:
         base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
+        alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
         dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
-        band: standard error of a mean that the members do not show, by channel. scores: on the validation part.
+        band: scale of the error bar by channel, `band_alone` without the residual. scores: on the validation part.
     """
 
     name: str
@@ -58,17 +60,22 @@ class HydroModel:
     slip: float
     base: terms.Coefficients
     members: np.ndarray
+    alone: np.ndarray
     learnt: "learned.Residual | None" = None
     found: dict = field(default_factory=dict)
     dataset: dict = field(default_factory=dict)
     band: dict = field(default_factory=dict)
+    band_alone: dict = field(default_factory=dict)
     scores: dict = field(default_factory=dict)
     notes: str = ""
 
     @property
     def base_only(self) -> "HydroModel":
-        """The strip model alone."""
-        return replace(self, name=f"{self.name}-base", learnt=None)
+        """The strip model alone, with the coefficients that suit it best."""
+        if self.learnt is None:
+            return self
+        water = unflat(self.alone[0].tolist())
+        return replace(self, name=f"{self.name}-base", learnt=None, base=water, members=self.alone[1:], band=self.band_alone)
 
     @property
     def calibrated(self) -> dict[str, float]:
@@ -109,16 +116,16 @@ class HydroModel:
 
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
-        folder, arrays = Path(folder), {"members": np.asarray(self.members, np.float64)}
+        folder, arrays = Path(folder), {"members": np.asarray(self.members, float), "alone": np.asarray(self.alone, float)}
         if self.learnt is not None:
             arrays |= {f"net.{key}": np.asarray(getattr(self.learnt.net, key), np.float32) for key in _NET}
             arrays |= {f"range.{key}": np.asarray(getattr(self.learnt.reach, key), np.float32) for key in _RANGE}
         weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
-        table = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
+        table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
         table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
         table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
         table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
-        table |= {"band": self.band, "scores": self.scores, "found": self.found}
+        table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
         return write_text(folder / f"{self.name}.toml", dumps(_finite(plain(table))))
 
     @classmethod
@@ -156,9 +163,16 @@ def _read(cls, path: Path) -> HydroModel:
             net = residual.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
             learnt = learned.Residual(net, learned.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
         keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
-        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "scores")}
+        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores")}
         base = terms.Coefficients(**table["base"])
-        return cls(**{key: table[key] for key in keys}, base=base, members=arrays["members"], learnt=learnt, **rest)
+        return cls(
+            **{key: table[key] for key in keys},
+            base=base,
+            members=arrays["members"],
+            alone=arrays["alone"],
+            learnt=learnt,
+            **rest,
+        )
     except (KeyError, TypeError) as error:
         raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
 

@@ -1,7 +1,8 @@
 """The error bar: how far the means of a swim may be off, from the members' disagreement and from the validation part.
 
-    half width = 1.645 sqrt(s^2 + (b w)^2)       s spread of the members, w tolerance of the channel at the predicted mean
-b is the smallest number with which 90 % of the validation episodes lie inside: what no member knows of.
+    half width = b sqrt(s^2 + (w / 3)^2)       s spread of the members, w tolerance of the channel at the predicted mean
+b is the smallest number with which 90 % of the validation episodes lie inside (split conformal, Lei et al. 2018): the members
+say where the model is less sure, the validation part says by how much.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,6 @@ from fishmj.hydro_fit.fit.newton import TOLERANCE
 from fishmj.hydro_fit.fit.rollout import Fleet, Track
 
 CHANNELS = ("speed", "yaw_rate", "power")
-NORMAL = 1.645  # half width of a normal 90 % band
 COVER = 0.90
 
 
@@ -38,9 +38,10 @@ def width(channel: str, value: np.ndarray) -> np.ndarray:
     return share * np.abs(value) + floor
 
 
-def half(channel: str, mean: np.ndarray, spread: np.ndarray, extra: float) -> np.ndarray:
-    """Half width of the 90 % band."""
-    return NORMAL * np.sqrt(spread**2 + (extra * width(channel, mean)) ** 2)
+def unit(channel: str, mean: np.ndarray, members: list[Means]) -> np.ndarray:
+    """Half width of the band for b = 1."""
+    spread = np.std([getattr(m, channel) for m in members], axis=0, ddof=1)
+    return np.sqrt(spread**2 + (width(channel, mean) / 3) ** 2)
 
 
 def fit_band(mean: Means, members: list[Means], seen: Means) -> dict[str, float]:
@@ -48,9 +49,7 @@ def fit_band(mean: Means, members: list[Means], seen: Means) -> dict[str, float]
     out = {}
     for channel in CHANNELS:
         value, wanted = getattr(mean, channel), getattr(seen, channel)
-        spread = np.std([getattr(m, channel) for m in members], axis=0, ddof=1)
-        lacking = np.maximum(((value - wanted) / NORMAL) ** 2 - spread**2, 0.0)
-        needed = np.sort(np.sqrt(lacking) / width(channel, value))
+        needed = np.sort(np.abs(value - wanted) / unit(channel, value, members))
         at = min(len(needed) - 1, int(np.ceil(COVER * (len(needed) + 1))) - 1)
         out[channel] = float(needed[at])
     return out
@@ -61,6 +60,5 @@ def covered(mean: Means, members: list[Means], seen: Means, band: dict[str, floa
     out = {}
     for channel in CHANNELS:
         value, wanted = getattr(mean, channel), getattr(seen, channel)
-        spread = np.std([getattr(m, channel) for m in members], axis=0, ddof=1)
-        out[channel] = float(np.mean(np.abs(value - wanted) <= half(channel, value, spread, band.get(channel, 0.0))))
+        out[channel] = float(np.mean(np.abs(value - wanted) <= band.get(channel, 0.0) * unit(channel, value, members)))
     return out

@@ -157,7 +157,7 @@ def rehearse(
     for k in range(steps):
         at = rng.choice(len(lessons.episode), min(BATCH, len(lessons.episode)), replace=False)
         who = rng.choice(len(fleet.q), min(batch, len(fleet.q)), replace=False)
-        pieces = single(Fleet(*(a[who] for a in fleet[:-1]), source=()))
+        pieces = single(Fleet._make([*(a[who] for a in fleet[:-1]), ()]))
         net, state, value = step(net, state, taken(lessons, at), b[:, at], pieces, single(memory[who]))
         losses.append(float(value))
         if report is not None:

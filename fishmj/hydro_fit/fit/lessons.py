@@ -71,7 +71,9 @@ def lessons_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients
     longest = max(b - a for a, b, _, _ in pieces)
 
     def cut(values):  # (..., M) -> (T, ..., P)
-        wide = [np.concatenate([v := values[..., a:b], np.repeat(v[..., -1:], longest - (b - a), -1)], -1) for a, b, _, _ in pieces]
+        wide = [
+            np.concatenate([v := values[..., a:b], np.repeat(v[..., -1:], longest - (b - a), -1)], -1) for a, b, _, _ in pieces
+        ]
         return np.moveaxis(np.stack(wide, -1), -2, 0)[::EVERY].astype(np.float32)
 
     time = np.arange(longest)[::EVERY, None]
@@ -83,4 +85,4 @@ def lessons_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients
 
 def taken(lessons: Lessons, at) -> Lessons:
     """Some of the pieces."""
-    return Lessons(lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at])
+    return Lessons._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at]])

@@ -47,13 +47,13 @@ def fit_linear(robot: Robot, ch: chain.Chain, data: Rows, tick: float, *, stall:
     target = data.force - _known(data, ch.strips)
     blocks = [_block(data, ch.strips, i) for i in range(ch.n)]
     grid = [(a, t) for a in ANGLES for t in LAGS] if stall else [(start.stall_angle, start.stall_lag)]
-    best = None
+    best: tuple = ()
     noise = np.maximum(target.std(-1), FLOOR)
     for angle, lag in grid:
         c = start._replace(stall_angle=float(angle), stall_lag=float(lag))
         columns = _edge(data, ch.strips, attachment(data, ch.strips, c, tick))
         solved = _solve(prior, blocks, columns, target, noise, ch.n)
-        if best is None or solved[-1] < best[-1]:
+        if not best or solved[-1] < best[-1]:
             best = (c, columns, *solved)
     c, columns, theta, normal, noise, _ = best
     for _ in range(ROUNDS - 1):
@@ -105,9 +105,10 @@ def _block(data: Rows, s: terms.Strips, i: int) -> dict[str, np.ndarray]:
 
 def _edge(data: Rows, s: terms.Strips, attached: np.ndarray) -> dict[str, np.ndarray]:
     """The trailing edge's three columns on the last link."""
-    n, motion = len(s.mu), data.of(len(s.mu) - 1)
+    n = len(s.mu)
+    u, w, omega = data.of(n - 1)
     unit = terms.Coefficients([0.0] * n, [0.0] * n, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.6, 0.1, 3.0)
-    part = lambda a, b: mean3(terms.trailing_edge(np, s, unit._replace(lift_a=a, lift_b=b), *motion, attached))  # noqa: E731
+    part = lambda a, b: mean3(terms.trailing_edge(np, s, unit._replace(lift_a=a, lift_b=b), u, w, omega, attached))  # noqa: E731
     push, whole, share = part(0.0, 0.0), part(1.0, 0.0), part(0.0, 1.0)
     return dict(zip(EDGE, (push, whole - push, share - push), strict=True))
 

@@ -2,8 +2,8 @@
 
 A fit of forces alone can be right to a per cent in every force and wrong by a tenth in speed: thrust is the small difference
 of large forces. So eight factors, each on one kind of force, are moved until the swims of the model match the recorded ones in
-velocity, yaw rate and servo power over windows, and held fish in mean thrust. Levenberg (1944) and Marquardt (1963) damp the step;
-the Jacobian is by differences, all disturbed waters in one batch.
+velocity, yaw rate and servo power over windows, and held fish in mean thrust. Levenberg (1944) and Marquardt (1963) damp the
+step; the Jacobian is by differences, all disturbed waters in one batch.
 """
 
 from collections.abc import Callable
@@ -91,7 +91,12 @@ class Match:
         """Errors of the windows of all swims."""
         view, seen, errors = windows(track, self.fleet, self.tick), self.seen, []
         speed = np.hypot(seen.surge, seen.sway)
-        for name, size, kind in (("surge", speed, "speed"), ("sway", speed, "speed"), ("yaw_rate", None, "yaw"), ("power", None, "power")):
+        for name, size, kind in (
+            ("surge", speed, "speed"),
+            ("sway", speed, "speed"),
+            ("yaw_rate", None, "yaw"),
+            ("power", None, "power"),
+        ):
             share, floor = TOLERANCE[kind]
             got, wanted = getattr(view, name), getattr(seen, name)
             wide = share * np.abs(wanted if size is None else size) + floor

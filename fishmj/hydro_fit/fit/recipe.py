@@ -105,7 +105,7 @@ class Fit:
 
     def _rollout(self, state) -> dict:
         if not self.settings.rollout:
-            return {"factors": np.zeros((1, len(newton.groups(self.chain.n))))}
+            return self._unmoved(state)
         return self._newton(state, None, "rollout")
 
     def _newton(self, state, learnt, stage: str) -> dict:
@@ -115,12 +115,18 @@ class Fit:
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
-            return {}
+            return {} if learnt is not None else self._unmoved(state)
         self.found[stage] = done.found.table()
         names = len(done.found.parameters)
         normal = done.jacobian.T @ done.jacobian + np.eye(names) / newton.SPREAD**2
         draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
-        return {"water": flat(done.water), "factors": np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T}
+        factors = np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
+        new = {"water": flat(done.water), "factors": factors}
+        return new if learnt is not None else new | {"alone": new["water"], "alone_factors": factors}
+
+    def _unmoved(self, state) -> dict:
+        still = np.zeros((self.settings.members, len(newton.groups(self.chain.n))))
+        return {"factors": still, "alone": state["water"], "alone_factors": still}
 
     def _residual(self, state) -> dict:
         s = self.settings
@@ -170,14 +176,21 @@ class Fit:
     def _finish(self, state) -> dict:
         learnt, water = unpacked(state), state["water"]
         if learnt is not None:
-            alone, both = self.score(state["water"], None), self.score(water, learnt)
+            alone, both = self.score(state["alone"], None), self.score(water, learnt)
             self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
         fleet = rollout.fleet_of(self.chain, self.robot, self.val, seconds=60.0)
-        members = member_waters(water, state["factors"], self.chain.n, self.limits)
+        members, bands = [], []
+        for w, factors, r in ((water, state["factors"], learnt), (state["alone"], state["alone_factors"], None)):
+            waters = member_waters(w, factors, self.chain.n, self.limits)
+            made = self._band(fleet, w, waters, r)
+            members.append(waters)
+            bands.append([made[channel] for channel in band.CHANNELS])
+        return {"members": members[0], "alone_members": members[1], "bands": np.array(bands)}
+
+    def _band(self, fleet, water, waters, learnt) -> dict[str, float]:
         swum = lambda w, r: band.means(self.swim.run(fleet, w, r), fleet)  # noqa: E731
-        parts = [swum(w, learnt and learned.member(learnt, e)) for e, w in enumerate(members)]
-        made = band.fit_band(swum(water, learnt), parts, band.means(rollout.recorded(fleet), fleet))
-        return {"members": members, "band": np.array([made[channel] for channel in band.CHANNELS])}
+        parts = [swum(w, learnt and learned.member(learnt, e)) for e, w in enumerate(waters)]
+        return band.fit_band(swum(water, learnt), parts, band.means(rollout.recorded(fleet), fleet))
 
     # what stages share
 
@@ -203,7 +216,7 @@ class Fit:
         self.report(stage, (STAGES.index(stage) + min(part, 1.0)) / len(STAGES), figures)
 
     def _model(self, state) -> HydroModel:
-        made = dict(zip(band.CHANNELS, state["band"].tolist(), strict=True))
+        made, alone = (dict(zip(band.CHANNELS, row, strict=True)) for row in state["bands"].tolist())
         slips = {float(r.meta["grid"].get("slip", 1.0)) for r in self.train}
         return HydroModel(
             name=self.robot.name,
@@ -213,10 +226,12 @@ class Fit:
             slip=slips.pop() if len(slips) == 1 else float("nan"),
             base=unflat(state["water"].tolist()),
             members=state["members"],
+            alone=np.concatenate([state["alone"][None], state["alone_members"]]),
             learnt=unpacked(state),
             found=self.found,
             dataset=self.dataset | {"train_s": sum(r.seconds for r in self.train), "val_s": sum(r.seconds for r in self.val)},
             band=made,
+            band_alone=alone,
             scores={"validation": self.score(state["water"], unpacked(state)), "seconds": self.seconds},
             notes="; ".join(self.notes),
         )

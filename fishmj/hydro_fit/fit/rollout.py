@@ -65,12 +65,14 @@ def fleet_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], *, second
         if not is_free(record):
             continue
         size, whole = round(seconds / record.tick), len(record.q)
-        pieces += [(number, a, min(a + size, whole)) for a in range(0, whole, size) if min(size, whole - a) * record.tick >= least]
+        pieces += [
+            (number, a, min(a + size, whole)) for a in range(0, whole, size) if min(size, whole - a) * record.tick >= least
+        ]
     if not pieces:
         raise DatasetError("no free swim among the records; the fit of speed and turning needs some: collect gaits")
     longest = max(b - a for _, a, b in pieces)
     columns = [_piece(ch, robot, records[n], a, b, longest) for n, a, b in pieces]
-    return Fleet(*(np.stack(c) for c in zip(*columns, strict=True)), source=tuple((n, a) for n, a, _ in pieces))
+    return Fleet._make([*(np.stack(c) for c in zip(*columns, strict=True)), tuple((n, a) for n, a, _ in pieces)])
 
 
 def _piece(ch: chain.Chain, robot: Robot, record: Record, a: int, b: int, longest: int) -> tuple:
@@ -100,13 +102,22 @@ def recorded(fleet: Fleet) -> Track:
 
 def repeated(fleet: Fleet, times: int) -> Fleet:
     """The fleet `times` after itself, for as many waters."""
-    return Fleet(*(np.concatenate([a] * times) for a in fleet[:-1]), source=fleet.source * times)
+    return Fleet._make([*(np.concatenate([a] * times) for a in fleet[:-1]), fleet.source * times])
 
 
 def some(fleet: Fleet, keep) -> Fleet:
     """Pieces by number or boolean."""
     at = np.arange(len(fleet.q))[keep]
-    return Fleet(*(a[at] for a in fleet[:-1]), source=tuple(fleet.source[int(i)] for i in at))
+    return Fleet._make([*(a[at] for a in fleet[:-1]), tuple(fleet.source[int(i)] for i in at)])
+
+
+def padded(fleet: Fleet, like: Fleet) -> Fleet:
+    """At least as many pieces and ticks as `like`, the rest masked: both then share one compilation."""
+    more, ticks = max(0, len(like.q) - len(fleet.q)), max(0, like.mask.shape[1] - fleet.mask.shape[1])
+    long = [np.concatenate([a, np.repeat(a[:, -1:], ticks, 1)], 1) for a in fleet[:-2]]
+    mask = np.concatenate([fleet.mask, np.zeros((len(fleet.mask), ticks))], 1)
+    whole = [np.concatenate([a, np.repeat(a[-1:], more, 0)]) for a in (*long, mask)]
+    return Fleet._make([*whole, fleet.source])
 
 
 class Swim:

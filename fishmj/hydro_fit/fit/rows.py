@@ -117,7 +117,7 @@ def mean3(parts) -> np.ndarray:
 
 
 def attachment(rows: Rows, s: terms.Strips, c: terms.Coefficients, tick: float, start: float = 0.5) -> np.ndarray:
-    """Attachment of the tail in the middle of every tick, (M,), by exact steps of a tick; `start` at the first row of a record."""
+    """Attachment of the tail in the middle of every tick, (M,), by exact steps; `start` at the first row of a record."""
     spans = rows.spans()
     longest = max(span.stop - span.start for span in spans)
     u, w, omega = (np.zeros((longest, len(spans))) for _ in range(3))

@@ -1,0 +1,167 @@
+"""Refit a fish's water to the flow solver: collect what is missing, fit, check on held-out episodes, report.
+
+python -m fishmj.hydro_fit                        all four, for the shipped fish
+python -m fishmj.hydro_fit collect|fit|check|report
+"""
+
+import argparse
+from pathlib import Path
+
+from fishmj import console
+from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.hydro_fit.dataset import Dataset, open_dataset
+from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot, load_robot
+
+VERBS = ("collect", "fit", "check", "report")
+DATA = Path(__file__).resolve().parents[2] / "data" / "hydro"
+
+
+def main(argv: list[str]) -> int | None:
+    """Run one verb, or all of them in order."""
+    verb = argv[0] if argv and not argv[0].startswith("-") else "all"
+    if verb not in (*VERBS, "all"):
+        raise UnknownName("verb of hydro_fit", verb, VERBS)
+    rest = argv[1:] if verb != "all" else argv
+    if verb == "collect":
+        return collect(rest)
+    args = options(verb).parse_args(rest)
+    robot = load_robot(args.fish)
+    folder = Path(args.data or DATA / robot.name)
+    code = console.OK
+    if verb == "all":
+        code = collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)]) or code
+    found: dict = {}
+    if verb in ("fit", "all"):
+        found["fit"] = fit(robot, folder, args)
+    if verb in ("check", "all"):
+        found["check"] = check(robot, folder, args)
+        code = code or (console.OK if found["check"]["ok"] else console.FAILED_CHECK)
+    if verb in ("report", "all"):
+        found["report"] = str(report(robot, folder, args))
+        console.say(f"report: {found['report']}")
+    if args.json:
+        console.emit_json(found[verb] if verb in found and isinstance(found[verb], dict) else found)
+    return code
+
+
+def options(verb: str) -> argparse.ArgumentParser:
+    """The arguments of a verb."""
+    made = console.parser(f"hydro_fit {verb}" if verb != "all" else "hydro_fit", (__doc__ or "").splitlines()[0])
+    made.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
+    made.add_argument("--data", help="data set; default data/hydro/<robot>")
+    made.add_argument("--model", help="name or .toml of the water that is checked; default data/water/<robot>.toml")
+    made.add_argument("--out", help="folder of models and reports; default data/water")
+    made.add_argument("--slip", type=float, default=1.0, help="slip ratio of the records")
+    made.add_argument("--seed", type=int, default=0)
+    made.add_argument("--base", action="store_true", help="the strip model alone, without the learnt residual")
+    if verb == "all":
+        made.add_argument("--device", default="auto", help="of the flow solver: auto, cpu, cuda")
+        made.add_argument("--budget", type=float, help="s of wall clock for collecting")
+        made.add_argument("--ray", help="address of a Ray cluster that collects")
+    return made
+
+
+def _passed_on(args) -> list[str]:
+    given = (("--device", args.device), ("--budget", args.budget), ("--ray", args.ray))
+    return [str(item) for key, value in given if value is not None for item in (key, value)]
+
+
+def collect(argv: list[str]) -> int:
+    """Hand over to the campaign."""
+    from importlib import import_module
+
+    return int(import_module("fishmj.campaign.command").main(argv) or console.OK)
+
+
+def records_of(data: Dataset, robot: Robot, split: str, slip: float) -> list[Record]:
+    """The records of one part at one slip ratio, repeats left out.
+
+    Raises:
+        ConfigError: the data are of another robot, or the part is empty.
+    """
+    about = data.robot
+    if (about["name"], about["joints"]) != (robot.name, robot.n_joints):
+        raise ConfigError(
+            f"{data.folder}: data of robot {about['name']!r} with {about['joints']} joints, got {robot.name!r} with"
+            f" {robot.n_joints}; collect for this fish, or give --data"
+        )
+    found = [r for r in data.records(split, slip=slip) if not r.meta.get("replicate_of")]
+    if not found:
+        slips = sorted({meta["grid"]["slip"] for meta in data.about.values()})
+        raise ConfigError(f"{data.folder}: no {split} records at slip {slip:g}; slips there: {slips}")
+    return found
+
+
+def fit(robot: Robot, folder: Path, args) -> dict:
+    """Fit, and put the model in its place if it is not worse than what stands there."""
+    from fishmj.hydro_fit.fit.keep import keep, standing_model
+    from fishmj.hydro_fit.fit.prior import flat
+    from fishmj.hydro_fit.fit.recipe import Fit, Settings
+
+    data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
+    train, val = (records_of(data, robot, split, args.slip) for split in ("train", "val"))
+    about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": train[0].meta["grid"].get("domain", "")}
+    console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
+    with console.Progress(1.0, f"fit {robot.name}") as bar:
+        told = lambda stage, share, figures: bar.update(share, stage=stage, **figures)  # noqa: E731
+        work = folder.parent / f".fit-{robot.name}-{args.slip:g}"
+        settings = Settings(seed=args.seed, residual=not args.base)
+        done = Fit(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
+        model = done.run()
+    doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
+    for row in doubtful:
+        trade = f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
+        console.say(f"{row['name']} = {row['value']:.3g} is {row['status']}{trade}: not quoted as calibrated")
+    standing = standing_model(out, model.name, robot_hash(robot))
+    old = None if standing is None else done.score(flat(standing.base), standing.learnt)
+    new = model.scores["validation"]
+    path, taken = keep(model, out, score=new, standing=old)
+    console.say(f"{path}: validation {new:.4g} squared tolerances" + ("" if old is None else f", standing model {old:.4g}"))
+    return {"model": str(path), "taken": taken, "validation": new, "standing": old, "seconds": done.seconds, "notes": done.notes}
+
+
+def chosen(robot: Robot, args) -> HydroModel:
+    """The model that is judged."""
+    place = Path(args.out or FOLDERS[0]) / f"{robot.name}.toml"
+    if not args.model and not place.is_file():
+        raise StoreError(
+            f"{place}: no fitted water for {robot.name!r} yet; fit it: python -m fishmj.hydro_fit fit --fish {args.fish}"
+        )
+    model = HydroModel.load(args.model or place)
+    return model.base_only if args.base else model
+
+
+def repeats_of(data: Dataset, slip: float) -> list[tuple[Record, Record]]:
+    """Pairs of a repeat and what it repeats."""
+    pairs = []
+    for name in data.names("test", slip=slip):
+        original = data.about[name].get("replicate_of")
+        if original and original in data.about and "file" in data.about[original]:
+            pairs.append((data[name], data[original]))
+    return pairs
+
+
+def check(robot: Robot, folder: Path, args) -> dict:
+    """Judge the model on the test part."""
+    from fishmj.hydro_fit.check import judge
+    from fishmj.hydro_fit.report import check_rows
+
+    data = open_dataset(folder, test=True)
+    found = judge(chosen(robot, args), robot, records_of(data, robot, "test", args.slip), repeats_of(data, args.slip))
+    console.say(console.table(check_rows(found)))
+    return found
+
+
+def report(robot: Robot, folder: Path, args) -> Path:
+    """Write report.html and report.json beside the model."""
+    from fishmj.hydro_fit.report import write
+
+    data, model = open_dataset(folder, test=True), chosen(robot, args)
+    out = Path(args.out or FOLDERS[0]) / f"{robot.name}-report"
+    return write(out, model, robot, records_of(data, robot, "test", args.slip), repeats_of(data, args.slip))
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

@@ -1,0 +1,144 @@
+"""The report of a fitted water: one HTML page without outside references, and the same figures as JSON."""
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fishmj import console
+from fishmj.hydro_fit import check, figures, regimes
+from fishmj.hydro_fit.model import HydroModel
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+from fishmj.store import write_json, write_text
+
+STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;color:#222}
+h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2rem}.quiet{color:#5a6270}img{max-width:100%}
+table{border-collapse:collapse;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+th,td{padding:.25rem .55rem;border-bottom:1px solid #e4e7ec;text-align:right;white-space:nowrap}
+th{background:#f5f7fa}th:first-child,td:first-child{text-align:left}"""
+
+
+def write(
+    folder: Path, model: HydroModel, robot: Robot, records: Sequence[Record], repeats: Sequence[tuple[Record, Record]] = ()
+) -> Path:
+    """Judge `model` on held-out records and write report.html and report.json; returns the page's path."""
+    found = check.judge(model, robot, records, repeats)
+    swum = check.Swum(model, robot, records)
+    forces, runs = regimes.by_regime(model, robot, records), free_runs(swum)
+    points = regimes.static_map(model, robot, records)
+    pictures = [("Means of free swims, with the 90 % band", figures.against(swum, model.band))]
+    pictures.append((f"Free runs from {check.SETTLED:g} s on, {found['freerun_s']:g} s", figures.freeruns(swum)))
+    if points:
+        pictures.append(("Held fish: mean force by the second, in head axes", figures.force_map(points)))
+    grid, turns = gait_rows(swum)
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
+    write_json(
+        folder / "report.json", told | {"coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
+    )
+    parts = [f"<h1>Water {html.escape(model.name)}: against the flow solver</h1>"]
+    parts.append(f'<p class="quiet">{html.escape(about(model, records))}</p>')
+    tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
+    tables += [("Swimming straight", grid), ("Turning", turns), ("Coefficients", coefficients(model))]
+    for title, rows in tables:
+        if rows:
+            parts += [f"<h2>{html.escape(title)}</h2>", as_html(console.table(rows))]
+    for title, png in pictures:
+        data = base64.b64encode(png).decode()
+        parts.append(f'<h2>{html.escape(title)}</h2><img alt="{html.escape(title)}" src="data:image/png;base64,{data}">')
+    head = f'<meta charset="utf-8"><title>fishmj hydro_fit</title><style>{STYLE}</style>'
+    body = "\n".join(parts)
+    return write_text(
+        folder / "report.html", f'<!doctype html><html lang="en"><head>{head}</head><body>\n{body}\n</body></html>\n'
+    )
+
+
+def about(model: HydroModel, records: Sequence[Record]) -> str:
+    """One line on where the figures come from."""
+    seconds = sum(r.seconds for r in records)
+    return (
+        f"robot {model.robot}, slip {model.slip:g}, step {model.dt:g} s; {len(records)} held-out records, {seconds:.0f} s;"
+        f" synthetic (computed); data set {str(model.dataset.get('sha256', ''))[:12]}; {model.notes}"
+    )
+
+
+def check_rows(found: dict) -> list[dict]:
+    """The judgement, one row a figure."""
+    rows = []
+    for key, value in found["figures"].items():
+        for name, part in value.items() if isinstance(value, dict) else [("", value)]:
+            limit, own = found["tolerances"][key], found["repeatability"].get(key)
+            told = " to ".join(f"{x:g}" for x in limit) if isinstance(limit, list) else f"{limit:.3g}"
+            verdict = {True: "yes", False: "no", None: "cannot tell"}[found["passed"].get(key)]
+            row = {"figure": f"{key} {name}".strip(), "value": part, "tolerance": told, "solver's own": own, "n": found["n"][key]}
+            rows.append(row | {"passed": verdict})
+    return rows
+
+
+def free_runs(swum: check.Swum) -> list[dict]:
+    """Velocity, yaw rate and place after 2 and 10 s of free run in cruise."""
+    out, tick = [], swum.records[0].tick
+    for seconds in (2.0, check.FREERUN):
+        ticks = min(round(seconds / tick), swum.cruise.mask.shape[1])
+        part = swum.cruise.mask[:, :ticks].min(1) > 0
+        if not part.any():
+            continue
+        off = [
+            a[part, :ticks] - b[part, 1 : ticks + 1]
+            for a, b in ((swum.cruise_track.q, swum.cruise.q), (swum.cruise_track.v, swum.cruise.v))
+        ]
+        seen = swum.cruise.v[part, 1 : ticks + 1]
+        rms = lambda a: float(np.sqrt(np.mean(a**2)))  # noqa: E731
+        row = {"s": seconds, "n": int(part.sum()), "position [m]": float(np.linalg.norm(off[0][:, -1, :2], axis=-1).mean())}
+        row |= {"velocity NRMSE": rms(off[1][..., :2]) / max(rms(seen[..., :2]), 1e-6)}
+        out.append(
+            row | {"yaw rate NRMSE": rms(off[1][..., 2]) / max(rms(seen[..., 2]), 1e-6), "joints RMS [rad]": rms(off[0][..., 3:])}
+        )
+    return out
+
+
+def gait_rows(swum: check.Swum) -> tuple[list[dict], list[dict]]:
+    """Speed and power of each straight gait; yaw rate and radius of each turning one."""
+    straight, turning = [], []
+    for b, record in enumerate(swum.records):
+        if record.meta["block"] not in check.GAITS or np.abs(record.flow).max() > 1e-6:
+            continue
+        drive = record.meta["segment"].get("drive", {})
+        seen, got = ({key: float(values[b]) for key, values in one.items()} for one in (swum.seen, swum.late))
+        row = {"record": record.id, "f [Hz]": drive.get("frequency"), "amplitude [rad]": drive.get("amplitude")}
+        row |= {
+            "solver [m/s]": seen["surge"],
+            "model [m/s]": got["surge"],
+            "solver [W]": seen["power"],
+            "model [W]": got["power"],
+        }
+        if abs(seen["yaw_rate"]) > check.TURNS:
+            row |= {"solver [deg/s]": float(np.degrees(seen["yaw_rate"])), "model [deg/s]": float(np.degrees(got["yaw_rate"]))}
+            row |= {
+                "solver R [m]": seen["surge"] / abs(seen["yaw_rate"]),
+                "model R [m]": got["surge"] / max(abs(got["yaw_rate"]), 1e-3),
+            }
+            turning.append(row)
+        else:
+            straight.append(row)
+    return straight, turning
+
+
+def coefficients(model: HydroModel) -> list[dict]:
+    """What the data say about each parameter, by stage."""
+    keys = ("name", "value", "sd", "prior", "status", "partner", "correlation")
+    rows = []
+    for stage, found in model.found.items():
+        rows += [{"stage": stage} | {key: row[key] for key in keys} for row in found["parameters"].values()]
+    return rows
+
+
+def as_html(table: str) -> str:
+    """A table of `console.table` as HTML."""
+    rows = [[c.strip() for c in line.strip("|").split("|")] for line in table.splitlines()]
+    cells = lambda row, tag: "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in row)  # noqa: E731
+    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows[2:])
+    return f"<table><thead><tr>{cells(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"
