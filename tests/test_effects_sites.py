@@ -61,7 +61,8 @@ def test_dead_band_is_silent_inside_and_whole_outside():
 def test_supply_and_heat_weaken_the_servo_in_proportion():
     given = fields(Servo, limit=1.667, kp=8.0, kv=0.1, current=3.7, time=100.0)
     s, _ = effects.get("voltage_sag").servo(np, SimpleNamespace(resistance=0.4), given, (), H)
-    assert np.isclose(s.limit, 1.667 * (7.4 - 0.4 * 3.7) / 7.4) and np.isclose(s.kp, 8.0 * (7.4 - 0.4 * 3.7) / 7.4)
+    left = (7.4 - 0.4 * (3.7 + 1.5 / 7.4)) / 7.4
+    assert np.isclose(s.limit, 1.667 * left) and np.isclose(s.kp, 8.0 * left)
     s, _ = effects.get("thermal_derating").servo(np, SimpleNamespace(rate=0.001), given, (), H)
     assert np.isclose(s.limit, 1.667 * np.exp(-0.1)) and np.isclose(s.kp, 8 * np.exp(-0.1))
     s, _ = effects.get("torque_saturation").servo(np, SimpleNamespace(limit=1.0), given, (), H)

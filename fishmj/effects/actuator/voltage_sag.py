@@ -4,15 +4,16 @@ from fishmj.calib import constant
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 OPEN = constant("robot", "battery_voltage")  # V, at which the stall torque is quoted
+BOARDS = constant("servo", "idle_power") / constant("servo", "voltage")  # A, drawn at rest
 LEAST = 0.3  # of it is left: boards switch off below
 
 
 def servo(xp, p, s, memory, h):
     """(limit, k_p, k_v)' = (limit, k_p, k_v) V / V_oc, V = V_oc - R I: the controller sets a duty, the supply the voltage.
 
-    The no-load speed limit / k_b falls with it. I is what all servos drew from the supply one step ago.
+    The no-load speed limit / k_b falls with it. I is what motors (one step ago) and boards draw from the supply.
     """
-    share = xp.maximum(1.0 - p.resistance * s.current / OPEN, LEAST)
+    share = xp.maximum(1.0 - p.resistance * (s.current + BOARDS) / OPEN, LEAST)
     return s._replace(limit=share * s.limit, kp=share * s.kp, kv=share * s.kv), memory
 
 
