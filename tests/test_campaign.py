@@ -13,6 +13,7 @@ from fishmj.campaign import command, drives, plan, tank
 from fishmj.campaign.collect import Collected, collect
 from fishmj.campaign.command import main
 from fishmj.campaign.segment import Segment
+from fishmj.campaign.solver import code_of, solver_sha256
 from fishmj.errors import ConfigError, DatasetError, UnknownName
 from fishmj.flow import BOXES
 from fishmj.hydro_fit.dataset import SEGMENTS, open_dataset
@@ -236,6 +237,21 @@ def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_pat
         collect(moved, tmp_path, SETUP, pool=Toys(), quiet=True)
     with pytest.raises(ConfigError, match="another grid"):
         collect(small, tmp_path, replace(SETUP, domain=preset("window")), pool=Toys(), quiet=True)
+
+
+def test_segments_of_another_solver_are_not_added_and_a_complete_data_set_stays(tmp_path, monkeypatch):
+    collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
+    monkeypatch.setattr(tank, "solver_sha256", lambda: "0" * 64)
+    assert collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True).complete
+    assert open_dataset(tmp_path).meta["solver"] == {"sha256": solver_sha256()}
+    with pytest.raises(ConfigError, match="another solver"):
+        collect(some(7), tmp_path, SETUP, pool=Toys(), quiet=True)
+
+
+def test_a_solver_is_its_code_not_its_comments():
+    plain = code_of('"""One."""\ndef f(x):\n    return 2 * x\n')
+    assert plain == code_of('"""Two."""\n\n\ndef f(x):\n    "double"\n    return 2 * x  # said\n')
+    assert plain != code_of("def f(x):\n    return 3 * x\n")
 
 
 def test_a_round_of_correction_adds_to_a_data_set(tmp_path):

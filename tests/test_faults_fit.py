@@ -109,7 +109,7 @@ def test_fault_17_mixed_units_are_listed(folder):
     refused(folder, "of another kind than the rest", f"{path.name}: units expected", "'m, rad'", "got", "'mm, deg'")
 
 
-def test_fault_17_mixed_schemas_robots_and_grids_are_listed(folder):
+def test_fault_17_mixed_schemas_robots_grids_and_solvers_are_listed(folder):
     path = first(folder, ".json")
     sound = json.loads(path.read_text())
     change(folder, path, schema="fishmj.segment/0")
@@ -118,7 +118,9 @@ def test_fault_17_mixed_schemas_robots_and_grids_are_listed(folder):
     refused(folder, "robot expected", "swift", "tendon_fish")
     change(folder, path, robot=sound["robot"], grid=sound["grid"] | {"dx": 0.01})
     refused(folder, "grid expected", "'dx': 0.02", "'dx': 0.01")
-    change(folder, path, grid=sound["grid"])
+    change(folder, path, grid=sound["grid"], solver={"sha256": "0" * 64})
+    refused(folder, "solver expected", sound["solver"]["sha256"], "0" * 64)
+    change(folder, path, solver=sound["solver"])
     open_dataset(folder)
 
 

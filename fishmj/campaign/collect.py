@@ -79,14 +79,14 @@ def collect(
         budget: seconds of wall time after which it stops with what is finished. retry: run stopped segments again.
 
     Raises:
-        ConfigError: `out` holds segments of another fish or grid. DatasetError: an episode would change its split.
+        ConfigError: `out` holds segments of another fish, grid or solver. DatasetError: an episode would change its split.
         OracleUnstable: a segment could not be set up. StoreError: the disk refuses.
     """
     folder, began = Path(out), time.perf_counter()
     if budget is not None and not budget > 0:
         raise ConfigError(f"collect: budget = {budget} s; expected a positive time, or none")
-    _state_split(folder, plan, setup)
     left = missing(plan, folder, retry)
+    about = _state_split(folder, plan, setup, adding=bool(left))
     if budget is not None:  # whatever it is cut down to is a mixture of all blocks
         left = deque(sorted(left, key=lambda segment: segment.sha256))
     there, before, done = len(plan.segments) - len(left), 0.0, 0
@@ -101,7 +101,7 @@ def collect(
             write_record(folder / SEGMENTS, finished.meta, finished.arrays)
             before, done = before + finished.segment.water, done + 1
             bar.update(before, segments=there + done, of=len(plan.segments))
-    return _closed(folder, plan, setup, there, done, before, time.perf_counter() - began)
+    return _closed(folder, plan, about, there, done, before, time.perf_counter() - began)
 
 
 def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
@@ -110,12 +110,11 @@ def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
     return deque(s for s in plan.segments if (meta := there[s.id]) is None or (retry and meta.get("stopped")))
 
 
-def _closed(folder: Path, plan: Plan, setup: Setup, there: int, run: int, water: float, wall: float) -> Collected:
+def _closed(folder: Path, plan: Plan, about: dict, there: int, run: int, water: float, wall: float) -> Collected:
     """Write the manifest and say what the data set holds."""
     kept = {s.id: meta for s in plan.segments if (meta := _about(folder, s)) is not None}
     stopped = {name: meta["stopped"] for name, meta in kept.items() if meta.get("stopped")}
     missing = len(plan.segments) - len(kept)
-    plain = Setup(robot=setup.robot, domain=setup.domain, width=setup.width, passes=setup.passes).about
     notes = {
         "schema": SCHEMA,
         "origin": "synthetic",
@@ -123,7 +122,7 @@ def _closed(folder: Path, plan: Plan, setup: Setup, there: int, run: int, water:
         "source": "fishmj.campaign",
         "complete": not missing,
     }
-    notes |= {"label": plan.label, "seed": plan.seed, "missing": missing, **plain}
+    notes |= {"label": plan.label, "seed": plan.seed, "missing": missing, **about}
     Manifest.of(folder, notes).write(folder)
     return Collected(
         folder=folder,
@@ -140,11 +139,12 @@ def _closed(folder: Path, plan: Plan, setup: Setup, there: int, run: int, water:
     )
 
 
-def _state_split(folder: Path, plan: Plan, setup: Setup) -> None:
-    """Write which episode is for what, before anything is run.
+def _state_split(folder: Path, plan: Plan, setup: Setup, adding: bool) -> dict:
+    """Write which episode is for what, before anything is run; returns fish, grid and solver of the data set.
 
     Raises:
-        DatasetError: an episode would change its split. ConfigError: the folder is of another fish or grid.
+        DatasetError: an episode would change its split. ConfigError: the folder is of another fish or grid, or segments of
+            another solver would be added (a complete data set stays as it is).
     """
     path, about = folder / SPLIT, setup.about
     before = read_json(path) if path.is_file() else {"episodes": {}, "plans": [], **about}
@@ -153,7 +153,7 @@ def _state_split(folder: Path, plan: Plan, setup: Setup) -> None:
     except (TypeError, KeyError, ValueError) as error:
         raise DatasetError(f"{path}: {error!r}; expected episodes, plans, robot and grid. Take another folder") from error
     for key, value in about.items():
-        if made[key] != value:
+        if made[key] != value and (adding or key != "solver"):
             raise ConfigError(f"{folder} holds segments of another {key}: {made[key]} (now {value}). Take another folder")
     moved = [
         f"{name}: expected {episodes[name]}, got {split}"
@@ -164,8 +164,9 @@ def _state_split(folder: Path, plan: Plan, setup: Setup) -> None:
         raise DatasetError(f"{path}: episodes would change their split: {', '.join(moved[:5])}; take another folder")
     episodes |= plan.episodes
     row = {"label": plan.label, "seed": plan.seed, "segments": len(plan.segments), "split_sha256": plan.split_sha256}
-    table = {"episodes": dict(sorted(episodes.items())), "sha256": split_hashes(episodes), **about}
+    table = {"episodes": dict(sorted(episodes.items())), "sha256": split_hashes(episodes), **made}
     write_json(path, table | {"plans": [old for old in plans if old != row] + [row]})
+    return made
 
 
 def _about(folder: Path, segment: Segment) -> dict | None:

@@ -21,6 +21,7 @@ import numpy as np
 from fishmj import __version__
 from fishmj.campaign.drives import Drive, drive, ticks_of
 from fishmj.campaign.segment import Segment
+from fishmj.campaign.solver import solver_sha256
 from fishmj.lbm_oracle.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run import Run
 from fishmj.lbm_oracle.stage import Edge, Stage
@@ -59,6 +60,7 @@ class Setup:
         grid = {"domain": domain.name, "dx": domain.dx, "dt": domain.dt, "shape": list(domain.shape)}
         return {
             "robot": {"name": robot.name, "joints": robot.n_joints, "sha256": fingerprint(robot)},
+            "solver": {"sha256": solver_sha256()},
             "grid": grid | {"kernel": self.width, "passes": self.passes, "preview": domain.name in PREVIEWS},
         }
 
@@ -140,6 +142,7 @@ class Tank:
         return named | {
             "segment": segment.table(),
             "robot": about["robot"],
+            "solver": about["solver"],
             "grid": grid | {"device": str(run.coupled.fluid.device)},
             "origin": "synthetic",
             "start": self.start,

@@ -84,8 +84,8 @@ def open_dataset(folder: str | Path, *, test: bool = False) -> Dataset:
     """Open a data set after checking every file of it; `test` also opens the test part, for the check command only.
 
     Raises:
-        DatasetError: files missing, changed or not in the manifest; robots, units, schemas or grids mixed; an episode that is
-            not where the split says. Lists the files, what was expected and what was found.
+        DatasetError: files missing, changed or not in the manifest; schemas, units, solvers, robots or grids mixed; an episode
+            that is not where the split says. Lists the files, what was expected and what was found.
     """
     folder = Path(folder)
     manifest = _manifest(folder)
@@ -138,13 +138,14 @@ def _split(folder: Path) -> dict[str, str]:
 
 
 def _belong_together(folder: Path, about: dict[str, dict]) -> None:
-    """One schema, one set of units, one robot, one grid; slip ratios may differ, and a repeat may have a finer time step."""
-    kinds = [("schema", None), ("units", None), ("robot", ("name", "joints", "sha256")), ("grid", ("domain", "dx", "dt"))]
+    """One schema, set of units, solver, robot and grid; slip ratios may differ, and a repeat may have a finer time step."""
+    kinds: dict[str, tuple[str, ...]] = {"schema": (), "units": (), "solver": ()}
+    kinds |= {"robot": ("name", "joints", "sha256"), "grid": ("domain", "dx", "dt")}
     known = {"schema": SCHEMA, "units": UNITS}
     wrong = []
-    for what, keys in kinds:
+    for what, keys in kinds.items():
         some = {name: meta for name, meta in about.items() if not (what == "grid" and meta.get("replicate_of"))}
-        made = {name: meta.get(what) if keys is None else _some(meta, what, keys) for name, meta in some.items()}
+        made = {name: _some(meta, what, keys) if keys else meta.get(what) for name, meta in some.items()}
         expected = known.get(what, next(iter(made.values()), None))
         wrong += [f"{SEGMENTS}/{n}.json: {what} expected {expected}, got {got}" for n, got in made.items() if got != expected]
     _refuse(folder, "of another kind than the rest", wrong)
