@@ -12,10 +12,13 @@ import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
+from fishmj.calib import resolve
 from fishmj.engines.native import cache_folder
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
@@ -25,7 +28,6 @@ from fishmj.store import read_npz, write_npz
 
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
 RUNS = 96
-VERSION = 1  # of what is kept on disk
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,15 @@ class Null:
         ]
         text = json.dumps([VERSION, plant.fingerprint, what.id, *numbers])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
+
+
+@cache
+def simulator() -> str:
+    """Hash of the simulator's own source and constants: runs of an older one are not taken for its."""
+    from fishmj import virtual_robot
+
+    sources = sorted(Path(virtual_robot.__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in [*sources, resolve("virtual_robot")])).hexdigest()[:16]
 
 
 def repeated(record: Record) -> Excitation:

@@ -4,15 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj import excitation
+
 KINDS = {"single": 0.4, "pair": 0.15, "none": 0.28, "off": 0.17}  # shares
 NOISE = (0.5, 1.0, 3.0)
 BUDGETS = (2, 6, 12)  # logs
 SHARES = (0.15, 0.25, 0.6)  # of the budgets
 STRENGTH = (0.3, 1.5)  # of an effect's typical magnitude, log-uniform
-SESSION = (  # the standard session, most telling experiment first
-    *("chirp", "gait", "drift_east", "slow_triangle", "turn_left", "burst_and_coast"),
-    *("steps", "tow_oblique", "gait_fast", "spin", "gait_small", "drift_north"),
-)
+CASUAL = 0.2  # share of data sets whose commands are whatever a policy did, not designed experiments
 
 
 class Case(NamedTuple):
@@ -39,6 +38,8 @@ def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small:
         rng = np.random.default_rng([seed, 2, i])
         noise = 1.0 if small else float(rng.choice(NOISE))
         budget = 6 if small else int(rng.choice(BUDGETS, p=SHARES))
+        session = excitation.CASUAL if not small and rng.random() < CASUAL else excitation.DESIGNED
+        logs = [session[k] for k in sorted(rng.permutation(len(session))[:budget])]
         chosen: list[str] = []
         if kind in decks:
             pool = named if kind == "single" else odd
@@ -46,7 +47,7 @@ def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small:
         elif kind == "pair":
             chosen = [str(n) for n in rng.choice(named, 2, replace=False)]
         effects = {n: EFFECTS[n].draw(rng, float(np.exp(rng.uniform(*np.log(STRENGTH))))) for n in chosen}
-        out.append(Case(f"{seed}-{i:04d}", kind, effects, noise, SESSION[:budget], 1000 * (seed + 1) + i))
+        out.append(Case(f"{seed}-{i:04d}", kind, effects, noise, tuple(logs), 1000 * (seed + 1) + i))
     return out
 
 
