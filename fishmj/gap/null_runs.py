@@ -102,18 +102,9 @@ class Null:
             return list(pool.map(one, range(self.runs)))
 
     def _key(self, plant, record: Record, what: Excitation) -> str:
-        numbers = [
-            self.runs,
-            self.nuisance,
-            self.noise,
-            self.seed,
-            record.dt,
-            *record.flow,
-            *what.start,
-            *what.push,
-            record.medium,
-        ]
-        text = json.dumps([VERSION, plant.fingerprint, what.id, *numbers])
+        drawn = [self.runs, self.nuisance, self.noise, self.seed]
+        done = [record.dt, record.medium, *record.flow, *what.start, *what.push]
+        text = json.dumps([simulator(), plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 

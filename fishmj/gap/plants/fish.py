@@ -17,7 +17,6 @@ from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.hooks import Effects
 from fishmj.mjcf.description import Robot, load_robot
 
-CLOCKS = ("command", "joint", "pose", "power")
 STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
 
 
@@ -122,13 +121,13 @@ class Fish:
         lengths = np.array([len(r.commands) for r in records])
         which = np.repeat(np.arange(len(records)), len(rows))
         effect_rows, flow = rows[:, len(CONSTANTS) :], np.array([r.flow for r in records])
-        late = {c: np.asarray(self.active.delay(np, list(effect_rows.T), c)) * np.ones(len(rows)) for c in CLOCKS}
-        delay = np.tile((late["command"] + self.latency) / self.dt, len(records))
+        late = self.active.delay(np, list(effect_rows.T), "command") * np.ones(len(rows))
+        delay = np.tile((late + self.latency) / self.dt, len(records))
         whole = np.concatenate([np.tile(rows, (len(records), 1)), flow[which]], 1)
         start = np.repeat(np.stack([self._start(r) for r in records]), len(rows), 0)
         out = self.kernel(which, inputs, lengths, whole, start, delay, STRIDE, longest // STRIDE + 2)
         out = out.reshape(len(records), len(rows), *out.shape[1:])
-        return [self._sense(record, mine, effect_rows, late) for record, mine in zip(records, out, strict=True)]
+        return [self._sense(record, mine, effect_rows) for record, mine in zip(records, out, strict=True)]
 
     def _start(self, record: Record) -> np.ndarray:
         """The state at the start of a record: at rest, or with the push it was given."""
@@ -142,7 +141,7 @@ class Fish:
         state[2 * nv + 3] = record.session
         return state
 
-    def _sense(self, record: Record, out, effect_rows, late: dict) -> dict:
+    def _sense(self, record: Record, out, effect_rows) -> dict:
         """The sensors of one record from its samples (R, K, O)."""
         nv, h = self.joints + 3, STRIDE * self.dt
         parameters = [column[:, None] for column in effect_rows.T]
@@ -152,7 +151,8 @@ class Fish:
             sensor = getattr(record, clock)
             if sensor is None:
                 continue
-            t = sensor.t[None, :] - late[clock][:, None] - nominal.get(clock, 0.0)
+            late = self.active.delay(np, parameters, clock, sensor.t + record.session) + nominal.get(clock, 0.0)
+            t = sensor.t - late * np.ones((len(out), 1))
             first, last = {"pose": (0, 3), "joint": (3, nv), "power": (0, 0)}[clock]
             state = hermite(out[..., first:last], out[..., nv + first : nv + last], h, t)
             x, y, yaw = (state[..., i] for i in range(3)) if clock == "pose" else (np.zeros_like(t),) * 3
