@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from fishmj.hydro_fit import chain, record, terms
-from fishmj.hydro_fit.fit import rows
-from fishmj.hydro_fit.learned import Learned
+from fishmj.hydro_fit import chain, dataset, record, terms
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.bus import on_the_bus
+from fishmj.store import Manifest, write_json
 
 ROBOT = load_robot("fish")
 CHAIN = chain.chain_of(ROBOT)
@@ -252,4 +251,14 @@ def campaign(size=1.0, seed=0, split="train", seconds=8.0):
     return out + hold(paths, speed=speed, heading=heading, block=names, split=split, seed=seed)
 
 
-__all__ = ["CHAIN", "Hidden", "Learned", "ROBOT", "TRUE", "campaign", "gaits", "hold", "rows", "swim", "swimmer"]
+def write_dataset(folder, records):
+    """Records as a data set on disk, as a campaign leaves it."""
+    about = {"robot": {"name": ROBOT.name, "joints": J, "sha256": "synthetic"}}
+    grid = {"domain": "synthetic", "dx": 0.0, "dt": CHAIN.dt, "slip": 1.0}
+    for r in records:
+        arrays = {key: getattr(r, key) for key in record.UNITS if key != "power" or np.isfinite(r.power).all()}
+        record.write_record(folder / dataset.SEGMENTS, {**r.meta, **about, "grid": grid}, arrays)
+    episodes = {r.meta["episode"]: r.meta["split"] for r in records}
+    write_json(folder / dataset.SPLIT, {"episodes": episodes, "sha256": dataset.split_hashes(episodes)})
+    Manifest.of(folder).write(folder)
+    return folder

@@ -30,8 +30,8 @@ def main(argv: list[str]) -> int | None:
     robot = load_robot(args.fish)
     folder = Path(args.data or DATA / robot.name)
     code = console.OK
-    if verb == "all":
-        code = collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)]) or code
+    if verb == "all" and collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)]):
+        console.warn(f"the campaign in {folder} is not complete; going on with what is there")
     found: dict = {}
     if verb in ("fit", "all"):
         found["fit"] = fit(robot, folder, args)
@@ -70,9 +70,9 @@ def _passed_on(args) -> list[str]:
 
 def collect(argv: list[str]) -> int:
     """Hand over to the campaign."""
-    from importlib import import_module
+    from fishmj.campaign import command
 
-    return int(import_module("fishmj.campaign.command").main(argv) or console.OK)
+    return command.main(argv)
 
 
 def records_of(data: Dataset, robot: Robot, split: str, slip: float) -> list[Record]:

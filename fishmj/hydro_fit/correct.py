@@ -3,8 +3,12 @@
     dF = sum_g (s_g - 1) F_g + noise             F_g: force of one kind on each link, dF: what the oracle's wrench has beyond
     P_k = (lambda^n P^-1 + A^T W A)^-1,   s += P A^T W (dF - A (s - 1))              n ticks since the last row, A = [F_g]
 Recursive least squares with a forgetting factor (Ljung 1999, section 11.2): without rows nothing moves but the certainty, which
-fades at most to the prior's, so a factor that is no longer seen stays where it is and none runs away. Pure functions: the
-caller says when there are rows. Factors are held within `BOUNDS`; the pulled-out residual stays as it is.
+fades at most to the prior's, so a factor that is no longer seen stays where it is and none runs away. Factors are held within
+`BOUNDS`; the residual stays as it is.
+
+A right surrogate has an error, too, that no factor mends: what no fit could explain. Its mean square is `own`; rows count only
+as far as the uncorrected error exceeds it, from `CALM` times (not at all) to `ALARM` times (fully). So forces never talk a
+surrogate out of coefficients that were fitted to whole swims.
 """
 
 from typing import NamedTuple
@@ -18,6 +22,7 @@ BOUNDS = (0.3, 3.0)
 SPREAD = np.array([0.15, 0.5, 1.0, 0.7, 0.5])  # standard deviation of each factor before any row
 MEMORY = 30.0  # s of rows, after which they count for 1/e
 HANG = 15.0  # rows that one error lasts, as in the fit
+CALM, ALARM = 2.0, 4.0  # uncorrected mean square error over the surrogate's own
 
 
 class Correction(NamedTuple):
@@ -26,6 +31,7 @@ class Correction(NamedTuple):
     factors: np.ndarray  # (10,)
     information: np.ndarray  # (10, 10) inverse covariance
     noise: np.ndarray  # (3,) running mean square of the remaining error by component
+    excess: float  # running mean of the uncorrected square error over the surrogate's own
     rows: float  # ticks seen
 
 
@@ -44,7 +50,7 @@ class Row(NamedTuple):
 
 def fresh() -> Correction:
     """Nothing corrected yet."""
-    return Correction(np.ones(10), np.diag(1 / np.tile(SPREAD, 2) ** 2), np.zeros(3), 0.0)
+    return Correction(np.ones(10), np.diag(1 / np.tile(SPREAD, 2) ** 2), np.zeros(3), 0.0, 0.0)
 
 
 def applied(c: terms.Coefficients, state: Correction) -> terms.Coefficients:
@@ -79,18 +85,23 @@ def parts(s: terms.Strips, c: terms.Coefficients, row: Row) -> np.ndarray:
     return out
 
 
-def update(state: Correction, s: terms.Strips, c: terms.Coefficients, row: Row, *, tick: float, idle: float = 0.0) -> Correction:
+def update(
+    state: Correction, s: terms.Strips, c: terms.Coefficients, row: Row, *, own, tick: float, idle: float = 0.0
+) -> Correction:
     """Take one row in.
 
     Args:
-        c: the uncorrected coefficients. tick: s that the row stands for. idle: s since the row before without any.
+        c: the uncorrected coefficients. own: (3,) mean square error of each component on a link that a right surrogate has;
+            0 takes every row at its word. tick: s that the row stands for. idle: s since the row before without any.
     """
     a = parts(s, c, row)
     left = row.force - row.extra - a.sum(0)  # beyond the uncorrected water
     error = left - np.tensordot(state.factors - 1.0, a, axes=1)
     seen = state.rows + 1.0
-    noise = state.noise + ((error**2).mean(1) - state.noise) / min(seen, MEMORY / tick)
-    weight = 1.0 / (HANG * (noise + 1e-8))
+    share = 1.0 / min(seen, MEMORY / tick)
+    noise = state.noise + ((error**2).mean(1) - state.noise) * share
+    excess = state.excess + (float(np.mean((left**2).mean(1) / (np.asarray(own) + 1e-12))) - state.excess) * share
+    weight = np.clip((excess - CALM) / (ALARM - CALM), 0.0, 1.0) / (HANG * (noise + 1e-8))
     prior = np.diag(1 / np.tile(SPREAD, 2) ** 2)
     keep = np.exp(-(tick + idle) / MEMORY)
     information = prior + keep * (state.information - prior)
@@ -99,7 +110,7 @@ def update(state: Correction, s: terms.Strips, c: terms.Coefficients, row: Row, 
     information = information + (rows * w) @ rows.T
     step = np.linalg.solve(information, (rows * w) @ error.ravel())
     factors = np.clip(state.factors + step, *BOUNDS)
-    return Correction(factors, information, noise, seen)
+    return Correction(factors, information, noise, excess, seen)
 
 
 def rows_between(ch: chain.Chain, q, v, q_new, v_new, flow, wrench, attached: float, extra: np.ndarray, tick: float) -> Row:

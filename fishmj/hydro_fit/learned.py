@@ -154,9 +154,10 @@ def _mean_and_spread(xp, g, i: int):
 
 
 def member(learnt: Residual, e: int) -> Residual:
-    """One member of the ensemble by itself."""
+    """The ensemble with member e in every place: that member alone, in arrays of the same shapes."""
     net = learnt.net
-    return learnt._replace(net=net._replace(**{name: getattr(net, name)[e : e + 1] for name in net._fields[4:]}))
+    alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in net._fields[4:]}
+    return learnt._replace(net=net._replace(**alike))
 
 
 def unlimited(links: int) -> Range:

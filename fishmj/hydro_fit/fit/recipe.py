@@ -11,6 +11,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -134,9 +135,10 @@ class Fit:
             return {}
         c = unflat(state["water"].tolist())
         told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)  # noqa: E731
-        self._lessons = lessons.lessons_of(self.chain, self.train, c)
         net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
-        net = learning.learn(self.chain, self._lessons, net, steps=s.steps, seed=s.seed, memory=s.memory, report=told).net
+        net = learning.learn(
+            self.chain, self._lessons(state["water"]), net, steps=s.steps, seed=s.seed, memory=s.memory, report=told
+        ).net
         rows = rows_of(self.chain, self.train)
         xi, speed = begin.features(self.chain, rows)
         reach = learned.fitted(xi, speed, 1e6)
@@ -152,8 +154,7 @@ class Fit:
         if learnt is None or not s.rehearsals:
             return {}
         c, net = unflat(state["water"].tolist()), learnt.net
-        if not hasattr(self, "_lessons"):
-            self._lessons = lessons.lessons_of(self.chain, self.train, c)
+        taught = self._lessons(state["water"])
         before = self.score(state["water"], learnt)
         memory = begin.walk(self.chain, rows_of(self.chain, self.train), c, learnt, self.tick).memory
         starts = np.cumsum([0, *(len(r.q) for r in self.train)])
@@ -162,7 +163,7 @@ class Fit:
             at = np.array([starts[n] + a for n, a in fleet.source])
             told = lambda k, n, cost, part=part: self._tell("rehearse", (part + k / n) / 2, loss=cost)  # noqa: E731
             given = dict(memory=memory[at], steps=steps, seed=s.seed, report=told)
-            net = learning.rehearse(self.chain, self.swim, fleet, self._lessons, net, state["water"], **given).net
+            net = learning.rehearse(self.chain, self.swim, fleet, taught, net, state["water"], **given).net
         after = self.score(state["water"], learnt._replace(net=net))
         if after > before:
             self.notes.append(f"rehearse: not taken, validation {before:.4g} -> {after:.4g}")
@@ -178,7 +179,7 @@ class Fit:
         if learnt is not None:
             alone, both = self.score(state["alone"], None), self.score(water, learnt)
             self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
-        fleet = rollout.fleet_of(self.chain, self.robot, self.val, seconds=60.0)
+        fleet = self._validation.fleet
         members, bands = [], []
         for w, factors, r in ((water, state["factors"], learnt), (state["alone"], state["alone_factors"], None)):
             waters = member_waters(w, factors, self.chain.n, self.limits)
@@ -196,11 +197,17 @@ class Fit:
 
     def score(self, water: np.ndarray, learnt) -> float:
         """Mean squared error of the validation swims, in tolerances."""
-        if not hasattr(self, "_val"):
-            self._val = self._match(self.val, None)
-        self._val.learnt = learnt
-        error = self._val.residuals(np.asarray(water)[None])[0]
-        return float(error @ error / len(error) * self._val.seen.surge.shape[1])
+        match = self._validation
+        match.learnt = learnt
+        error = match.residuals(np.asarray(water)[None])[0]
+        return float(error @ error / len(error) * match.seen.surge.shape[1])
+
+    @cached_property
+    def _validation(self) -> newton.Match:
+        return self._match(self.val, None)
+
+    def _lessons(self, water: np.ndarray) -> lessons.Lessons:
+        return lessons.lessons_of(self.chain, self.train, unflat(water.tolist()))
 
     def _match(self, records, learnt) -> newton.Match:
         fleet = rollout.fleet_of(self.chain, self.robot, records)
@@ -232,9 +239,14 @@ class Fit:
             dataset=self.dataset | {"train_s": sum(r.seconds for r in self.train), "val_s": sum(r.seconds for r in self.val)},
             band=made,
             band_alone=alone,
-            scores={"validation": self.score(state["water"], unpacked(state)), "seconds": self.seconds},
+            scores=self._scores(state),
             notes="; ".join(self.notes),
         )
+
+    def _scores(self, state) -> dict:
+        """`noise`: rms error of F_t, F_n and moment on a link, of the strips fitted to forces: what no coefficient mends."""
+        noise = np.sqrt((state["noise"] ** 2).mean(1)).tolist()
+        return {"validation": self.score(state["water"], unpacked(state)), "noise": noise, "seconds": self.seconds}
 
     def _path(self, stage: str) -> Path | None:
         return None if self.folder is None else self.folder / f"stage-{STAGES.index(stage) + 1}-{stage}.safetensors"

@@ -1,0 +1,140 @@
+"""Faults of a fitted water: asked outside its range, or fitted to data that cannot tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj import mjcf
+from fishmj.hydro_fit import chain, check, learned, residual
+from fishmj.hydro_fit.fit.identify import identify
+from fishmj.hydro_fit.fit.linear import bounded
+from fishmj.hydro_fit.fit.prior import Prior, flat
+from fishmj.hydro_fit.model import HydroModel, robot_hash
+
+ROBOT = mjcf.load_robot("fish")
+CHAIN, NOMINAL = chain.chain_of(ROBOT), chain.nominal(ROBOT)
+N = CHAIN.n
+
+
+def learnt():
+    """A residual that pushes, fitted for slow swimming ahead."""
+    rng = np.random.default_rng(1)
+    net = residual.blank(N)
+    net = net._replace(outer=rng.normal(0, 0.3, net.outer.shape), outer_bias=rng.normal(0, 0.3, net.outer_bias.shape))
+    k = swimming(rng, 4000)
+    m = residual.motion(np, residual.panels(CHAIN), k)
+    return learned.Residual(net, learned.fitted(np.array(m.xi).transpose(2, 0, 1), np.array(m.speed).T, 2.0))
+
+
+def swimming(rng, count, speed=0.2, side=0.05):
+    """Links that move ahead at `speed` with some motion across."""
+    u = speed * (1 + 0.1 * rng.normal(size=(N, count)))
+    return chain.Links([], [], list(rng.normal(0, 0.5, (N, count))), list(u), list(side * rng.normal(size=(N, count))), [])
+
+
+def pushed(model, k, count):
+    """(sum of |force|, steps counted as outside) for motions k."""
+    hooks = learned.Learned(np, CHAIN, model, [np.zeros(count)] * len(learned.at_rest(N)))
+    forces = hooks.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
+    return sum(np.abs(f[c]) for f in forces for c in range(3)), hooks.guarded
+
+
+def test_fault_18_outside_its_range_the_base_swims_alone_and_it_is_counted():
+    rng, model = np.random.default_rng(2), learnt()
+    force, outside = pushed(model, swimming(rng, 500), 500)
+    assert (force > 0).mean() > 0.95 and outside.mean() < 0.02
+    for k in (swimming(rng, 500, speed=2.0), swimming(rng, 500, speed=-0.2), swimming(rng, 500, speed=0.02, side=0.6)):
+        force, outside = pushed(model, k, 500)
+        assert (force == 0).mean() > 0.9 and outside.mean() > 0.9
+    far = chain.Links([], [], *([np.full(3, s) for _ in range(N)] for s in (0.1, 3.0, 0.3)), [])
+    assert (pushed(model, far, 3)[0] == 0).all()
+
+
+def test_fault_18_in_the_physics_it_is_the_base_to_the_bit():
+    q, v = [np.zeros(2) for _ in range(6)], [np.full(2, 3.0), np.full(2, 0.3), *(np.zeros(2) for _ in range(4))]
+    still, given = [(0.0, 0.0)] * N, (np.full(2, 0.5), [0.1] * (N - 1))
+    hooks = learned.Learned(np, CHAIN, learnt(), [np.zeros(2)] * len(learned.at_rest(N)))
+    with_it = chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0), hooks)
+    base = chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0))
+    np.testing.assert_array_equal(np.array(with_it.v), np.array(base.v))
+    assert (with_it.memory[-1] == 1).all()
+
+
+@pytest.mark.parametrize("share,passes", [(0.04, True), (0.06, False)])
+def test_fault_18_more_than_5_percent_outside_fails_the_check(monkeypatch, share, passes):
+    """The judgement itself, on swims whose only fault is the share of steps outside."""
+    import hidden_water as hidden
+
+    records = [hidden_record(hidden, kind) for kind in ("gait", "chirp")]
+    members = np.tile(flat(NOMINAL.water), (5, 1))
+    model = HydroModel(
+        name="swift", robot=ROBOT.name, robot_sha256=robot_hash(ROBOT), dt=CHAIN.dt, slip=1.0, base=NOMINAL.water,
+        members=members, alone=np.tile(members[:1], (6, 1)), band={"speed": 1.0, "yaw_rate": 1.0, "power": 1.0},
+    )  # fmt: skip
+
+    def perfect(self, fleet, water, learnt=None, attached=None, memory=None):
+        return check.recorded(fleet)._replace(outside=np.full(len(fleet.q), share))
+
+    monkeypatch.setattr(check.Swim, "run", perfect)
+    found = check.judge(model, ROBOT, records)
+    assert found["figures"]["guard_rate"] == share and found["tolerances"]["guard_rate"] == 0.05
+    assert found["passed"]["guard_rate"] is passes
+    assert found["figures"]["speed_error_mean"] == 0.0
+
+
+def hidden_record(hidden, kind):
+    """A made-up record of 8 s: straight ahead at 0.2 m/s, or held."""
+    t = np.arange(1, 401)[:, None] * hidden.TICK
+    free = kind == "gait"
+    q, v = np.zeros((400, 6)), np.zeros((400, 6))
+    if free:
+        q[:, :1], v[:, 0] = 0.2 * t, 0.2
+    meta = {
+        "id": kind,
+        "episode": kind,
+        "block": kind,
+        "tick": hidden.TICK,
+        "grid": {"slip": 1.0},
+        "segment": {"drive": {"bias": 0.0}},
+    }
+    meta |= {"start": {"q": [0.0] * 6, "v": v[0].tolist()}, "prescribed": {"joints": not free, "root": not free}}
+    zero = np.zeros((400, N, 3))
+    return hidden.record.Record(meta, q, v, np.zeros((400, 3)), zero, zero, np.zeros((400, N, 2)), np.full(400, 1.6))
+
+
+def prior(names):
+    size = len(names)
+    return Prior(tuple(names), np.ones(size), np.full(size, 0.5), np.zeros(size), np.full(size, 3.0))
+
+
+def test_fault_19_what_trades_is_not_identified_and_its_partner_is_named():
+    """Two columns that are nearly the same: their sum is known, neither is."""
+    rng = np.random.default_rng(3)
+    a, c = rng.normal(size=(2, 500))
+    columns = np.stack([a, a + 1e-3 * rng.normal(size=500), c], 1)
+    p = prior(("lift_a", "lift_b", "cn1"))
+    normal, right = columns.T @ columns, columns.T @ (columns @ [1.6, 0.4, 1.2])
+    value = bounded(p, normal, right)
+    found = identify(p, value, normal)
+    assert set(found.calibrated) == {"cn1"} and found.condition > 1e4
+    assert found.doubtful["lift_a"].partner == "lift_b" and found.doubtful["lift_b"].partner == "lift_a"
+    assert found.doubtful["lift_a"].status == "not identified" and found.doubtful["lift_a"].correlation < -0.99
+    assert value[0] + value[1] == pytest.approx(2.0, abs=0.01)
+
+
+def test_fault_19_a_parameter_on_its_bound_is_said_and_not_quoted_as_calibrated(tmp_path):
+    rng = np.random.default_rng(4)
+    columns = rng.normal(size=(500, 2))
+    p = prior(("cf", "cn1"))
+    normal, right = columns.T @ columns, columns.T @ (columns @ [-0.7, 1.2])
+    value = bounded(p, normal, right)
+    found = identify(p, value, normal)
+    assert value[0] == 0.0 and found.doubtful["cf"].status == "on bound" and set(found.calibrated) == {"cn1"}
+    members = np.tile(flat(NOMINAL.water), (5, 1))
+    model = HydroModel(
+        name="swift", robot=ROBOT.name, robot_sha256=robot_hash(ROBOT), dt=CHAIN.dt, slip=1.0, base=NOMINAL.water,
+        members=members, alone=np.tile(members[:1], (6, 1)), found={"linear": found.table()},
+    )  # fmt: skip
+    back = HydroModel.load(replace(model, notes="made").save(tmp_path))
+    assert set(back.calibrated) == {"cn1"} and "on bound" in (tmp_path / "swift.toml").read_text(encoding="utf-8")
