@@ -60,11 +60,11 @@ class Fish:
     @property
     def null(self) -> np.ndarray:
         """(P,) the calibrated fish."""
-        return np.array([1.0] * len(CONSTANTS) + self.active.null)
+        return np.array([1.0] * len(self.constants) + self.active.null)
 
     def index(self, effect: str, parameter: str) -> int:
         """Place of an effect's parameter in a row."""
-        return len(CONSTANTS) + self.active.index(effect, parameter)
+        return len(self.constants) + self.active.index(effect, parameter)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -74,7 +74,7 @@ class Fish:
     @cached_property
     def kernel(self) -> Kernel:
         """Compiled rollouts; tens of seconds the first time on a machine."""
-        n = len(CONSTANTS) + len(self.active.null) + 2  # and the current of the log
+        n = len(self.constants) + len(self.active.null) + 2  # and the current of the log
         watched = 2 * (self.joints + 3) + 1
         return Kernel(
             self.robot.name, self._step, self._look, states=self.states, inputs=self.joints, parameters=n, watched=watched
@@ -86,7 +86,7 @@ class Fish:
 
         nv, n = self.joints + 3, self.chain.n
         q, v, attached, energy = state[:nv], state[nv : 2 * nv], state[2 * nv], state[2 * nv + 1]
-        hooks = Effects(jnp, self.active, row[len(CONSTANTS) : -2], state[2 * nv + 2 :])
+        hooks = Effects(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :])
         target = [hooks.session.command(j, command[j], self.dt) for j in range(self.joints)]
         flow = [(row[-2], row[-1])] * n
         s = chain.step(jnp, self.chain, self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
@@ -120,7 +120,7 @@ class Fish:
         inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
         lengths = np.array([len(r.commands) for r in records])
         which = np.repeat(np.arange(len(records)), len(rows))
-        effect_rows, flow = rows[:, len(CONSTANTS) :], np.array([r.flow for r in records])
+        effect_rows, flow = rows[:, len(self.constants) :], np.array([r.flow for r in records])
         late = self.active.delay(np, list(effect_rows.T), "command") * np.ones(len(rows))
         delay = np.tile((late + self.latency) / self.dt, len(records))
         whole = np.concatenate([np.tile(rows, (len(records), 1)), flow[which]], 1)
