@@ -83,7 +83,7 @@ class Kernel:
         out = np.full((rows, samples, self.watched), np.nan)
         tidy = lambda a, dtype: np.ascontiguousarray(a, dtype)  # noqa: E731
         rollouts = (tidy(which, np.int64), tidy(inputs, float), tidy(lengths, np.int64), tidy(parameters, float))
-        given = (*rollouts, tidy(start, float), tidy(delay, float), int(stride), out)
+        given: tuple = (*rollouts, tidy(start, float), tidy(delay, float), int(stride), out)
         blocks = -(-rows // native.LANES)
         workers = max(1, min(os.cpu_count() or 1, blocks // CHUNK))
         edges = [native.LANES * (blocks * i // workers) for i in range(workers)] + [rows]

@@ -25,8 +25,9 @@ class Gates:
     """Thresholds.
 
     adequacy: held-out |z|^2 / m that null runs do not reach. gain: held-out drop of |z|^2 below which nothing is added. A further
-    effect must also take away `again` of the held-out |z|^2 and `beside` of the gain so far. closure, p_best: as in evidence.py.
-    margin: of the gain, between the best and the next. shortlist, finalists: candidates fitted, and ranked on all records.
+    effect must also take away `again` of the held-out |z|^2 and `beside` of the gain so far. closure, rest, transfer: gates of
+    decide.py. margin: of the gain, between the best and the next; p_best: as in evidence.py. shortlist, finalists: candidates
+    fitted, and ranked on all records.
     """
 
     adequacy: float
@@ -36,6 +37,8 @@ class Gates:
     closure: float
     margin: float
     p_best: float
+    rest: float
+    transfer: float
     most: int
     shortlist: int
     finalists: int

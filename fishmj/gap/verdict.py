@@ -29,13 +29,15 @@ class Named:
 class Verdict:
     """What a search found. Gaps are mean squares in units of the floor: agreement is about 1.
 
-    effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, with its share of the bootstrap.
-    gap_unseen_before, gap_after_unseen: on records that took no part in any decision.
+    effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, and instead of which. tentative: further
+    effects that helped a little, but that could be others. gap_unseen_before, gap_after_unseen: on records that took no part in
+    any decision.
     """
 
     answer: str
     effects: tuple[Named, ...] = ()
     rivals: tuple[dict, ...] = ()
+    tentative: tuple[Named, ...] = ()
     gap_before: float = 1.0
     gap_after: float = 1.0
     gap_unseen_before: float | None = None

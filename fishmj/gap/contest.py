@@ -1,0 +1,87 @@
+"""Who else could it be? Each effect that was found against those that came close in its round, in the company of the others.
+
+gain     what the effect takes off |z|^2 over all records, given those before it
+behind   (|z|^2 of the set with the rival in its place - |z|^2 of the set) / gain
+p_best   share of Bayesian bootstrap draws over records in which it beats all of them
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.gap import evidence
+from fishmj.gap.candidates import Candidate, Search, bounds
+from fishmj.gap.search import Evidence, Found, Gates
+
+ON_BOUND = 1e-3  # of the typical size
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that would do nearly as well."""
+
+    name: str
+    p_best: float
+    behind: float
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How firm one effect stands."""
+
+    gain: float
+    p_best: float
+    rivals: tuple[Rival, ...]
+
+
+def standings(e: Evidence, found: Found, gates: Gates) -> dict[str, Standing]:
+    """Every effect of what was found."""
+    whole = e.part(np.ones(len(e.records), bool))
+    out, before = {}, found.base.cost
+    rounds = [s for s in found.steps if s.accepted]
+    for name, step in zip(found.best.names, rounds, strict=True):
+        cost = float(whole.base(step.ranked[0].row).cost)
+        out[name] = standing(whole, found.best, name, step.ranked, max(before - cost, 1e-9), gates)
+        before = cost
+    return out
+
+
+def standing(whole: Search, best: Candidate, name: str, ranked, gain: float, gates: Gates) -> Standing:
+    """One effect against the finalists of its round.
+
+    A set in which a parameter came to rest on a bound is no rival: it is a limiting form that mimics the best.
+    """
+    tried = (replaced(whole, best, name, c) for c in ranked if name not in c.names)
+    others = [c for c in tried if c is not None]
+    polished = whole.refine([best, *others], 2)
+    ours = next(c for c in polished if c.names == best.names)
+    free = [c for c in polished if c.names != best.names and not on_bound(whole.plant, c)]
+    share = evidence.p_best(np.stack([evidence.costs(c.z, whole.layout) for c in (ours, *free)]))
+    rivals = []
+    for c, p in zip(free, share[1:], strict=True):
+        behind = (c.cost - ours.cost) / gain
+        if behind < gates.margin or p > 1 - gates.p_best:
+            rivals.append(Rival(c.names[-1], float(p), float(behind)))
+    return Standing(gain, float(share[0]), tuple(rivals))
+
+
+def replaced(whole: Search, best: Candidate, name: str, other: Candidate) -> Candidate | None:
+    """`best` with the effect `name` at its null and the newest effect of `other` as it was there; None if it is there already."""
+    newest = other.names[-1]
+    if newest in best.names:
+        return None
+    effects = {x.name: x for x in whole.plant.active.effects}
+    places = lambda n: [whole.plant.index(n, p.name) for p in effects[n].parameters]  # noqa: E731
+    row = best.row.copy()
+    row[places(name)] = whole.plant.null[places(name)]
+    row[places(newest)] = other.row[places(newest)]
+    names = (*(n for n in best.names if n != name), newest)
+    z = whole.z(row[None])[0]
+    return Candidate(names, tuple(p for n in names for p in places(n)), row, float(z @ z), z)
+
+
+def on_bound(plant, c: Candidate) -> bool:
+    """Whether a parameter lies on a bound that is not its null."""
+    low, high, size = bounds(plant)
+    near = lambda place, edge: edge != plant.null[place] and abs(c.row[place] - edge) < ON_BOUND * size[place]  # noqa: E731
+    return any(near(place, low[place]) or near(place, high[place]) for place in c.places)
