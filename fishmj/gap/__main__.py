@@ -6,6 +6,7 @@ fishmj gap next REPORT          the next most informative experiment
 fishmj gap apply REPORT         the next version of the model
 fishmj gap bench                the blind benchmark
 fishmj gap fetch NAME           a public data set, checked
+fishmj gap measured NAME        the workflow on measured data of real robots
 """
 
 import sys
@@ -21,6 +22,7 @@ COMMANDS = {
     "apply": "apply",
     "bench": "bench.command",
     "fetch": "fetch",
+    "measured": "measured.command",
 }
 
 

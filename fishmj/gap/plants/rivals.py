@@ -1,0 +1,44 @@
+"""Terms that are no entry of the catalogue but would improve many a fit: what a named effect has to beat.
+
+A short list makes it easy to be first. These stand beside the catalogue when measured data are searched, in the same form.
+"""
+
+from fishmj.effects.effect import Effect, Parameter
+
+
+def _sway(xp, p, b, memory, h):
+    return b._replace(fy=b.fy - b.wet * p.coefficient * b.w), memory
+
+
+def _yaw(xp, p, b, memory, h):
+    return b._replace(n=b.n - b.wet * p.coefficient * b.r), memory
+
+
+def _side(xp, p, b, memory, h):
+    return b._replace(fy=b.fy + b.wet * p.coefficient * b.push), memory
+
+
+def _nothing(xp, p, b, memory, h):
+    return b._replace(fy=b.fy + 0.0 * p.coefficient), memory
+
+
+def _rival(name: str, formula: str, unit: str, size: float, body, signed: bool = False) -> Effect:
+    low = -50 * size if signed else 0.0
+    return Effect(
+        name=name,
+        stage="hydrodynamics",
+        about="stands beside the catalogue when measured data are searched",
+        formula=formula,
+        source="none: a term that fits much and explains little",
+        parameters=(Parameter(name="coefficient", unit=unit, low=low, high=50 * size, typical=(0.2 * size, size)),),
+        shows=("position", "heading"),
+        body=body,
+    )
+
+
+RIVALS = (
+    _rival("linear_sway_damping", "fy = -c w", "N s/m", 1.0, _sway),
+    _rival("linear_yaw_damping", "n = -c r", "N m s", 0.003, _yaw),
+    _rival("tail_side_force", "fy = c A^2 b", "N/rad3", 0.3, _side, signed=True),
+    _rival("inert", "nothing", "1", 1.0, _nothing, signed=True),
+)
