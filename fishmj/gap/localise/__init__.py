@@ -1,0 +1,110 @@
+"""Where the gap is, in words and numbers: channel and regime, lag, beat, world or body, left or right, when, how fast.
+
+    place = localise(compared(plant, records, scale, before, after))
+    place.text
+
+Nothing here decides what is missing; it says what the residual of the model looks like, before and after what was found.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.gap.localise.beat import Beat, Rates, beat, by_rate
+from fishmj.gap.localise.comparison import Comparison, compared
+from fishmj.gap.localise.frame import Frame, Side, frame, side, stretches
+from fishmj.gap.localise.lags import Lags, lags
+from fishmj.gap.localise.regimes import KINDS, kinds, shares
+
+__all__ = ["Comparison", "Localisation", "compared", "localise"]
+THIRDS = 3
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """What the residual of the model as it is looks like.
+
+    gap, gap_after: mean square in units of the floor. channels (C,), kinds (K,): names. share: (C, K) of the gap beyond the floor.
+    level: (C, K) mean square in units of the floor, NaN where never seen. time: (C, K) of the channel's time. locked: by channel, joint and heading.
+    thirds: channel -> (3,) mean square in the first, middle and last third of a record. session: channel -> slope of the mean
+    square over the session [1/s], relative to its mean, NaN when all records are of one time.
+    bias: (J,) mean residual of each joint, rad. residual_rms: channel -> RMS before, after (SI).
+    """
+
+    gap: float
+    gap_after: float
+    channels: tuple[str, ...]
+    kinds: tuple[str, ...]
+    share: np.ndarray
+    level: np.ndarray
+    time: np.ndarray
+    lags: Lags
+    locked: dict[str, Beat]
+    frame: Frame | None
+    side: Side | None
+    thirds: dict[str, np.ndarray]
+    session: dict[str, float]
+    rates: Rates | None
+    bias: np.ndarray
+    residual_rms: dict[str, tuple[float, float]]
+
+    @property
+    def text(self) -> str:
+        """The paragraph."""
+        from fishmj.gap.localise.words import paragraph
+
+        return paragraph(self)
+
+
+def localise(c: Comparison) -> Localisation:
+    """All diagnostics of a comparison."""
+    channels, share, level, time = shares(c, kinds(c))
+    found = stretches(c)
+    gaps = [float(np.sum(c.weights() * ratio)) for ratio in c.ratio]
+    locked = {name: got for name in ("joint", "heading") if (got := beat(c, name)) is not None}
+    rms = {name: _rms(c, name) for name in channels}
+    return Localisation(
+        *(gaps[0], gaps[1], channels, KINDS, share, level, time, lags(c), locked, frame(found), side(found)),
+        *(thirds(c), over_session(c), by_rate(c), bias(c), rms),
+    )
+
+
+def _rms(c: Comparison, channel: str) -> tuple[float, float]:
+    some = c.layout.channel == channel
+    before, after = np.sqrt(np.mean(c.residuals[:, some] ** 2, 1))
+    return float(before), float(after)
+
+
+def thirds(c: Comparison) -> dict[str, np.ndarray]:
+    """Mean square by third of the record, for each channel."""
+    sums: dict[str, list[np.ndarray]] = {}
+    for b in c.layout.blocks:
+        place = np.minimum((THIRDS * b.t / (b.t[-1] + 1e-9)).astype(int), THIRDS - 1)
+        ratio = c.ratio[0][b.where]
+        if len(np.unique(place)) == THIRDS:
+            sums.setdefault(b.channel, []).append(np.array([ratio[place == k].mean() for k in range(THIRDS)]))
+    return {name: np.mean(values, 0) for name, values in sums.items()}
+
+
+def over_session(c: Comparison) -> dict[str, float]:
+    """Slope of each channel's mean square over the session, relative to its mean, 1/s."""
+    times = np.array([r.session for r in c.records])
+    out = {}
+    for name in dict.fromkeys(c.layout.channel):
+        level = np.array(
+            [np.mean(c.ratio[0][(c.layout.channel == name) & (c.layout.record == i)]) for i in range(len(c.records))]
+        )
+        known = np.isfinite(level)
+        spread = times[known] - times[known].mean()
+        sizes = float(spread @ spread)
+        out[str(name)] = float(spread @ level[known] / sizes / level[known].mean()) if sizes > 0 else float("nan")
+    return out
+
+
+def bias(c: Comparison) -> np.ndarray:
+    """(J,) mean residual of each joint over all records, rad; empty without joints."""
+    sums: dict[int, list[float]] = {}
+    for b in c.layout.blocks:
+        if b.channel == "joint":
+            sums.setdefault(b.column, []).append(float(np.mean(c.residuals[0][b.where])))
+    return np.array([np.mean(sums[k]) for k in sorted(sums)])

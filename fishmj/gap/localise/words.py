@@ -1,0 +1,178 @@
+"""The localisation as a paragraph. Every number in it is a field of the localisation; every sentence has a condition."""
+
+import math
+
+import numpy as np
+
+from fishmj.gap.localise.lags import alike, told
+
+LITTLE, MOST = 0.1, 0.5  # share of the gap
+AGREES = 1.25  # below this mean square there is nothing to place
+
+
+def paragraph(p) -> str:
+    """Where the gap is."""
+    if p.gap <= AGREES or p.share.sum() == 0:
+        return f"The residual stays within the floor ({p.gap:.2f}, agreement is about 1): there is nothing to place."
+    return " ".join(s for s in (where(p), beat(p), lag(p), frame(p), side(p), growth(p), speed(p), session(p)) if s)
+
+
+def where(p) -> str:
+    """Channel, and in it the regime."""
+    by_channel = p.share.sum(1)
+    order = np.argsort(-by_channel)
+    parts = []
+    for i in order[:2]:
+        if by_channel[i] < 0.15 and parts:
+            continue
+        inside = p.share[i] / max(by_channel[i], 1e-12)
+        k = int(np.argmax(inside))
+        of = f"{by_channel[i]:.0%} of the gap is in the {noun(p.channels[i])}"
+        parts.append(f"{of}, {inside[k]:.0%} of that in {p.kinds[k]} ({p.time[i, k]:.0%} of the time)")
+    rest = [noun(p.channels[i]) for i in order if by_channel[i] < 0.02 and np.nanmax(p.level[i]) < 3.0]
+    text = "; ".join(parts)
+    if rest:
+        text += f"; the {listed(rest)} {'agrees' if len(rest) == 1 else 'agree'}"
+    return text + "."
+
+
+def beat(p) -> str:
+    """Locked to the tail beat or not."""
+    parts = []
+    for name, b in p.locked.items():
+        channel = p.channels.index(name)
+        if p.share[channel].sum() < 0.05:
+            continue
+        if b.locked >= MOST:
+            degrees = math.degrees(b.behind) % 360
+            parts.append(f"the {name} residual is locked to the beat ({b.locked:.0%} of it, {degrees:.0f} deg behind)")
+        elif b.locked < 0.2:
+            parts.append(f"the {name} residual does not follow the beat ({b.locked:.0%} of it does)")
+    return sentence("; ".join(parts))
+
+
+def lag(p) -> str:
+    """What comes late, and where along the way that puts it."""
+    joint, heading = p.lags.joint, p.lags.heading
+    if joint is None and heading is None:
+        return ""
+    parts = []
+    if told(joint):
+        after = "" if not told_after(p) else f" ({ms(p.lags.joint_after)} are left with what was found)"
+        parts.append(f"The joints come {ms(joint)} {sense(joint)} than the model's{after}")
+        if p.lags.command is not None and p.lags.model is not None:
+            parts[-1] += f", {1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f}"
+    elif joint is not None:
+        parts.append(f"The joints are on time ({ms(joint)})")
+    if told(heading):
+        parts.append(f"the heading comes {ms(heading)} {sense(heading)}")
+    elif heading is not None:
+        parts.append(f"the heading is on time ({ms(heading)})")
+    text = ", ".join(parts)
+    text = text[0].upper() + text[1:] + conclusion(p)
+    return text + "."
+
+
+def conclusion(p) -> str:
+    """Where between command and camera the delay sits."""
+    joint, heading = p.lags.joint, p.lags.heading
+    if joint is None or heading is None:
+        return ""
+    if told(joint) and told(heading) and alike(joint, heading):
+        return ", the same within the intervals: upstream of the joint"
+    if told(joint) and not told(heading):
+        return ": at the joint's own sensor, or the water smooths it"
+    if told(heading) and not told(joint):
+        return ": downstream of the joint, in the water or in the camera's clock"
+    return ""
+
+
+def told_after(p) -> bool:
+    """Whether a delay is left once what was found is in the model."""
+    return p.gap_after < p.gap and told(p.lags.joint_after)
+
+
+def frame(p) -> str:
+    """World or body."""
+    f = p.frame
+    if f is None or p.share[p.channels.index("position")].sum() < LITTLE or f.points == "neither":
+        return ""
+    vector, sd = (f.world, f.world_sd) if f.points == "world" else (f.body, f.body_sd)
+    if np.hypot(*vector) < 3 * np.hypot(*sd):
+        return ""
+    size, angle = 1e3 * np.hypot(*vector), math.degrees(math.atan2(vector[1], vector[0]))
+    if f.points == "world":
+        what = f"{size:.0f} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
+        return f"The position drifts off {what} ({f.world_share:.0%} of its drift against {f.body_share:.0%}): current or camera axes."
+    where_to = "ahead" if abs(angle) < 45 else "astern" if abs(angle) > 135 else "left" if angle > 0 else "right"
+    what = f"{size:.0f} mm/s to the robot's own {where_to}" if where_to in ("left", "right") else f"{size:.0f} mm/s {where_to}"
+    return (
+        f"The position drifts off {what}, turning with the robot ({f.body_share:.0%} of its drift against {f.world_share:.0%}):"
+        " thrust, drag or an offset."
+    )
+
+
+def side(p) -> str:
+    """Left and right."""
+    s = p.side
+    if s is None or p.share[p.channels.index("heading")].sum() < 0.05:
+        return ""
+    if abs(s.even) > 3 * s.even_sd and abs(s.even) > math.radians(0.3):
+        to = "left" if s.even > 0 else "right"
+        return f"The robot turns to the {to} by {abs(math.degrees(s.even)):.1f} deg/s more whichever way it goes: an offset or asymmetry."
+    if abs(s.odd) > 3 * s.odd_sd and abs(s.odd) > 0.1:
+        return f"Turns are {abs(s.odd):.0%} {'stronger' if s.odd > 0 else 'weaker'} than the model's, alike to both sides."
+    return ""
+
+
+def growth(p) -> str:
+    """Within a record."""
+    grown = [
+        f"the {noun(name)} from {v[0]:.3g} to {v[-1]:.3g} times the floor"
+        for name, v in p.thirds.items()
+        if v[-1] > 3 * max(v[0], 1.0) and p.share[p.channels.index(name)].sum() > LITTLE
+    ]
+    return sentence(f"over a record it grows: {listed(grown)}") if grown else ""
+
+
+def speed(p) -> str:
+    """Against the command's rate."""
+    r = p.rates
+    if r is None or p.share[p.channels.index("joint")].sum() < LITTLE:
+        return ""
+    if r.ratio > 4:
+        return f"The joint residual grows with the speed of the command ({r.ratio:.0f} times from the slowest fifth to the fastest)."
+    if r.ratio < 1.5:
+        return "The joint residual does not grow with the speed of the command."
+    return ""
+
+
+def session(p) -> str:
+    """Over the session."""
+    drifting = [noun(name) for name, s in p.session.items() if math.isfinite(s) and abs(s) > 1e-3]
+    return f"It changes over the session in the {listed(drifting)}." if drifting else ""
+
+
+def ms(lag) -> str:
+    """A lag with its interval."""
+    half = 0.5e3 * (lag.high - lag.low)
+    return f"{abs(1e3 * lag.lag):.0f} ± {max(half, 1.0):.0f} ms"
+
+
+def sense(lag) -> str:
+    return "later" if lag.lag > 0 else "earlier"
+
+
+def noun(channel: str) -> str:
+    """A channel in a sentence."""
+    return {"joint": "joints", "power": "power"}.get(channel, channel)
+
+
+def listed(parts: list[str]) -> str:
+    """a, b and c."""
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
+
+
+def sentence(text: str) -> str:
+    """With a capital and a full stop; nothing stays nothing."""
+    return text[:1].upper() + text[1:] + "." if text else ""
