@@ -44,7 +44,7 @@ def study() -> Study:
         unit="mrad",
         factor=1e3,
         protocol=(
-            f"{len(records)} logs of {len(gains)} gains; {len(aside)} of the trajectory {ASIDE} kept aside, one gain left out a fold",
+            f"{len(records)} logs of {len(gains)} gains; {len(aside)} of trajectory {ASIDE} kept aside, one gain left out a fold",
             "error: rms of measured minus simulated angle at the log's own stamps, free run from the first row",
             "baseline: proportional controller with its duty limit, back-EMF, viscous friction, armature",
         ),

@@ -1,7 +1,7 @@
 """Naming what is missing by cross-validation over groups: conditions, gains, runs that no parameter saw.
 
     per fold    baseline fitted -> screen -> refit with the constants -> cost on the groups left out
-    accepted    P(the cost left out falls by more than `useful`) over Bayesian bootstrap draws of the groups, and best in most folds
+    accepted    P(the cost left out falls by more than `useful`) over Bayesian bootstrap draws of the groups, best in most folds
     named       the same best effect in the folds, P(best) over the same draws, closure on records kept aside for the last figure
 
 Constants of the baseline are fitted with every candidate anew: what a constant can explain is no effect.

@@ -20,8 +20,8 @@ from fishmj.log import Trial
 SPAN, WINDOW = 1.5, 1.0  # s
 SCALE = np.array([0.02, 0.02, 0.15])  # m, m, rad: the protocol's units of error
 ASIDE, FOLDS = 7, 4
-# Only ratios of force to mass show in a pose. The mass is that of the published robot (Wang & Tan 2015) to a few per cent at best;
-# forces are rough: a fit adapts them.
+# Only ratios of force to mass show in a pose. The mass is that of the published robot (Wang & Tan 2015), about; forces are rough,
+# a fit adapts them.
 HULL = Hull(
     mass=0.725,
     inertia=2.66e-3,

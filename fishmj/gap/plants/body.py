@@ -85,8 +85,8 @@ class Share(NamedTuple):
 
 
 class Body:
-    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those of the catalogue that act here.
-    name: of the compiled plant."""
+    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here. name: of the
+    compiled plant."""
 
     def __init__(
         self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, name="body", dt=0.02
@@ -133,13 +133,14 @@ class Body:
         rest = dict.fromkeys(sites.Body._fields, 0.0)  # what a lone body does not have
         b = Beaten(**rest | where | forces | dict(sway_mass=h.sway_added, drag=h.drag))
         b = session.body(b, k)
-        mu, mw = mass + h.surge_added, mass + h.sway_added
-        # rigid body over ground with its centre of mass `com` ahead, ideal fluid relative to the water
-        ax = (b.fx + mu * gw * r + (h.sway_added - h.surge_added) * w * r + mass * com * r * r) / (mass + b.mx)
-        fy, n = b.fy - mass * gu * r - h.surge_added * u * r, b.n + (h.surge_added - h.sway_added) * u * w - mass * com * gu * r
+        # forces = masses times accelerations seen from the ground; the centre of mass lies `com` ahead
+        more = h.sway_added - h.surge_added
+        ax = (b.fx + more * w * r + mass * com * r * r) / (mass + b.mx)
+        fy, n = b.fy + more * u * r, b.n - more * u * w
         a, e, d = mass + b.my, mass * com, inertia + mass * com * com + b.mn
         det = a * d - e * e
-        aw, ar = (d * fy - e * n) / det, (a * n - e * fy) / det
+        ay, ar = (d * fy - e * n) / det, (a * n - e * fy) / det
+        ax, aw = ax + r * gw, ay - r * gu
         gu, gw, r = gu + k * ax, gw + k * aw, r + k * ar
         yaw2 = yaw + k * r
         mid = 0.5 * (yaw + yaw2)
