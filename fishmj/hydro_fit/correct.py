@@ -6,9 +6,9 @@ Recursive least squares with a forgetting factor (Ljung 1999, section 11.2): wit
 fades at most to the prior's, so a factor that is no longer seen stays where it is and none runs away. Factors are held within
 `BOUNDS`; the residual stays as it is.
 
-A right surrogate has an error, too, that no factor mends: what no fit could explain. Its mean square is `own`; rows count only
-as far as the uncorrected error exceeds it, from `CALM` times (not at all) to `ALARM` times (fully). So forces never talk a
-surrogate out of coefficients that were fitted to whole swims.
+A right surrogate has an error, too, that no factor mends. Its mean square, over that of the force, is `own`; rows count only as
+far as the uncorrected error exceeds it, from `CALM` times (not at all) to `ALARM` times (fully). So forces never talk a surrogate
+out of coefficients that were fitted to whole swims.
 """
 
 from typing import NamedTuple
@@ -31,8 +31,13 @@ class Correction(NamedTuple):
     factors: np.ndarray  # (10,)
     information: np.ndarray  # (10, 10) inverse covariance
     noise: np.ndarray  # (3,) running mean square of the remaining error by component
-    excess: float  # running mean of the uncorrected square error over the surrogate's own
+    left: np.ndarray  # (3,) running mean square of the uncorrected error
+    size: np.ndarray  # (3,) and of the force
     rows: float  # ticks seen
+
+    def excess(self, own) -> float:
+        """Uncorrected mean square error over what a right surrogate has."""
+        return float(np.mean(self.left / (self.size * np.asarray(own) + 1e-12)))
 
 
 class Row(NamedTuple):
@@ -50,7 +55,7 @@ class Row(NamedTuple):
 
 def fresh() -> Correction:
     """Nothing corrected yet."""
-    return Correction(np.ones(10), np.diag(1 / np.tile(SPREAD, 2) ** 2), np.zeros(3), 0.0, 0.0)
+    return Correction(np.ones(10), np.diag(1 / np.tile(SPREAD, 2) ** 2), *np.zeros((3, 3)), 0.0)
 
 
 def applied(c: terms.Coefficients, state: Correction) -> terms.Coefficients:
@@ -91,17 +96,17 @@ def update(
     """Take one row in.
 
     Args:
-        c: the uncorrected coefficients. own: (3,) mean square error of each component on a link that a right surrogate has;
-            0 takes every row at its word. tick: s that the row stands for. idle: s since the row before without any.
+        c: the uncorrected coefficients. own: (3,) mean square error over mean square force that a right surrogate has, by
+            component; 0 takes every row at its word. tick: s that the row stands for. idle: s since the row before without any.
     """
     a = parts(s, c, row)
     left = row.force - row.extra - a.sum(0)  # beyond the uncorrected water
     error = left - np.tensordot(state.factors - 1.0, a, axes=1)
     seen = state.rows + 1.0
     share = 1.0 / min(seen, MEMORY / tick)
-    noise = state.noise + ((error**2).mean(1) - state.noise) * share
-    excess = state.excess + (float(np.mean((left**2).mean(1) / (np.asarray(own) + 1e-12))) - state.excess) * share
-    weight = np.clip((excess - CALM) / (ALARM - CALM), 0.0, 1.0) / (HANG * (noise + 1e-8))
+    follow = lambda old, values: old + ((values**2).mean(1) - old) * share  # noqa: E731
+    new = state._replace(left=follow(state.left, left), size=follow(state.size, row.force), noise=follow(state.noise, error))
+    weight = np.clip((new.excess(own) - CALM) / (ALARM - CALM), 0.0, 1.0) / (HANG * (new.noise + 1e-8))
     prior = np.diag(1 / np.tile(SPREAD, 2) ** 2)
     keep = np.exp(-(tick + idle) / MEMORY)
     information = prior + keep * (state.information - prior)
@@ -110,7 +115,7 @@ def update(
     information = information + (rows * w) @ rows.T
     step = np.linalg.solve(information, (rows * w) @ error.ravel())
     factors = np.clip(state.factors + step, *BOUNDS)
-    return Correction(factors, information, noise, excess, seen)
+    return new._replace(factors=factors, information=information, rows=seen)
 
 
 def rows_between(ch: chain.Chain, q, v, q_new, v_new, flow, wrench, attached: float, extra: np.ndarray, tick: float) -> Row:

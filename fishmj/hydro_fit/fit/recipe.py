@@ -21,7 +21,7 @@ from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
 from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
-from fishmj.hydro_fit.fit.rows import Rows, rows_of
+from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force, rows_of
 from fishmj.hydro_fit.model import HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
@@ -244,9 +244,16 @@ class Fit:
         )
 
     def _scores(self, state) -> dict:
-        """`noise`: rms error of F_t, F_n and moment on a link, of the strips fitted to forces: what no coefficient mends."""
-        noise = np.sqrt((state["noise"] ** 2).mean(1)).tolist()
-        return {"validation": self.score(state["water"], unpacked(state)), "noise": noise, "seconds": self.seconds}
+        """`own`: mean square error of F_t, F_n, moment on free swims over that of the force, `own_alone` without a residual."""
+        free = rows_of(self.chain, [r for r in self.val if rollout.is_free(r)])
+        size, out = (free.force**2).mean((1, 2)), {}
+        for name, water, learnt in (("own", state["water"], unpacked(state)), ("own_alone", state["alone"], None)):
+            c = unflat(water.tolist())
+            force = base_force(free, self.chain.strips, c, attachment(free, self.chain.strips, c, self.tick))
+            if learnt is not None:
+                force = force + begin.walk(self.chain, free, c, learnt, self.tick).force
+            out[name] = (((force - free.force) ** 2).mean((1, 2)) / size).tolist()
+        return {"validation": self.score(state["water"], unpacked(state)), **out, "seconds": self.seconds}
 
     def _path(self, stage: str) -> Path | None:
         return None if self.folder is None else self.folder / f"stage-{STAGES.index(stage) + 1}-{stage}.safetensors"

@@ -129,6 +129,13 @@ class Swim:
 
     def __init__(self, ch: chain.Chain, swimmer: chain.Swimmer):
         self.chain, self.swimmer = ch, swimmer
+        self._key = repr((ch, swimmer._replace(water=None)))
+
+    def __hash__(self) -> int:  # equal fish share what was compiled
+        return hash(self._key)
+
+    def __eq__(self, other) -> bool:
+        return isinstance(other, Swim) and self._key == other._key
 
     def run(self, fleet: Fleet, water: np.ndarray, learnt: "learned.Residual | None" = None, attached=None, memory=None) -> Track:
         """Swim every piece from its recorded start.
