@@ -1,7 +1,7 @@
 """Refit a fish's water to the flow solver: collect what is missing, fit, check on held-out episodes, report.
 
 python -m fishmj.hydro_fit                        all four, for the shipped fish
-python -m fishmj.hydro_fit collect|fit|check|report
+python -m fishmj.hydro_fit collect|fit|check|report|ablate
 """
 
 import argparse
@@ -14,7 +14,7 @@ from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 
-VERBS = ("collect", "fit", "check", "report")
+VERBS = ("collect", "fit", "check", "report", "ablate")
 DATA = Path(__file__).resolve().parents[2] / "data" / "hydro"
 
 
@@ -41,6 +41,8 @@ def main(argv: list[str]) -> int | None:
     if verb in ("report", "all"):
         found["report"] = str(report(robot, folder, args))
         console.say(f"report: {found['report']}")
+    if verb == "ablate":
+        found["ablate"] = ablate(robot, folder, args)
     if args.json:
         console.emit_json(found[verb] if verb in found and isinstance(found[verb], dict) else found)
     return code
@@ -152,6 +154,19 @@ def check(robot: Robot, folder: Path, args) -> dict:
     found = judge(chosen(robot, args), robot, records_of(data, robot, "test", args.slip), repeats_of(data, args.slip))
     console.say(console.table(check_rows(found)))
     return found
+
+
+def ablate(robot: Robot, folder: Path, args) -> dict:
+    """The fit without each of its parts, on the same held-out records."""
+    from fishmj.hydro_fit.ablation import ablate as compared
+    from fishmj.hydro_fit.fit.recipe import Settings
+
+    data = open_dataset(folder, test=True)
+    parts = [records_of(data, robot, split, args.slip) for split in ("train", "val", "test")]
+    said = lambda row: console.say(f"done: {row['variant']}")  # noqa: E731
+    rows = compared(robot, *parts, settings=Settings(seed=args.seed), say=said)
+    console.say(console.table(rows))
+    return {"rows": rows}
 
 
 def report(robot: Robot, folder: Path, args) -> Path:

@@ -55,7 +55,8 @@ class Row(NamedTuple):
 
 def fresh() -> Correction:
     """Nothing corrected yet."""
-    return Correction(np.ones(10), np.diag(1 / np.tile(SPREAD, 2) ** 2), *np.zeros((3, 3)), 0.0)
+    none = np.zeros(3)
+    return Correction(np.ones(10), np.diag(1 / np.tile(SPREAD, 2) ** 2), none, none, none, 0.0)
 
 
 def applied(c: terms.Coefficients, state: Correction) -> terms.Coefficients:

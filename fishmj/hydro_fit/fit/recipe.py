@@ -136,9 +136,10 @@ class Fit:
         c = unflat(state["water"].tolist())
         told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)  # noqa: E731
         net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
-        net = learning.learn(
-            self.chain, self._lessons(state["water"]), net, steps=s.steps, seed=s.seed, memory=s.memory, report=told
-        ).net
+        taught = self._lessons(state["water"])
+        net = learning.learn(self.chain, taught, net, steps=s.steps, seed=s.seed, memory=s.memory, report=told).net
+        if not s.memory:
+            net = net._replace(wake_out=0.0 * net.wake_out)  # a wake that stays at rest
         rows = rows_of(self.chain, self.train)
         xi, speed = begin.features(self.chain, rows)
         reach = learned.fitted(xi, speed, 1e6)

@@ -129,7 +129,7 @@ class Swim:
 
     def __init__(self, ch: chain.Chain, swimmer: chain.Swimmer):
         self.chain, self.swimmer = ch, swimmer
-        self._key = repr((ch, swimmer._replace(water=None)))
+        self._key = repr((ch, swimmer[:5]))
 
     def __hash__(self) -> int:  # equal fish share what was compiled
         return hash(self._key)
