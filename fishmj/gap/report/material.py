@@ -1,0 +1,218 @@
+"""Every figure that the page shows, computed from an inquiry: what is drawn and what is written as JSON are the same numbers."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from fishmj import console
+from fishmj.gap import evidence
+from fishmj.gap.candidates import Candidate
+from fishmj.gap.contest import on_bound
+from fishmj.gap.growth import Curve, curves
+from fishmj.gap.localise import Comparison, Localisation, compared, localise
+from fishmj.gap.search import Gates, frozen
+from fishmj.gap.workflow import Inquiry
+
+
+@dataclass(frozen=True)
+class Part:
+    """The gap on one part of the records, before and after; low, high: between these lie nine of ten null runs, NaN unknown."""
+
+    name: str
+    about: str
+    records: int
+    before: float
+    after: float
+    low: float = float("nan")
+    high: float = float("nan")
+    by_channel: dict | None = None  # channel -> (before, after)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finalist of a round. behind: cost above the best, share of the gain. p_best: None on a bound (a limiting form, no rival).
+    values: parameter -> (value, unit)."""
+
+    name: str
+    values: dict
+    behind: float
+    p_best: float | None
+    rival: bool
+
+
+@dataclass(frozen=True)
+class Round:
+    """The finalists of one round, best first. alike: (n, n) cosine between what they change, whitened."""
+
+    table: tuple[Row, ...]
+    alike: np.ndarray
+
+
+@dataclass(frozen=True)
+class Blind:
+    """An effect that these records would not have shown. ratio: of |dz|^2 at its typical size to what a name needs."""
+
+    name: str
+    typical: str
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Material:
+    """All of it."""
+
+    inquiry: Inquiry
+    gates: Gates
+    comparison: Comparison
+    place: Localisation
+    growth: tuple[Curve, ...]
+    parts: tuple[Part, ...]
+    rounds: tuple[Round, ...]
+    blind: tuple[Blind, ...]
+
+
+def gathered(inquiry: Inquiry, gates: Gates | None = None) -> Material:
+    """Compute everything. gates: the thresholds of the search; default, the frozen ones."""
+    gates = gates or frozen()
+    e, found = inquiry.evidence, inquiry.found
+    c = compared(e.plant, e.records, e.scale, found.base.row, after(inquiry), e.layout)
+    growth = curves(e.plant, e.records, *c.rows)
+    return Material(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates))
+
+
+def after(inquiry: Inquiry) -> np.ndarray:
+    """The row with what was found; with nothing accepted, the tentative best when one is shown."""
+    found, verdict = inquiry.found, inquiry.verdict
+    tentative = not found.best.names and verdict.answer == "UNEXPLAINED" and verdict.effects and found.steps
+    return found.steps[0].ranked[0].row if tentative else found.best.row
+
+
+def parts(inquiry: Inquiry) -> tuple[Part, ...]:
+    """Fitted, held out, never used."""
+    e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
+    rows = np.stack([found.base.row, found.best_fit.row])
+    residuals = e.layout.residuals(e.plant.predict(e.records, rows))
+    count = len(e.factors) - len(e.plant.constants)
+    null = e.factors[:count] * np.sqrt(count)
+    out = []
+    for name, about, keep in (
+        ("fitted", "parameters were fitted to these", ~inquiry.held),
+        ("held out", "they accepted or refused what was fitted", inquiry.held),
+    ):
+        if not keep.any():
+            continue
+        by = [channels(e.layout, (r / e.scale) ** 2, keep) for r in residuals]
+        mean = lambda found: float(np.mean(list(found.values())))  # noqa: E731
+        reached = [mean(channels(e.layout, (r / e.scale) ** 2, keep)) for r in null]
+        low, high = (float(q) for q in np.quantile(reached, [0.05, 0.95]))
+        both = {k: (by[0][k], by[1][k]) for k in by[0]}
+        out.append(Part(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
+    if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
+        what = "no decision ever saw these"
+        out.append(Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, v.gap_after_unseen))
+    return tuple(out)
+
+
+def channels(layout, ratio: np.ndarray, keep: np.ndarray) -> dict[str, float]:
+    """Mean square by channel over the records where `keep`."""
+    sums: dict[str, list[float]] = {}
+    for b in layout.blocks:
+        if keep[b.record]:
+            sums.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
+    return {name: float(np.mean(values)) for name, values in sums.items()}
+
+
+def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
+    """The finalists of every round that was accepted, or of the first when none was."""
+    e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
+    given = {n.name: n.p_best for n in (*v.effects, *v.tentative)} | {str(r["name"]): float(r["p_best"]) for r in v.rivals}
+    out, start = [], found.base
+    for number, step in enumerate(found.steps):
+        if not step.accepted and number:
+            break
+        whole = (e.knowing(start.row) if number else e).part(np.ones(len(e.records), bool))
+        z = whole.z(start.row)[0]
+        best = step.ranked[0]
+        free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
+        share = evidence.p_best(np.stack([evidence.costs(c.z, e.layout) for c in free]))
+        gained = max(float(z @ z) - best.cost, 1e-9)
+        rows = []
+        for c in step.ranked:
+            name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
+            p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
+            p = given.get(name, p) if p is not None else None
+            rival = name in [r["name"] for r in v.rivals]
+            rows.append(Row(name, values(e.plant, c, name), float((c.cost - best.cost) / gained), p, rival))
+        signatures = np.stack([c.z - z for c in step.ranked])
+        unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
+        out.append(Round(tuple(rows), unit @ unit.T))
+        start = best
+    return tuple(out)
+
+
+def values(plant, c: Candidate, name: str) -> dict:
+    """Parameters of the effects in `name`."""
+    shown = name.split("+")
+    place = lambda effect, p: float(c.row[plant.index(effect.name, p.name)])  # noqa: E731
+    return {
+        p.name if len(shown) == 1 else f"{effect.name}.{p.name}": (place(effect, p), p.unit)
+        for effect in plant.active.effects
+        if effect.name in shown
+        for p in effect.parameters
+    }
+
+
+def blind(inquiry: Inquiry, gates: Gates) -> tuple[Blind, ...]:
+    """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
+    e = inquiry.evidence
+    whole = e.part(np.ones(len(e.records), bool))
+    rows, owners = [], []
+    for effect in e.plant.active.effects:
+        if effect.name in inquiry.found.best.names:
+            continue
+        for p in effect.parameters:
+            for size in (p.typical[1],) if not p.signed else (p.typical[1], 2 * p.null - p.typical[1]):
+                if not p.shape:
+                    row = np.array(inquiry.found.base.row)
+                    row[e.plant.index(effect.name, p.name)] = np.clip(size, p.low, p.high)
+                    rows.append(row)
+                    owners.append(effect)
+    if not rows:
+        return ()
+    change = np.sum((whole.z(np.array(rows)) - whole.z(inquiry.found.base.row)) ** 2, 1)
+    out = []
+    for effect in dict.fromkeys(o.name for o in owners):
+        ratio = max(float(x) for x, o in zip(change, owners, strict=True) if o.name == effect) / gates.gain
+        if ratio < 1.0:
+            p = next(o for o in owners if o.name == effect).parameters[0]
+            out.append(Blind(effect, f"{p.name} {p.typical[1]:g} {p.unit}", ratio))
+    return tuple(sorted(out, key=lambda b: -b.ratio))
+
+
+def plain(m: Material) -> dict:
+    """The page's figures for JSON."""
+    place = asdict(m.place) | {"text": m.place.text, "lags": {k: v and v.as_dict() for k, v in m.place.lags._asdict().items()}}
+    place["frame"] = m.place.frame and m.place.frame._asdict()
+    place["side"] = m.place.side and m.place.side._asdict()
+    place["rates"] = m.place.rates and m.place.rates._asdict()
+    place["locked"] = {k: v._asdict() for k, v in m.place.locked.items()}
+    return console.plain(
+        {
+            "verdict": m.inquiry.verdict.plain(),
+            "records": [
+                {"name": r.name, "excitation": r.excitation, "part": part}
+                for r, part in zip(m.inquiry.records, parted(m.inquiry), strict=True)
+            ],
+            "gap": [asdict(p) for p in m.parts],
+            "localisation": place,
+            "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
+            "rounds": [asdict(r) for r in m.rounds],
+            "not_visible": [asdict(b) for b in m.blind],
+        }
+    )
+
+
+def parted(inquiry: Inquiry) -> list[str]:
+    """What each record was used for."""
+    held = iter(inquiry.held)
+    return ["never used" if unseen else "held out" if next(held) else "fitted" for unseen in inquiry.unseen]

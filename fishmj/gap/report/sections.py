@@ -1,0 +1,232 @@
+"""The page, from top to bottom: the answer first, then what it stands on."""
+
+from html import escape
+
+import numpy as np
+
+from fishmj import __version__
+from fishmj.gap.report import pictures
+from fishmj.gap.report.drawing import style
+from fishmj.gap.report.material import Material, Part, Round, parted
+from fishmj.gap.report.style import ANSWERS, SHEET
+from fishmj.gap.report.traces import traces
+from fishmj.gap.report.words import CONTRACT, gates, headline, meaning, next_step, quantity, title
+
+
+def html(m: Material) -> str:
+    """Everything in one text."""
+    v = m.inquiry.verdict
+    with style():
+        parts = [answer(m), "<main>", gap(m), where(m), seen(m), growth(m), candidates(m), checks(m), invisible(m), records(m)]
+    tone = f"<style>{SHEET}:root{{--tone:{ANSWERS[v.answer]}}}</style>"
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(headline(v))}</title>{tone}'
+    body = "\n".join(part for part in parts if part)
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>\n{body}\n{footer(m)}</main></body></html>\n'
+
+
+def answer(m: Material) -> str:
+    """The answer, its value, what it means, what to do next, the figures that carry it."""
+    v = m.inquiry.verdict
+    sizes = [
+        f"{escape(title(name) + ' ' if len(effect.parameters) > 1 else '')}{escape(quantity(p.value, p.unit, p.low, p.high))}"
+        for effect in v.effects
+        for name, p in effect.parameters.items()
+    ]
+    value = f'<p class="value">{" · ".join(sizes)} <span class="small">90 % interval</span></p>' if sizes else ""
+    if sizes and v.answer in ("UNEXPLAINED",):
+        tried = " and ".join(title(e.name) for e in v.effects)
+        value = f'<p class="small">tentative: {escape(tried)}, {" · ".join(sizes)}</p>'
+    chips = "".join(
+        f'<div class="{"on" if name == v.answer else ""}"><b>{name}</b>{escape(text)}</div>' for name, text in CONTRACT.items()
+    )
+    return (
+        f'<header><div><span class="mark">{v.answer}</span><h1>{escape(headline(v))}</h1>{value}'
+        f'<p class="lead">{escape(meaning(m))}</p><p class="next"><b>Next</b>{escape(next_step(m))}</p>'
+        f'<div class="figures">{"".join(figures(m))}</div><div class="contract">{chips}</div></div></header>'
+    )
+
+
+def figures(m: Material) -> list[str]:
+    """The few numbers that one asks for first."""
+    v, last = m.inquiry.verdict, m.parts[-1]
+    out = []
+    if m.comparison.changed:
+        out.append((f"{last.before:.3g} → {last.after:.2g}", f"gap on records {last.name}; 1 is agreement"))
+        out.append((f"{v.explained:.0%}", "of what was unexpected is explained"))
+    else:
+        out.append((f"{last.before:.3g}", f"gap on records {last.name}; 1 is agreement"))
+    if v.effects:
+        out.append((f"{min(e.p_best for e in v.effects):.2f}", "probability of being the best of the catalogue"))
+    out.append((f"{len(m.inquiry.records)}", f"records, {sum(r.seconds for r in m.inquiry.records):.0f} s"))
+    out.append((f"{len(m.inquiry.evidence.plant.active.effects)}", "effects in question"))
+    return [f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in out]
+
+
+def gap(m: Material) -> str:
+    """Before and after."""
+    columns = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
+    rows = "".join(_gap_row(p, columns, m.comparison.changed) for p in m.parts)
+    heads = "".join(f'<th class="n">{escape(k)}</th>' for k in columns)
+    table = f'<table><thead><tr><th>records</th><th class="n">all</th>{heads}</tr></thead><tbody>{rows}</tbody></table>'
+    drawn = pictures.gaps(m.parts, m.comparison.changed)
+    about = (
+        "Orange square: the model as it was. Blue circle: with what was found, fitted without the records held out. The floor is what an"
+        " independent simulation of this very fish, with nothing hidden in it, leaves: every channel counts alike."
+    )
+    return section(
+        "The gap, before and after", about, f'<div class="two"><figure>{drawn}</figure><div>{table}</div></div>{warnings(m)}'
+    )
+
+
+def _gap_row(p: Part, columns: list[str], changed: bool) -> str:
+    pair = lambda a, b: f"{a:.3g} → {b:.2g}" if changed else f"{a:.3g}"  # noqa: E731
+    by = p.by_channel or {}
+    cells = "".join(f'<td class="n">{pair(*by[k]) if k in by else "-"}</td>' for k in columns)
+    return f'<tr><td class="name">{p.name}</td><td class="n"><b>{pair(p.before, p.after)}</b></td>{cells}</tr>'
+
+
+def warnings(m: Material) -> str:
+    """Why to be careful, before anything else is read."""
+    notes = list(m.inquiry.verdict.warnings)
+    for n in m.inquiry.verdict.tentative:
+        notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
+    if not m.inquiry.unseen.any():
+        notes.append("No record was kept apart: from nine records on a quarter is, for a last figure that no decision saw.")
+    return "".join(f'<p class="warn">{escape(n[:1].upper() + n[1:].rstrip("."))}.</p>' for n in notes)
+
+
+def where(m: Material) -> str:
+    """Localisation."""
+    p = m.place
+    drawn = f"<figure>{pictures.heat(p)}</figure>" if p.share.sum() > 0 else ""
+    detail = pictures.details(p, m.comparison.changed)
+    about = "What the residual of the model looks like, before anything is named."
+    keys = (
+        '<p class="about">Each cell: its share of the gap beyond the floor, and its mean square. Every half second counts once.'
+        " Grey in the left panel: lags within which a servo's tolerance lies.</p>"
+    )
+    return section(
+        "Where it is", about, f'<p class="place">{escape(p.text)}</p>{drawn}{f"<figure>{detail}</figure>" if detail else ""}{keys}'
+    )
+
+
+def seen(m: Material) -> str:
+    """Traces."""
+    use = [part for part, unseen in zip(parted(m.inquiry), m.inquiry.unseen, strict=True) if not unseen]
+    about = "The records in which most of the gap lies, one for each channel. The model runs free from the measured start."
+    return section("The records that tell most", about, f"<figure>{traces(m.comparison, use)}</figure>")
+
+
+def growth(m: Material) -> str:
+    """Growth curves."""
+    if not m.growth:
+        return ""
+    about = (
+        f"The model is restarted from what was measured, {m.growth[0].restarts} times, and left alone for up to three seconds. A slope"
+        " of 0 is there at once (a sensor, a delay, an actuator), 1 grows like a velocity (current), 2 like a force (drag, thrust)."
+    )
+    return section("How it grows", about, f"<figure>{pictures.growth(m.growth, m.comparison.changed)}</figure>")
+
+
+def candidates(m: Material) -> str:
+    """Ranked tables and confusion maps."""
+    if not m.rounds:
+        return ""
+    about = (
+        "The finalists, fitted to all records that decide. P(best): share of bootstrap draws over records that an effect wins. The map"
+        " is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell them apart."
+    )
+    blocks = [ranked(r, i, len(m.rounds)) for i, r in enumerate(m.rounds)]
+    return section("What it could be", about, "".join(blocks) + rounds(m))
+
+
+def ranked(r: Round, number: int, count: int) -> str:
+    """One round."""
+    rows = []
+    for row in r.table:
+        values = "<br>".join(f"{escape(title(k))} {escape(quantity(*x))}" for k, x in row.values.items())
+        share = '<span class="small">on a bound: no rival</span>' if row.p_best is None else _bar(row.p_best)
+        mark = ' <span class="tag failed">rival</span>' if row.rival else ""
+        behind = "best" if row.behind == 0 else f"{100 * row.behind:.1f} %"
+        name = f'<td class="name">{escape(title(row.name))}{mark}</td>'
+        rows.append(f'<tr>{name}<td>{values}</td><td>{share}</td><td class="n">{behind}</td></tr>')
+    heads = '<tr><th>effect</th><th>comes out at</th><th>P(best)</th><th class="n">behind, of the gain</th></tr>'
+    head = f"<h3>Effect {number + 1}</h3>" if count > 1 else ""
+    table = f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>"
+    drawn = f"<figure>{pictures.confusion(r)}</figure>" if len(r.table) > 1 else ""
+    return f'{head}<div class="two"><div>{table}</div><div>{drawn}</div></div>'
+
+
+def rounds(m: Material) -> str:
+    """What each round did."""
+    items = "".join(
+        f"<li>{escape(' + '.join(title(n) for n in s.ranked[0].names))}: gain {s.gain:.0f} on held-out records, "
+        f"{'accepted' if s.accepted else 'not enough: stop'}</li>"
+        for s in m.inquiry.found.steps
+    )
+    return f'<p><b>Rounds</b></p><ul class="plain">{items}</ul>'
+
+
+def _bar(share: float) -> str:
+    return f'<span class="bar"><i style="width:{100 * share:.0f}%"></i></span>{share:.2f}'
+
+
+def checks(m: Material) -> str:
+    """Gates."""
+    rows = "".join(
+        f'<tr><td class="name">{g.name}</td><td>{escape(g.question)}</td><td class="n">{escape(g.value)}</td>'
+        f'<td class="n">{escape(g.needed)}</td><td><span class="tag {g.state.split()[0]}">{g.state}</span></td></tr>'
+        for g in gates(m)
+    )
+    heads = '<tr><th>gate</th><th>question</th><th class="n">found</th><th class="n">needed</th><th></th></tr>'
+    about = "Thresholds were set on null runs and planted effects before any benchmark was scored."
+    return section("Why this answer", about, f"<table><thead>{heads}</thead><tbody>{rows}</tbody></table>")
+
+
+def invisible(m: Material) -> str:
+    """What these records could not have shown."""
+    if not m.blind:
+        return ""
+    items = "".join(f"<li>{escape(title(b.name))} <span class='small'>{escape(b.typical)}</span></li>" for b in m.blind)
+    about = (
+        f"{len(m.blind)} effects of typical size would change these records less than a name needs. Nothing is said about them."
+        " Other experiments may show them (fishmj gap next)."
+    )
+    return section("What these records cannot show", about, f'<ul class="plain columns">{items}</ul>')
+
+
+def records(m: Material) -> str:
+    """What went in."""
+    use = dict(zip([r.name for r in m.inquiry.records], parted(m.inquiry), strict=True))
+    e = m.inquiry.evidence
+    ratio = m.comparison.ratio
+    rows = []
+    for i, r in enumerate(e.records):
+        some = e.layout.record == i
+        before, after = (float(np.mean(x[some])) for x in ratio)
+        pair = f"{before:.3g} → {after:.2g}" if m.comparison.changed else f"{before:.3g}"
+        rows.append((r, pair))
+    rows += [(r, "-") for r, u in zip(m.inquiry.records, m.inquiry.unseen, strict=True) if u]
+    body = "".join(
+        f'<tr><td class="name">{escape(r.name)}</td><td>{escape(r.excitation)}</td><td class="n">{r.seconds:.1f} s</td>'
+        f'<td>{use[r.name]}</td><td class="n">{pair}</td></tr>'
+        for r, pair in rows
+    )
+    heads = '<tr><th>record</th><th>experiment</th><th class="n">length</th><th>use</th><th class="n">mean square, × floor</th></tr>'
+    return section("The records", "", f"<table><thead>{heads}</thead><tbody>{body}</tbody></table>")
+
+
+def section(name: str, about: str, inside: str) -> str:
+    """One part of the page."""
+    line = f'<p class="about">{escape(about)}</p>' if about else ""
+    return f"<section><h2>{escape(name)}</h2>{line}{inside}</section>"
+
+
+def footer(m: Material) -> str:
+    """How it was made."""
+    e = m.inquiry.evidence
+    count = len(e.factors) - len(e.plant.constants)
+    return (
+        f"<footer>fishmj {__version__} · gap find · {len(e.records)} records in the search, {count} null runs of each ·"
+        " the same figures as JSON: report.json</footer>"
+    )
