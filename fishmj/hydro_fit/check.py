@@ -23,9 +23,8 @@ import numpy as np
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit import chain, learned
 from fishmj.hydro_fit.fit import band, begin
-from fishmj.hydro_fit.fit.newton import thrusts
+from fishmj.hydro_fit.fit.newton import thrusts, tow_drag
 from fishmj.hydro_fit.fit.prior import flat
-from fishmj.hydro_fit.fit.recipe import TOW, tow_drag
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, fleet_of, is_free, padded, recorded
 from fishmj.hydro_fit.fit.rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.model import HydroModel
@@ -186,7 +185,7 @@ def _thrust(model: HydroModel, robot: Robot, held: Sequence[Record]) -> float:
     force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
     if model.learnt is not None:
         force = force + begin.walk(ch, rows, model.base, model.learnt, tick).force
-    return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot, TOW))
+    return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
 
 
 class _Pair:
@@ -210,5 +209,5 @@ def repeatability(robot: Robot, repeats: Sequence[tuple[Record, Record]]) -> dic
     held = [(a, b) for a, b in repeats if not is_free(a) and a.meta["block"] in ("chirp", "gait")]
     if held:
         force = [thrusts(r := rows_of(ch, [pair[i] for pair in held]), r.force) for i in (0, 1)]
-        out["thrust_error"] = float(np.abs(force[0] - force[1]).mean() / tow_drag(ch, robot, TOW))
+        out["thrust_error"] = float(np.abs(force[0] - force[1]).mean() / tow_drag(ch, robot))
     return out

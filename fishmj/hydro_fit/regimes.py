@@ -6,7 +6,7 @@ import numpy as np
 
 from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.fit import begin
-from fishmj.hydro_fit.fit.recipe import TOW, tow_drag
+from fishmj.hydro_fit.fit.newton import tow_drag
 from fishmj.hydro_fit.fit.rows import Rows, added, attachment, base_force, rows_of
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
@@ -50,7 +50,7 @@ def by_regime(model: HydroModel, robot: Robot, records: Sequence[Record]) -> lis
     rows = rows_of(ch, records)
     got, label = model_force(model, ch, rows, tick), regimes(records, rows)
     inertia = np.stack([model.base.k[i] * added(rows, ch.strips, i) for i in range(ch.n)], 1)
-    seen, got, drag = rows.force - inertia, got - inertia, tow_drag(ch, robot, TOW)
+    seen, got, drag = rows.force - inertia, got - inertia, tow_drag(ch, robot)
     out = []
     for name in dict.fromkeys(label.tolist()):
         part = label == name

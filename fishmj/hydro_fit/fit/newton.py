@@ -24,6 +24,7 @@ LEAST = 0.005  # relative fall of the objective that is worth another iteration
 CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
 TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0.10, 0.03)}  # share of the record, and floor
 THRUST = 0.10  # of the tow drag
+TOW = 0.3  # m/s, of that drag
 
 
 class Scaled(NamedTuple):
@@ -118,6 +119,14 @@ def thrusts(rows: Rows, force: np.ndarray) -> np.ndarray:
     """Mean force along the links' own axes, sum over the links, of every record: (R,) N."""
     along = force[0].sum(0)
     return np.array([along[span].mean() for span in rows.spans()])
+
+
+def tow_drag(ch: chain.Chain, robot: Robot, speed: float = TOW) -> float:
+    """Drag of the straight fish by the prior coefficients, N: the yardstick of thrust errors."""
+    q, v = [0.0] * (ch.n + 2), [speed, *[0.0] * (ch.n + 1)]
+    k = chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
+    forces = chain.water_forces(np, ch, chain.nominal(robot), k, 0.0, (0.0, 0.0), 1.0)
+    return -float(sum(f[0] for f in forces))
 
 
 def fit_rollout(

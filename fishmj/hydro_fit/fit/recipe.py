@@ -20,6 +20,7 @@ import numpy as np
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
 from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout
+from fishmj.hydro_fit.fit.pack import packed, unpacked
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
 from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force, rows_of
 from fishmj.hydro_fit.model import HydroModel, robot_hash
@@ -28,7 +29,6 @@ from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 
 STAGES = ("linear", "rollout", "residual", "rehearse", "retune", "finish")
-TOW = 0.3  # m/s, of the tow drag that thrust errors are measured in
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class Fit:
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False)))
         held = [r for r in records if not rollout.is_free(r) and r.meta["block"] in ("chirp", "gait")]
         rows: Rows | None = rows_of(self.chain, held) if held and learnt is None else None
-        return newton.Match(self.swim, fleet, self.tick, rows, tow_drag(self.chain, self.robot), learnt)
+        return newton.Match(self.swim, fleet, self.tick, rows, newton.tow_drag(self.chain, self.robot), learnt)
 
     def _tell(self, stage: str, part: float, **figures) -> None:
         self.report(stage, (STAGES.index(stage) + min(part, 1.0)) / len(STAGES), figures)
@@ -280,28 +280,6 @@ class Fit:
         return arrays
 
 
-def tow_drag(ch: chain.Chain, robot: Robot, speed: float = TOW) -> float:
-    """Drag of the straight fish by the prior coefficients, N: the yardstick of thrust errors."""
-    q, v = [0.0] * (ch.n + 2), [speed, *[0.0] * (ch.n + 1)]
-    k = chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
-    forces = chain.water_forces(np, ch, chain.nominal(robot), k, 0.0, (0.0, 0.0), 1.0)
-    return -float(sum(f[0] for f in forces))
-
-
 def member_waters(water: np.ndarray, factors: np.ndarray, links: int, limits) -> np.ndarray:
     """(E, P): the base, moved along what the swims leave open."""
     return np.stack([newton.scaled(water, row, links, limits) for row in factors])
-
-
-def packed(learnt: learned.Residual) -> dict:
-    """A residual as named arrays."""
-    net = {f"net.{key}": np.asarray(value) for key, value in learnt.net._asdict().items()}
-    return net | {f"range.{key}": np.asarray(value) for key, value in learnt.reach._asdict().items()}
-
-
-def unpacked(state: dict) -> learned.Residual | None:
-    """The residual of a state, if there is one."""
-    if "net.reach" not in state:
-        return None
-    net = residual.Net(*(state[f"net.{key}"] for key in residual.Net._fields))
-    return learned.Residual(net, learned.Range(*(state[f"range.{key}"] for key in learned.Range._fields)))
