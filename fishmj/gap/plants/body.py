@@ -159,10 +159,11 @@ class Body:
 
     def ends(self, records: list[Swim], rows) -> list[np.ndarray]:
         """(R, K, 6) motion at the end of every run of each record."""
-        return [track[:, :, -1] for track in self.tracks(records, rows)]
+        common = int(np.gcd.reduce([round(r.span / self.dt) for r in records]))
+        return [track[:, :, -1] for track in self.tracks(records, rows, common)]
 
-    def tracks(self, records: list[Swim], rows) -> list[np.ndarray]:
-        """(R, K, N, 6) motion over every run of each record, in equal steps from its start to its end."""
+    def tracks(self, records: list[Swim], rows, stride: int = 1) -> list[np.ndarray]:
+        """(R, K, N, 6) motion over every run of each record, every `stride` of the plant's steps from its start to its end."""
         rows = np.atleast_2d(np.asarray(rows, float))
         runs = [len(r.starts) for r in records]
         steps = np.array([round(r.span / self.dt) for r in records])
@@ -171,7 +172,7 @@ class Body:
         which = np.repeat(np.arange(len(records)), runs)
         starts = np.concatenate([r.starts for r in records])
         state = np.concatenate([starts, np.tile(self.active.memory, (len(starts), 1))], 1)
-        many, stride = len(rows), int(np.gcd.reduce(steps))
+        many = len(rows)
         given = (np.tile(which, many), inputs, steps, np.repeat(rows, len(starts), 0), np.tile(state, (many, 1)))
         out = self.kernel(*given, np.zeros(many * len(starts)), stride, int(steps.max()) // stride + 1)
         out = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
