@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.stream import Numbers, box_array, kernels
 from fishmj.lbm_oracle.units import Lattice
 
 SUBGRID = ("wale", "none")
-CW, OMEGA_BULK, BLEND = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend"))
+CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
 
@@ -288,8 +288,8 @@ def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend) -> Number
     made = Numbers()
     made.nx, made.ny, made.nz = shape
     made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
-    quoted = constant("oracle", "dx") / constant("oracle", "dt")
-    made.borrowed = min(1.0, blend * quoted / lattice.velocity)  # a finer step borrows less: the same loss in a second
+    share = blend * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity  # the same loss in a second
+    made.borrowed, made.borrowed_layer = min(1.0, share), min(1.0, LAYER * share)
     made.drive, made.slide = wp.vec3(*(np.asarray(drive, float) / lattice.acceleration)), wp.vec3(*boundaries.slide_lu)
     made.sponge, made.sponge_rate = max(boundaries.sponge, 1), boundaries.sponge_rate
     return made

@@ -37,6 +37,7 @@ class Numbers:
     omega_bulk: float
     cw2: float  # square of the WALE constant
     borrowed: float  # share of the stress that the slopes of the velocity give
+    borrowed_layer: float  # the same where the body's force acts
     drive: wp.vec3  # uniform acceleration
     slide: wp.vec3  # velocity of the wall at high y
     sponge: int
@@ -248,9 +249,9 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             bare = wp.length_sq(push) == 0.0
         if wp.static(subgrid):
             d = slopes(u_old, s, lx, ly, lz, x, y, z)
-            if bare:  # the layer that the body's force smears out is no turbulence
-                nu += wale(d[0], d[1], d[2], s.cw2)
-            p = blended(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), s.borrowed)
+            nu += wale(d[0], d[1], d[2], s.cw2)
+            share = wp.where(bare, s.borrowed, s.borrowed_layer)
+            p = blended(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
         p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
         v = u + g
         if wp.static(any(opened)):
