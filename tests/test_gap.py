@@ -1,0 +1,123 @@
+"""The discrepancy search on fish whose hidden effect is known: it names it, sizes it, and stays silent when nothing is hidden."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from fishmj import effects  # noqa: E402
+from fishmj.gap import evidence  # noqa: E402
+from fishmj.gap.features import Layout  # noqa: E402
+from fishmj.gap.null import leftover, unexplained, whitening  # noqa: E402
+from fishmj.gap.null_runs import Null  # noqa: E402
+from fishmj.gap.plants.fish import Fish  # noqa: E402
+from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.gap.search import split  # noqa: E402
+from fishmj.gap.workflow import investigate, unrepeatable  # noqa: E402
+from fishmj.sim import Sim  # noqa: E402
+
+SHORT = ("gait_fast", "drift_north", "turn_left", "tow_oblique")
+SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
+NULL = Null(runs=32)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return Fish(catalogue=[effects.get(name) for name in SOME])
+
+
+def hidden(planted: dict, seed: int, runs=SHORT):
+    from fishmj.virtual_robot import generate
+
+    return generate(planted, runs, seed)
+
+
+def test_rollouts_are_those_of_mujoco(plant):
+    """The compiled plant at its null is the simulator that it questions, to round-off."""
+    sim = Sim("fish")
+    trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)) * np.clip(t - 0.5, 0.0, 1.0), 3.0)
+    record = record_of(trial, plant.dt)
+    seen = plant.predict([record], plant.null)[0]
+    assert np.abs(seen["joint"][0] - record.joint.values).max() < 1e-9
+    late = np.interp(record.pose.t - plant.camera, record.pose.t, record.pose.values[:, 0])
+    assert np.abs(seen["pose"][0, 10:, 0] - late[10:]).max() < 1e-3  # straight lines between stamps against the cubic
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("command_latency", {"delay": 0.03}), ("steady_current", {"x": 0.03, "y": -0.01}), ("coulomb_friction", {"torque": 0.12})],
+)
+def test_a_hidden_effect_is_named_with_its_size(plant, name, values):
+    verdict = investigate(plant, hidden({name: values}, 11), null=NULL).verdict
+    assert verdict.answer == "NAMED", verdict.text()
+    assert [e.name for e in verdict.effects] == [name]
+    for parameter, true in values.items():
+        assert verdict.effects[0].parameters[parameter].value == pytest.approx(true, abs=0.1 * max(map(abs, values.values())))
+    assert verdict.gap_after < 0.5 * verdict.gap_before
+
+
+def test_nothing_hidden_is_agreement(plant):
+    for seed in (21, 22):
+        verdict = investigate(plant, hidden({}, seed), null=NULL).verdict
+        assert verdict.answer == "AGREES", verdict.text()
+
+
+def test_an_effect_outside_the_catalogue_is_not_named(plant):
+    verdict = investigate(plant, hidden({"tail_yaw_cross_force": {"coefficient": -0.02}}, 31), null=NULL).verdict
+    assert verdict.answer in ("UNEXPLAINED", "CLASS"), verdict.text()
+
+
+def test_replicates_that_differ_as_much_as_the_model_are_not_repeatable(plant):
+    trials = hidden({"turbulence": {"sigma": 0.06, "time": 1.0}}, 41, ("drift_north",) * 3 + ("gait_fast",) * 3)
+    assert investigate(plant, trials, null=NULL).verdict.answer == "NOT_REPEATABLE"
+
+
+def test_a_repeatable_gap_is_repeatable(plant):
+    trials = hidden({"steady_current": {"x": 0.05, "y": 0.0}}, 42, ("drift_north",) * 3)
+    records = [record_of(t, plant.dt) for t in trials]
+    from fishmj.gap.workflow import evidence_of
+
+    assert unrepeatable(trials, evidence_of(plant, records, NULL)) == ""
+
+
+def test_split_keeps_one_replicate_to_fit(plant):
+    records = [record_of(t, plant.dt) for t in hidden({}, 1, ("drift_north", "drift_north", "gait_fast", "gait_fast"))]
+    for seed in range(8):
+        held = split(records, seed)
+        assert held.sum() == 1
+        assert not held[:2].all() and not held[2:].all()
+
+
+def test_whitening_makes_its_own_scatter_white():
+    rng = np.random.default_rng(0)
+    shape = rng.normal(size=(5, 200))
+    factors = rng.normal(size=(60, 5)) @ shape / np.sqrt(60)
+    draws = rng.normal(size=(300, 5)) @ shape + 0.3 * rng.normal(size=(300, 200))
+    z = whitening(factors, np.full(200, 0.3))(draws)
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.05)
+    assert np.mean((draws / 0.3) ** 2) > 20
+
+
+def test_what_others_explain_is_left_out():
+    """A null run in the span of the others leaves its noise only."""
+    rng = np.random.default_rng(1)
+    runs = rng.normal(size=(40, 3)) @ rng.normal(size=(3, 300)) * 5 + 0.1 * rng.normal(size=(40, 300))
+    rest = unexplained(runs, np.zeros((0, 300)), np.full(300, 0.1))
+    assert np.sqrt(np.mean(rest**2)) < 0.15
+    assert np.sqrt(np.mean(runs**2)) > 5
+
+
+def test_leftover_never_falls_below_half_the_noise(plant):
+    records = [record_of(t, plant.dt) for t in hidden({}, 3, ("drift_north",))]
+    layout = Layout(records)
+    d = leftover(np.zeros((8, layout.size)), np.zeros((0, layout.size)), layout)
+    noise = layout.noise()
+    known = np.isfinite(noise)
+    assert np.allclose(d[known], 0.5 * noise[known])
+
+
+def test_p_best_is_a_share():
+    costs = np.array([[1.0, 1.0, 1.0], [2.0, 0.9, 1.5], [5.0, 5.0, 5.0]])
+    share = evidence.p_best(costs)
+    assert share.sum() == pytest.approx(1.0)
+    assert share[0] > share[1] > share[2]
