@@ -10,8 +10,8 @@
 
 The straight fish is held at an angle of attack of 30 deg, where drag, lateral force and yaw moment all count; a difference is
 that of the force vectors over the greater of the two. `maps_preview` does the same in a small coarse box for two seconds, in
-which a wake that sheds has no mean: it reports. (`sphere_towed` holds Galileo against a steady wake.) The water sticks to the
-hull (`SLIP`): where it slides, a held, bluff posture is known to be unsteady to the point of failure (docs/oracle.md).
+which a wake that sheds has no mean: it reports. (`sphere_towed` holds Galileo against a steady wake.) The water slides along
+the hull as everywhere by default (`SLIP`).
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.domain import Domain, preset
 from fishmj.lbm_oracle.guard import Watch
 from fishmj.lbm_oracle.stage import Edge, Stage
 
-SLIP = 0.0
+SLIP = 1.0
 AOA, SPEED, SLOW = 30.0, 0.3, 0.2  # deg, m/s
 TICK = 0.02  # s, over which a force is averaged before it is recorded
 
