@@ -21,6 +21,7 @@ from fishmj.gap.verdict import Named, Value, Verdict
 
 ON_BOUND = 1e-3  # of the typical size
 SPREAD = 0.3  # of the value, between folds
+SMALL = 0.1  # of the least typical size
 HALF = 1.645  # standard deviations of a 90 % interval
 MINOR = 0.05  # share of the gain below which an effect brings little
 
@@ -140,6 +141,9 @@ def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
             out.append(f"{n.name}.{p.name} = {value:.4g} {p.unit} lies on its bound")
     first = effect.parameters[0]
     main = n.parameters[first.name]
+    alike = [p for p in effect.parameters if p.unit == first.unit and not p.shape]
+    if all(abs(n.parameters[p.name].value - p.null) < SMALL * min(abs(t - p.null) for t in p.typical) for p in alike):
+        out.append(f"{n.name} is far smaller than it is anywhere known: it may stand in for something else")
     if len(effect.parameters) == 1 and (main.high - main.low) / 2 / HALF > SPREAD * abs(main.value - first.null):
         out.append(f"{n.name}: the records disagree about its size by more than {SPREAD:.0%}")
     return tuple(out)
