@@ -3,8 +3,8 @@
     e(H) = rms over restarts of measured(t0 + H) - model(t0 + H | measured state at t0),   H in HORIZONS
     slope of log e over log H: 0 a sensor, 1 a velocity (current, delay), 2 a force
 
-The state at t0 is a parabola through the stamps around it, of poses and angles, with their own lateness taken off (camera, and what
-effects of the row add). What an error in that state makes by itself is subtracted in squares. A free run answers where a gap leads,
+The state at t0 is a parabola through the stamps of poses and angles around it, their lateness taken off (camera, and what effects
+of the row add). What the uncertainty of that state makes by itself is subtracted in squares. A free run says where a gap leads,
 a restart where it comes from.
 """
 
@@ -42,7 +42,7 @@ class State(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A record cut out of another, in mid-swing. swing: (J,) joint rates at its start, rad/s. joint, pose: states at its start."""
+    """A record cut out of another, in mid-swing. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
 
     record: Record
     swing: np.ndarray
@@ -52,8 +52,9 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True)
 class Curve:
-    """One channel. before, after, start: (H,) rms error with the model as it was, with what was found, and what the start's own
-    uncertainty makes. slope: of what was found, or of the whole error when nothing was; 90 % interval; NaN when not above the start."""
+    """One channel. before, after, start: (H,) rms error of the model as it was, with what was found, and what the start's own
+    uncertainty makes at most. slope, low, high: of what was found, or of the whole error when nothing was, with a 90 % interval;
+    NaN when it does not rise above the start."""
 
     channel: str
     unit: str
@@ -68,10 +69,14 @@ class Curve:
 
     @property
     def kind(self) -> str:
-        """sensor, velocity, force, or nothing that can be told."""
+        """How it grows, in words; "not told" where the slope is too uncertain."""
         if not np.isfinite(self.slope) or self.high - self.low > 1.5:
             return "not told"
-        return ("sensor-like", "velocity-like", "force-like")[int(np.clip(round(self.slope), 0, 2))]
+        names = ("there at once", "like a velocity", "like a force")
+        whole = int(np.clip(np.floor(self.slope + 0.35), 0, 2))
+        if self.slope - whole > 0.35 and whole < 2:
+            return f"between {names[whole].removeprefix('like ')} and {names[whole + 1].removeprefix('like ')}"
+        return names[whole]
 
 
 class Restart(Fish):
@@ -217,8 +222,8 @@ def curves(plant: Fish, records: list[Record], before: np.ndarray, after: np.nda
         one, two = (_squares(e[..., columns], channel) for e in (first, second))
         made = _squares(start[..., columns], channel)
         rms = [np.sqrt(np.nanmean(sq, 0)) for sq in (one, two, made)]
-        slope = _slope(owner, one, other, two, made, changed)
-        out.append(Curve(channel, unit, HORIZONS, *rms, len(owner), *slope))
+        slope, low, high = _slope(owner, one, other, two, made, changed)
+        out.append(Curve(channel, unit, HORIZONS, rms[0], rms[1], rms[2], len(owner), slope, low, high))
     return tuple(out)
 
 

@@ -24,8 +24,9 @@ THIRDS = 3
 class Localisation:
     """What the residual of the model as it is looks like.
 
-    gap, gap_after: mean square in units of the floor. channels (C,), kinds (K,): names. share: (C, K) of the gap beyond the floor.
-    level: (C, K) mean square in units of the floor, NaN where never seen. time: (C, K) of the channel's time. locked: by channel, joint and heading.
+    gap, gap_after: mean square in units of the floor. channels (C,), kinds (K,): names.
+    share, time: (C, K) of the gap beyond the floor, of the channel's time. level: (C, K) mean square in units of the floor, NaN
+    where never seen. locked: by channel, joint and heading.
     thirds: channel -> (3,) mean square in the first, middle and last third of a record. session: channel -> slope of the mean
     square over the session [1/s], relative to its mean, NaN when all records are of one time.
     bias: (J,) mean residual of each joint, rad. residual_rms: channel -> RMS before, after (SI).

@@ -26,7 +26,7 @@ class Beat(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Mean square of the joints' residual in units of the floor by speed of the command: edges (BINS + 1,) rad/s, level (BINS,)."""
+    """Mean square of the joint residual, × floor, by speed of the command: edges (BINS + 1,) rad/s, level (BINS,)."""
 
     edges: np.ndarray
     level: np.ndarray

@@ -9,7 +9,7 @@ from fishmj.gap.records import Record
 
 
 class Comparison(NamedTuple):
-    """Records beside two parameter rows: the model as it was (0) and with the effects found (1); the same row twice when none was.
+    """Records beside two parameter rows: the model as it was (0) and with the effects found (1); the same row twice when none.
 
     scale: (m,) floor, standard deviation of what null runs leave. rows: (2, P). predictions: `plant.predict` of both rows.
     residuals: (2, m) measured minus predicted, on `layout`.

@@ -6,8 +6,8 @@
                                                               even [rad/s]: the same on both sides: offset, asymmetry
                                                               odd: a turn too strong or too weak
 
-a shows as first harmonic over the heading when the residual is seen from the body, b as constant. Rates are straight lines through
-STRETCH seconds; fits weigh with the floor, intervals (90 %) resample stretches of BLOCK seconds.
+Seen from the body, a shows as first harmonic over the heading and b as a constant. Rates are straight lines through STRETCH
+seconds; fits weigh with the floor; standard deviations resample stretches of BLOCK seconds.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ MOVES = 0.03  # rad, standard deviation of a command that moves
 class Frame(NamedTuple):
     """Residual of the velocity over ground. world, body: (2,) m/s with sd; *_share: of its weighted mean square, each alone.
 
-    octant: (8, 2) mean residual ahead and to the left, m/s, by heading (0 = along +x); count (8,) stretches.
+    octant: (8, 2) weighted mean residual ahead and to the left, m/s, by heading (0 = along +x); stretches: (8,) how many.
     """
 
     world: np.ndarray
@@ -35,7 +35,7 @@ class Frame(NamedTuple):
     world_share: float
     body_share: float
     octant: np.ndarray
-    count: np.ndarray
+    stretches: np.ndarray
 
     @property
     def points(self) -> str:
@@ -76,7 +76,7 @@ def stretches(c: Comparison) -> list[Stretch]:
     out: list[Stretch] = []
     for i, record in enumerate(c.records):
         blocks = [b for b in c.layout.blocks if b.record == i and b.sensor == "pose"]
-        if len(blocks) != 3:
+        if len(blocks) != 3 or record.pose is None:
             continue
         t = blocks[0].t
         yaw = np.interp(t, record.pose.t, record.pose.values[:, 2])
@@ -107,13 +107,14 @@ def frame(found: list[Stretch]) -> Frame | None:
     body = np.stack([np.stack([co, -si], 1), np.stack([si, co], 1)], 1)
     both = np.concatenate([world, body], 2)  # (n, 2, 4)
     value, sd = _fit(both, drift, weight, _blocks(found))
-    shares = [_explained(part, drift, weight) for part in (world, body)]
+    by_world, by_body = (_explained(part, drift, weight) for part in (world, body))
     seen = np.stack([co * drift[:, 0] + si * drift[:, 1], co * drift[:, 1] - si * drift[:, 0]], 1)
     octant = np.round(heading / (2 * np.pi / OCTANTS)).astype(int) % OCTANTS
     count = np.bincount(octant, minlength=OCTANTS)
-    mean = np.stack([np.bincount(octant, seen[:, k], OCTANTS) for k in (0, 1)], 1) / np.maximum(count, 1)[:, None]
-    mean[count == 0] = np.nan
-    return Frame(value[:2], sd[:2], value[2:], sd[2:], *shares, mean, count)
+    sums = np.stack([np.bincount(octant, weight * seen[:, k], OCTANTS) for k in (0, 1)], 1)
+    mean = sums / np.maximum(np.bincount(octant, weight, OCTANTS), 1e-12)[:, None]
+    mean[np.bincount(octant, weight, OCTANTS) < 0.01 * weight.sum()] = np.nan
+    return Frame(value[:2], sd[:2], value[2:], sd[2:], by_world, by_body, mean, count)
 
 
 def side(found: list[Stretch]) -> Side | None:

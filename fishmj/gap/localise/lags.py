@@ -21,8 +21,8 @@ MOVES = {"joint": 0.03, "heading": 0.05}  # rad, standard deviation from which a
 class Lags(NamedTuple):
     """None where it cannot be told. Positive: measured comes later.
 
-    joint, heading: measured behind the model. joint_after: joint behind the model with the effects found. command: joint behind the
-    command; model: the model's joint behind it. residual: what is left of the joints, behind the command.
+    joint, heading: measured behind the model; *_after: with the effects found. command: joint behind the command; model: the
+    model's joint behind it. residual: what is left of the joints, behind the command.
     """
 
     joint: Lag | None

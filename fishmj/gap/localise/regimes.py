@@ -71,8 +71,8 @@ def kinds(c: Comparison) -> np.ndarray:
 
 
 def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """Channels; (C, K) each: share of the gap beyond the floor, mean square in units of the floor (NaN where never seen), and share
-    of the channel's time."""
+    """Channels; (C, K) each: share of the gap beyond the floor, mean square in units of the floor (NaN where never seen), and
+    share of the channel's time."""
     names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
     excess, time = np.zeros((2, len(names), len(KINDS)))
     level = np.full((len(names), len(KINDS)), np.nan)

@@ -12,9 +12,14 @@ AGREES = 1.25  # below this mean square there is nothing to place
 
 def paragraph(p) -> str:
     """Where the gap is."""
-    if p.gap <= AGREES or p.share.sum() == 0:
+    if nothing(p):
         return f"The residual stays within the floor ({p.gap:.2f}, agreement is about 1): there is nothing to place."
     return " ".join(s for s in (where(p), beat(p), lag(p), frame(p), side(p), growth(p), speed(p), session(p)) if s)
+
+
+def nothing(p) -> bool:
+    """Whether there is no gap to speak of."""
+    return p.gap <= AGREES or p.share.sum() == 0
 
 
 def where(p) -> str:
@@ -27,8 +32,8 @@ def where(p) -> str:
             continue
         inside = p.share[i] / max(by_channel[i], 1e-12)
         k = int(np.argmax(inside))
-        of = f"{by_channel[i]:.0%} of the gap is in the {noun(p.channels[i])}"
-        parts.append(f"{of}, {inside[k]:.0%} of that in {p.kinds[k]} ({p.time[i, k]:.0%} of the time)")
+        of = f"{percent(by_channel[i])} of the gap is in the {noun(p.channels[i])}"
+        parts.append(f"{of}, {percent(inside[k])} of that in {p.kinds[k]} ({percent(p.time[i, k])} of the time)")
     rest = [noun(p.channels[i]) for i in order if by_channel[i] < 0.02 and np.nanmax(p.level[i]) < 3.0]
     text = "; ".join(parts)
     if rest:
@@ -45,9 +50,11 @@ def beat(p) -> str:
             continue
         if b.locked >= MOST:
             degrees = math.degrees(b.behind) % 360
-            parts.append(f"the {name} residual is locked to the beat ({b.locked:.0%} of it, {degrees:.0f} deg behind)")
+            parts.append(
+                f"the {name} residual is locked to the beat ({percent(b.locked)} of it, {degrees:.0f} deg after the command)"
+            )
         elif b.locked < 0.2:
-            parts.append(f"the {name} residual does not follow the beat ({b.locked:.0%} of it does)")
+            parts.append(f"the {name} residual does not follow the beat ({percent(b.locked)} of it does)")
     return sentence("; ".join(parts))
 
 
@@ -58,19 +65,18 @@ def lag(p) -> str:
         return ""
     parts = []
     if told(joint):
-        after = "" if not told_after(p) else f" ({ms(p.lags.joint_after)} are left with what was found)"
-        parts.append(f"The joints come {ms(joint)} {sense(joint)} than the model's{after}")
+        after = "" if not told_after(p) else f", {ms(p.lags.joint_after)} of it left with what was found"
+        behind = ""
         if p.lags.command is not None and p.lags.model is not None:
-            parts[-1] += f", {1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f}"
+            behind = f" ({1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f})"
+        parts.append(f"the joints come {ms(joint)} {sense(joint)} than the model's{behind}{after}")
     elif joint is not None:
-        parts.append(f"The joints are on time ({ms(joint)})")
+        parts.append(f"the joints are on time ({ms(joint)})")
     if told(heading):
-        parts.append(f"the heading comes {ms(heading)} {sense(heading)}")
+        parts.append(f"the heading {ms(heading)} {sense(heading)}")
     elif heading is not None:
         parts.append(f"the heading is on time ({ms(heading)})")
-    text = ", ".join(parts)
-    text = text[0].upper() + text[1:] + conclusion(p)
-    return text + "."
+    return sentence(", ".join(parts) + conclusion(p))
 
 
 def conclusion(p) -> str:
@@ -79,7 +85,7 @@ def conclusion(p) -> str:
     if joint is None or heading is None:
         return ""
     if told(joint) and told(heading) and alike(joint, heading):
-        return ", the same within the intervals: upstream of the joint"
+        return "; the same within the intervals: upstream of the joint"
     if told(joint) and not told(heading):
         return ": at the joint's own sensor, or the water smooths it"
     if told(heading) and not told(joint):
@@ -89,7 +95,8 @@ def conclusion(p) -> str:
 
 def told_after(p) -> bool:
     """Whether a delay is left once what was found is in the model."""
-    return p.gap_after < p.gap and told(p.lags.joint_after)
+    left = p.lags.joint_after
+    return p.gap_after < p.gap and told(left) and abs(left.lag) < abs(p.lags.joint.lag)
 
 
 def frame(p) -> str:
@@ -103,32 +110,32 @@ def frame(p) -> str:
     size, angle = 1e3 * np.hypot(*vector), math.degrees(math.atan2(vector[1], vector[0]))
     if f.points == "world":
         what = f"{size:.0f} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
-        return f"The position drifts off {what} ({f.world_share:.0%} of its drift against {f.body_share:.0%}): current or camera axes."
+        against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"
+        return f"The position drifts off {what} ({against}): a current, or the camera's axes."
     where_to = "ahead" if abs(angle) < 45 else "astern" if abs(angle) > 135 else "left" if angle > 0 else "right"
     what = f"{size:.0f} mm/s to the robot's own {where_to}" if where_to in ("left", "right") else f"{size:.0f} mm/s {where_to}"
-    return (
-        f"The position drifts off {what}, turning with the robot ({f.body_share:.0%} of its drift against {f.world_share:.0%}):"
-        " thrust, drag or an offset."
-    )
+    against = f"{percent(f.body_share)} of its drift, against {percent(f.world_share)} in the tank"
+    return f"The position drifts off {what}, turning with the robot ({against}): thrust, drag or an offset."
 
 
 def side(p) -> str:
     """Left and right."""
     s = p.side
-    if s is None or p.share[p.channels.index("heading")].sum() < 0.05:
+    if s is None or p.share[p.channels.index("heading")].sum() < LITTLE:
         return ""
     if abs(s.even) > 3 * s.even_sd and abs(s.even) > math.radians(0.3):
         to = "left" if s.even > 0 else "right"
-        return f"The robot turns to the {to} by {abs(math.degrees(s.even)):.1f} deg/s more whichever way it goes: an offset or asymmetry."
+        rate = abs(math.degrees(s.even))
+        return f"The robot turns {rate:.1f} deg/s more to the {to} whichever way it goes, as with an offset or asymmetry."
     if abs(s.odd) > 3 * s.odd_sd and abs(s.odd) > 0.1:
-        return f"Turns are {abs(s.odd):.0%} {'stronger' if s.odd > 0 else 'weaker'} than the model's, alike to both sides."
+        return f"Turns are {percent(abs(s.odd))} {'stronger' if s.odd > 0 else 'weaker'} than the model's, alike to both sides."
     return ""
 
 
 def growth(p) -> str:
     """Within a record."""
     grown = [
-        f"the {noun(name)} from {v[0]:.3g} to {v[-1]:.3g} times the floor"
+        f"the {noun(name)} from {v[0]:.1f} to {v[-1]:.0f} times the floor"
         for name, v in p.thirds.items()
         if v[-1] > 3 * max(v[0], 1.0) and p.share[p.channels.index(name)].sum() > LITTLE
     ]
@@ -141,7 +148,9 @@ def speed(p) -> str:
     if r is None or p.share[p.channels.index("joint")].sum() < LITTLE:
         return ""
     if r.ratio > 4:
-        return f"The joint residual grows with the speed of the command ({r.ratio:.0f} times from the slowest fifth to the fastest)."
+        return (
+            f"The joint residual grows with the speed of the command ({r.ratio:.0f} times from the slowest fifth to the fastest)."
+        )
     if r.ratio < 1.5:
         return "The joint residual does not grow with the speed of the command."
     return ""
@@ -151,6 +160,11 @@ def session(p) -> str:
     """Over the session."""
     drifting = [noun(name) for name, s in p.session.items() if math.isfinite(s) and abs(s) > 1e-3]
     return f"It changes over the session in the {listed(drifting)}." if drifting else ""
+
+
+def percent(share: float) -> str:
+    """As one reads it."""
+    return f"{100 * share:.0f} %"
 
 
 def ms(lag) -> str:

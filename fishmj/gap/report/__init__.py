@@ -1,7 +1,7 @@
 """The report of `gap find`: one self-contained HTML page, and the same figures as JSON.
 
-    page(inquiry) -> str            the page
-    write(inquiry, folder)          report.html, report.json, verdict.json
+page(inquiry) -> str            the page
+write(inquiry, folder)          report.html, report.json, verdict.json
 """
 
 from pathlib import Path

@@ -30,8 +30,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Row:
-    """One finalist of a round. behind: cost above the best, share of the gain. p_best: None on a bound (a limiting form, no rival).
-    values: parameter -> (value, unit)."""
+    """One finalist of a round. values: parameter -> (value, unit). behind: cost above the best, share of the gain.
+    p_best: None on a bound (a limiting form, no rival)."""
 
     name: str
     values: dict
@@ -125,7 +125,7 @@ def channels(layout, ratio: np.ndarray, keep: np.ndarray) -> dict[str, float]:
 def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
     """The finalists of every round that was accepted, or of the first when none was."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
-    given = {n.name: n.p_best for n in (*v.effects, *v.tentative)} | {str(r["name"]): float(r["p_best"]) for r in v.rivals}
+    sure = {n.name: n.p_best for n in (*v.effects, *v.tentative)}
     out, start = [], found.base
     for number, step in enumerate(found.steps):
         if not step.accepted and number:
@@ -136,13 +136,16 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
         share = evidence.p_best(np.stack([evidence.costs(c.z, e.layout) for c in free]))
         gained = max(float(z @ z) - best.cost, 1e-9)
+        new = best.names[-1]
+        against = {str(r["name"]): float(r["p_best"]) for r in v.rivals if r.get("instead_of", new) == new}
+        given = against | ({new: sure[new]} if step.accepted and new in sure else {})
         rows = []
         for c in step.ranked:
             name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
             p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
             p = given.get(name, p) if p is not None else None
-            rival = name in [r["name"] for r in v.rivals]
-            rows.append(Row(name, values(e.plant, c, name), float((c.cost - best.cost) / gained), p, rival))
+            behind = float((c.cost - best.cost) / gained)
+            rows.append(Row(name, values(e.plant, c, name), behind, p, name in against))
         signatures = np.stack([c.z - z for c in step.ranked])
         unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
         out.append(Round(tuple(rows), unit @ unit.T))

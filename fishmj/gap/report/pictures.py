@@ -8,14 +8,14 @@ from fishmj.gap.growth import Curve
 from fishmj.gap.localise import Localisation
 from fishmj.gap.report.drawing import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
 from fishmj.gap.report.material import Part, Round
-from fishmj.gap.report.words import title
+from fishmj.gap.report.words import level, title
 
 ANGLE = {"rad": (math.degrees(1.0), "deg"), "m": (1e3, "mm")}
 
 
 def gaps(parts: tuple[Part, ...], changed: bool) -> str:
     """Before and after on every part of the records, with the floor."""
-    figure, axes = canvas(1, 1, (6.2, 0.62 * len(parts) + 0.95))
+    figure, axes = canvas(1, 1, (6.2, 0.72 * len(parts) + 0.85))
     axis = axes[0, 0]
     lows = [p.low for p in parts if np.isfinite(p.low)]
     if lows:
@@ -28,22 +28,23 @@ def gaps(parts: tuple[Part, ...], changed: bool) -> str:
         if changed:
             axis.annotate("", (p.after, y), (p.before, y), arrowprops={"arrowstyle": "-", "color": "#9AA5B1", "linewidth": 1.6})
             axis.plot(p.after, y, "o", color=AFTER, markersize=9, zorder=3)
-            axis.text(p.after, y - 0.24, f"{p.after:.2g}", ha="center", va="bottom", color=AFTER, fontsize=9.5, fontweight="bold")
+            axis.text(p.after, y + 0.17, level(p.after), ha="center", va="top", color=AFTER, fontsize=9.5, fontweight="bold")
         axis.plot(p.before, y, "s", color=BEFORE, markersize=8, zorder=3)
-        axis.text(p.before, y - 0.24, f"{p.before:.3g}", ha="center", va="bottom", color=BEFORE, fontsize=9.5, fontweight="bold")
+        axis.text(p.before, y - 0.17, level(p.before), ha="center", va="bottom", color=BEFORE, fontsize=9.5, fontweight="bold")
     axis.set_yticks(range(len(parts)), [f"{p.name} ({p.records})" for p in parts], fontsize=10, color=INK)
-    axis.set(ylim=(len(parts) - 0.45, -0.7), xscale="log", xlim=(0.7 * least, 1.6 * most))
+    axis.set(ylim=(len(parts) - 0.4, -0.6), xscale="log", xlim=(0.7 * least, 1.6 * most))
     axis.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    axis.xaxis.set_minor_formatter("")
     axis.grid(axis="y", visible=False)
     axis.spines["left"].set_visible(False)
     axis.tick_params(axis="y", length=0)
-    axis.set_xlabel("gap: mean square in units of the floor (1 = agreement; band: nine of ten null runs)")
+    axis.set_xlabel("gap (1 = agreement)")
     return svg(figure, "Gap before and after on every part of the records")
 
 
 def growth(found: tuple[Curve, ...], changed: bool) -> str:
     """Error after a restart against the time since it."""
-    figure, axes = canvas(1, len(found), (3.55 * len(found), 2.75))
+    figure, axes = canvas(1, len(found), (10.9, 2.75))
     for axis, c in zip(axes[0], found, strict=True):
         factor, unit = ANGLE[c.unit]
         h = np.array(c.horizons)
@@ -57,7 +58,10 @@ def growth(found: tuple[Curve, ...], changed: bool) -> str:
         axis.set_xticks(h, [f"{x:g}" for x in h])
         axis.minorticks_off()
         axis.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
-        slope = f"slope {c.slope:.1f} ({c.low:.1f} to {c.high:.1f}): {c.kind}" if c.kind != "not told" else "no slope above the floor"
+        told = c.kind != "not told"
+        slope = (
+            f"slope {_tenth(c.slope)} ({_tenth(c.low)} to {_tenth(c.high)}): {c.kind}" if told else "no slope above the start's"
+        )
         axis.set_title(f"{c.channel} [{unit}]", pad=20)
         axis.text(0, 1.035, slope, transform=axis.transAxes, color=QUIET, fontsize=9.2)
         axis.set_xlabel("time since the restart [s]")
@@ -73,7 +77,7 @@ def heat(p: Localisation) -> str:
 
     seen = [k for k in range(len(p.kinds)) if np.isfinite(p.level[:, k]).any()]
     share = 100 * p.share[:, seen]
-    figure, axes = canvas(1, 1, (1.05 * len(seen) + 1.5, 0.44 * len(p.channels) + 1.25))
+    figure, axes = canvas(1, 1, (10.9, 0.44 * len(p.channels) + 1.25))
     axis = axes[0, 0]
     colours = LinearSegmentedColormap.from_list("share", ["#F7F9FB", "#9CC9E3", "#0072B2", "#003B5C"])
     top = max(30.0, float(share.max()))
@@ -87,7 +91,9 @@ def heat(p: Localisation) -> str:
                 quiet = "#E6EEF5" if dark else QUIET
                 axis.text(j, i + 0.27, f"{_short(p.level[i, k])} × floor", ha="center", va="center", color=quiet, fontsize=7.6)
     time = np.nanmax(p.time[:, seen], 0)
-    axis.set_xticks(range(len(seen)), [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)])
+    axis.set_xticks(
+        range(len(seen)), [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
+    )
     axis.set_yticks(range(len(p.channels)), p.channels, color=INK, fontsize=10)
     axis.tick_params(length=0, labelsize=8.6)
     axis.grid(visible=False)
@@ -105,7 +111,7 @@ def details(p: Localisation, changed: bool) -> str:
     panels = [draw for draw, there in ((_lags, p.lags.joint or p.lags.heading), (_octants, p.frame), (_rates, p.rates)) if there]
     if not panels:
         return ""
-    figure, axes = canvas(1, len(panels), (3.55 * len(panels), 2.75))
+    figure, axes = canvas(1, len(panels), (3.63 * len(panels), 2.75))
     for axis, draw in zip(axes[0], panels, strict=True):
         draw(axis, p, changed)
     return svg(figure, "Lag, heading and speed of the command")
@@ -121,8 +127,8 @@ def _lags(axis, p: Localisation, changed: bool) -> None:
                 low, at, high = 1e3 * lag.low, 1e3 * lag.lag, 1e3 * lag.high
                 axis.plot([low, high], [y + up] * 2, color=colour, linewidth=2.5)
                 axis.plot(at, y + up, mark, color=colour, markersize=7)
-                away = 0.11 if up > 0 else -0.11
-                axis.text(at, y + up + away, f"{at:.0f} ms", color=colour, fontsize=9, ha="center", va="top" if up > 0 else "bottom")
+                away, va = (0.11, "top") if up > 0 else (-0.11, "bottom")
+                axis.text(at, y + up + away, f"{at:.0f} ms", color=colour, fontsize=9, ha="center", va=va)
             elif colour == BEFORE:
                 axis.text(0, y + up, "not told", color=QUIET, fontsize=9, ha="center", va="bottom")
     axis.set_yticks([0, 1], [r[0] for r in rows], color=INK, fontsize=10)
@@ -134,6 +140,8 @@ def _lags(axis, p: Localisation, changed: bool) -> None:
 
 def _octants(axis, p: Localisation, changed: bool) -> None:
     f = p.frame
+    if f is None:
+        return
     at = 45.0 * np.arange(-4, 5)
     index = np.arange(-4, 5) % 8
     fine = np.radians(np.linspace(-180, 180, 181))
@@ -144,20 +152,24 @@ def _octants(axis, p: Localisation, changed: bool) -> None:
         axis.plot(np.degrees(fine), 1e3 * curve, "-" if k == 0 else "--", color=colour, linewidth=1.4, alpha=0.75)
     axis.axhline(0, color=QUIET, linewidth=0.8)
     axis.set_xticks([-180, -90, 0, 90, 180])
-    what = {"world": "turns with the heading: fixed in the tank", "body": "same at every heading: on the robot", "neither": "no clear frame"}
+    low, high = axis.get_ylim()
+    axis.set_ylim(min(low, -5.0), max(high, 5.0))
+    what = {"world": "fixed in the tank", "body": "fixed on the robot", "neither": "no clear frame"}
     axis.set_title("Drift of the position [mm/s]", pad=20)
     axis.text(0, 1.035, what[f.points], transform=axis.transAxes, color=QUIET, fontsize=9.2)
     axis.set_xlabel("heading [deg]")
-    axis.legend(loc="best", ncols=2, handletextpad=0.2, columnspacing=0.9)
+    axis.legend(loc="lower right", bbox_to_anchor=(1.02, 0.99), ncols=2, handletextpad=0.1, columnspacing=0.8)
 
 
 def _rates(axis, p: Localisation, changed: bool) -> None:
     r = p.rates
+    if r is None:
+        return
     middle = 0.5 * (r.edges[1:] + r.edges[:-1])
     places = np.arange(len(middle))
     axis.bar(places, r.level, color=BEFORE, width=0.72, alpha=0.88)
-    for x, level in zip(places, r.level, strict=True):
-        axis.text(x, level, f"{_short(level)}\n", ha="center", va="center", fontsize=8.8, color=INK)
+    for x, height in zip(places, r.level, strict=True):
+        axis.text(x, height, f"{_short(height)}\n", ha="center", va="center", fontsize=8.8, color=INK)
     axis.axhline(1.0, color=QUIET, linewidth=1, linestyle=(0, (2, 2)))
     axis.set_xticks(places, [f"{math.degrees(m):.0f}" for m in middle])
     axis.set(ylim=(0, 1.2 * max(r.level.max(), 1.5)), xlabel="speed of the command [deg/s], fifths of the time")
@@ -180,7 +192,7 @@ def confusion(r: Round) -> str:
         for j in range(n):
             text = f"{r.alike[i, j]:.2f}"
             axis.text(j, i, text, ha="center", va="center", fontsize=9.5, color="white" if size[i, j] > 0.6 else INK)
-    axis.set_xticks(range(n), [_wrapped(x) for x in names], rotation=35, ha="left", rotation_mode="anchor")
+    axis.set_xticks(range(n), names, rotation=35, ha="left", rotation_mode="anchor")
     axis.xaxis.tick_top()
     axis.set_yticks(range(n), names, color=INK)
     axis.tick_params(length=0, labelsize=9)
@@ -192,6 +204,10 @@ def confusion(r: Round) -> str:
     axis.grid(which="minor", color="white", linewidth=2.5)
     axis.tick_params(which="minor", length=0)
     return svg(figure, "Confusion map of the finalists")
+
+
+def _tenth(value: float) -> str:
+    return f"{round(value, 1) + 0.0:.1f}"
 
 
 def _short(value: float) -> str:
@@ -206,5 +222,3 @@ def _wrapped(text: str, width: int = 14) -> str:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return "\n".join(lines)
-
-

@@ -5,12 +5,13 @@ from html import escape
 import numpy as np
 
 from fishmj import __version__
+from fishmj.gap.localise.words import nothing, percent
 from fishmj.gap.report import pictures
 from fishmj.gap.report.drawing import style
-from fishmj.gap.report.material import Material, Part, Round, parted
+from fishmj.gap.report.material import Material, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
 from fishmj.gap.report.traces import traces
-from fishmj.gap.report.words import CONTRACT, gates, headline, meaning, next_step, quantity, title
+from fishmj.gap.report.words import CONTRACT, gates, headline, level, meaning, next_step, quantity, title
 
 
 def html(m: Material) -> str:
@@ -51,63 +52,64 @@ def figures(m: Material) -> list[str]:
     v, last = m.inquiry.verdict, m.parts[-1]
     out = []
     if m.comparison.changed:
-        out.append((f"{last.before:.3g} → {last.after:.2g}", f"gap on records {last.name}; 1 is agreement"))
-        out.append((f"{v.explained:.0%}", "of what was unexpected is explained"))
+        out.append((f"{level(last.before)} → {level(last.after)}", f"gap on records {last.name}; 1 is agreement"))
+        out.append((f"{percent(v.explained)}", "of what was unexpected is explained"))
     else:
-        out.append((f"{last.before:.3g}", f"gap on records {last.name}; 1 is agreement"))
-    if v.effects:
-        out.append((f"{min(e.p_best for e in v.effects):.2f}", "probability of being the best of the catalogue"))
-    out.append((f"{len(m.inquiry.records)}", f"records, {sum(r.seconds for r in m.inquiry.records):.0f} s"))
-    out.append((f"{len(m.inquiry.evidence.plant.active.effects)}", "effects in question"))
+        out.append((level(last.before), f"gap on records {last.name}; 1 is agreement"))
+    if v.answer in ("NAMED", "CLASS") and v.effects:
+        out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): how surely the best of the catalogue"))
+    seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.plant.active.effects)
+    out.append((f"{len(m.inquiry.records)}", f"records, {seconds:.0f} s; {effects} effects in question"))
     return [f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in out]
 
 
 def gap(m: Material) -> str:
     """Before and after."""
-    columns = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
-    rows = "".join(_gap_row(p, columns, m.comparison.changed) for p in m.parts)
-    heads = "".join(f'<th class="n">{escape(k)}</th>' for k in columns)
-    table = f'<table><thead><tr><th>records</th><th class="n">all</th>{heads}</tr></thead><tbody>{rows}</tbody></table>'
+    channels = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
+    pair = lambda both: f"{level(both[0])} → {level(both[1])}" if m.comparison.changed else level(both[0])  # noqa: E731
+    heads = "".join(f'<th class="n">{p.name}</th>' for p in m.parts)
+    whole = "".join(f'<td class="n"><b>{pair((p.before, p.after))}</b></td>' for p in m.parts)
+    rows = [f'<tr><td class="name">all</td>{whole}</tr>']
+    for k in channels:
+        cells = "".join(f'<td class="n">{pair(p.by_channel[k]) if p.by_channel else "-"}</td>' for p in m.parts)
+        rows.append(f"<tr><td>{escape(k)}</td>{cells}</tr>")
+    table = f"<table><thead><tr><th>gap</th>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    about = "Mean square of measured minus model in units of the floor; every channel and record counts alike, 1 is agreement. "
+    about += "The floor is what an independent simulation of this very fish leaves, with nothing hidden in it. "
+    if m.comparison.changed:
+        about += "Square: the model as it was. Circle: with what was found, fitted without the records held out. "
+    about += "Grey: where nine of ten null runs lie."
     drawn = pictures.gaps(m.parts, m.comparison.changed)
-    about = (
-        "Orange square: the model as it was. Blue circle: with what was found, fitted without the records held out. The floor is what an"
-        " independent simulation of this very fish, with nothing hidden in it, leaves: every channel counts alike."
-    )
-    return section(
-        "The gap, before and after", about, f'<div class="two"><figure>{drawn}</figure><div>{table}</div></div>{warnings(m)}'
-    )
-
-
-def _gap_row(p: Part, columns: list[str], changed: bool) -> str:
-    pair = lambda a, b: f"{a:.3g} → {b:.2g}" if changed else f"{a:.3g}"  # noqa: E731
-    by = p.by_channel or {}
-    cells = "".join(f'<td class="n">{pair(*by[k]) if k in by else "-"}</td>' for k in columns)
-    return f'<tr><td class="name">{p.name}</td><td class="n"><b>{pair(p.before, p.after)}</b></td>{cells}</tr>'
+    inside = f'<div class="two"><figure>{drawn}</figure><div>{table}</div></div>{warnings(m)}'
+    return section("The gap" + (", before and after" if m.comparison.changed else ""), about, inside)
 
 
 def warnings(m: Material) -> str:
     """Why to be careful, before anything else is read."""
-    notes = list(m.inquiry.verdict.warnings)
+    notes, quiet = list(m.inquiry.verdict.warnings), ""
     for n in m.inquiry.verdict.tentative:
         notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
     if not m.inquiry.unseen.any():
-        notes.append("No record was kept apart: from nine records on a quarter is, for a last figure that no decision saw.")
-    return "".join(f'<p class="warn">{escape(n[:1].upper() + n[1:].rstrip("."))}.</p>' for n in notes)
+        quiet = "No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw."
+    return "".join(f'<p class="warn">{escape(n[:1].upper() + n[1:].rstrip("."))}.</p>' for n in notes) + (
+        f'<p class="about">{quiet}</p>' if quiet else ""
+    )
 
 
 def where(m: Material) -> str:
     """Localisation."""
     p = m.place
-    drawn = f"<figure>{pictures.heat(p)}</figure>" if p.share.sum() > 0 else ""
+    if nothing(p):
+        return section("Where it is", "", f'<p class="place">{escape(p.text)}</p>')
+    drawn = f"<figure>{pictures.heat(p)}</figure>"
     detail = pictures.details(p, m.comparison.changed)
     about = "What the residual of the model looks like, before anything is named."
     keys = (
         '<p class="about">Each cell: its share of the gap beyond the floor, and its mean square. Every half second counts once.'
         " Grey in the left panel: lags within which a servo's tolerance lies.</p>"
     )
-    return section(
-        "Where it is", about, f'<p class="place">{escape(p.text)}</p>{drawn}{f"<figure>{detail}</figure>" if detail else ""}{keys}'
-    )
+    more = f"<figure>{detail}</figure>" if detail else ""
+    return section("Where it is", about, f'<p class="place">{escape(p.text)}</p>{drawn}{more}{keys}')
 
 
 def seen(m: Material) -> str:
@@ -122,22 +124,25 @@ def growth(m: Material) -> str:
     if not m.growth:
         return ""
     about = (
-        f"The model is restarted from what was measured, {m.growth[0].restarts} times, and left alone for up to three seconds. A slope"
-        " of 0 is there at once (a sensor, a delay, an actuator), 1 grows like a velocity (current), 2 like a force (drag, thrust)."
+        f"The model is restarted from what was measured, {m.growth[0].restarts} times, and left alone for up to three seconds."
+        " A slope of 0 is there at once (a sensor, a delay, an actuator), 1 grows like a velocity (current), 2 like a force"
+        " (drag, thrust). Grey: what the uncertainty of the start can make by itself."
     )
     return section("How it grows", about, f"<figure>{pictures.growth(m.growth, m.comparison.changed)}</figure>")
 
 
 def candidates(m: Material) -> str:
     """Ranked tables and confusion maps."""
+    v = m.inquiry.verdict
     if not m.rounds:
         return ""
     about = (
-        "The finalists, fitted to all records that decide. P(best): share of bootstrap draws over records that an effect wins. The map"
-        " is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell them apart."
+        "The finalists, fitted to all records that decide. P(best): share of bootstrap draws over records that an effect wins."
+        " The map is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell"
+        " them apart."
     )
     blocks = [ranked(r, i, len(m.rounds)) for i, r in enumerate(m.rounds)]
-    return section("What it could be", about, "".join(blocks) + rounds(m))
+    return section("What came closest" if v.answer == "AGREES" else "What it could be", about, "".join(blocks) + rounds(m))
 
 
 def ranked(r: Round, number: int, count: int) -> str:
@@ -149,7 +154,7 @@ def ranked(r: Round, number: int, count: int) -> str:
         mark = ' <span class="tag failed">rival</span>' if row.rival else ""
         behind = "best" if row.behind == 0 else f"{100 * row.behind:.1f} %"
         name = f'<td class="name">{escape(title(row.name))}{mark}</td>'
-        rows.append(f'<tr>{name}<td>{values}</td><td>{share}</td><td class="n">{behind}</td></tr>')
+        rows.append(f'<tr>{name}<td class="keep">{values}</td><td class="keep">{share}</td><td class="n">{behind}</td></tr>')
     heads = '<tr><th>effect</th><th>comes out at</th><th>P(best)</th><th class="n">behind, of the gain</th></tr>'
     head = f"<h3>Effect {number + 1}</h3>" if count > 1 else ""
     table = f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>"
@@ -189,8 +194,8 @@ def invisible(m: Material) -> str:
         return ""
     items = "".join(f"<li>{escape(title(b.name))} <span class='small'>{escape(b.typical)}</span></li>" for b in m.blind)
     about = (
-        f"{len(m.blind)} effects of typical size would change these records less than a name needs. Nothing is said about them."
-        " Other experiments may show them (fishmj gap next)."
+        "At their typical size these would change the records less than a name needs: nothing is said about them. Other"
+        " experiments may show them (fishmj gap next)."
     )
     return section("What these records cannot show", about, f'<ul class="plain columns">{items}</ul>')
 
@@ -204,7 +209,7 @@ def records(m: Material) -> str:
     for i, r in enumerate(e.records):
         some = e.layout.record == i
         before, after = (float(np.mean(x[some])) for x in ratio)
-        pair = f"{before:.3g} → {after:.2g}" if m.comparison.changed else f"{before:.3g}"
+        pair = f"{level(before)} → {level(after)}" if m.comparison.changed else level(before)
         rows.append((r, pair))
     rows += [(r, "-") for r, u in zip(m.inquiry.records, m.inquiry.unseen, strict=True) if u]
     body = "".join(
@@ -212,7 +217,9 @@ def records(m: Material) -> str:
         f'<td>{use[r.name]}</td><td class="n">{pair}</td></tr>'
         for r, pair in rows
     )
-    heads = '<tr><th>record</th><th>experiment</th><th class="n">length</th><th>use</th><th class="n">mean square, × floor</th></tr>'
+    heads = (
+        '<tr><th>record</th><th>experiment</th><th class="n">length</th><th>use</th><th class="n">mean square, × floor</th></tr>'
+    )
     return section("The records", "", f"<table><thead>{heads}</thead><tbody>{body}</tbody></table>")
 
 

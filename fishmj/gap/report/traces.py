@@ -12,6 +12,7 @@ from fishmj.gap.report.drawing import AFTER, BAND, BEFORE, INK, MEASURED, QUIET,
 HALF = 1.645  # of a 90 % band
 ZOOM = {"joint": 4.0, "heading": 8.0}  # s shown: a beat must be seen
 MOST = 3
+UNITS = {"joint": (math.degrees(1), "deg"), "heading": (math.degrees(1), "deg"), "position": (1e3, "mm"), "power": (1.0, "W")}
 
 
 class Chosen(NamedTuple):
@@ -49,19 +50,19 @@ def stretch(c: Comparison, b: Block) -> tuple[float, float]:
 def traces(c: Comparison, use: list[str]) -> str:
     """One column a chosen block: above what was measured and predicted, below what is left. use: part of each record."""
     panels = chosen(c)
-    figure, axes = canvas(2, len(panels), (3.9 * len(panels), 3.9), sharex="col", height_ratios=(1.5, 1))
+    figure, axes = canvas(2, len(panels), (3.63 * len(panels), 3.9), sharex="col", height_ratios=(1.5, 1))
     for column, (b, start, stop) in enumerate(panels):
         record = c.records[b.record]
         sensor = getattr(record, b.sensor)
-        factor, unit = {"joint": (math.degrees(1), "deg"), "heading": (math.degrees(1), "deg"), "position": (1e3, "mm"), "power": (1.0, "W")}[b.channel]
+        factor, unit = UNITS[b.channel]
         some = (sensor.t >= start) & (sensor.t <= stop)
         t, predicted = sensor.t[some], c.predictions[b.record][b.sensor][:, some, b.column]
         measured = sensor.values[some, b.column]
         upper, lower = axes[:, column]
-        upper.plot(t, factor * measured, color=MEASURED, linewidth=1.1, label="measured")
+        upper.plot(t, factor * measured, color=MEASURED, alpha=0.4, linewidth=3.2, label="measured")
         upper.plot(t, factor * predicted[0], "--", color=BEFORE, linewidth=1.6, label="model as it was")
         if c.changed:
-            upper.plot(t, factor * predicted[1], color=AFTER, linewidth=1.8, alpha=0.9, label="with what was found")
+            upper.plot(t, factor * predicted[1], color=AFTER, linewidth=1.5, label="with what was found")
         shown = (b.t >= start) & (b.t <= stop)
         floor = factor * HALF * c.scale[b.where][shown]
         lower.fill_between(b.t[shown], -floor, floor, color=BAND, linewidth=0, label="floor, nine of ten null runs")
@@ -69,9 +70,11 @@ def traces(c: Comparison, use: list[str]) -> str:
         if c.changed:
             lower.plot(b.t[shown], factor * c.residuals[1][b.where][shown], color=AFTER, linewidth=1.6)
         lower.axhline(0, color=QUIET, linewidth=0.6)
-        which = {"joint": f"joint {b.column + 1}", "position": "xy"[b.column % 2], "heading": "heading", "power": "power"}[b.channel]
+        which = f"joint {b.column + 1}" if b.channel == "joint" else "xy"[b.column] if b.channel == "position" else b.channel
         upper.set_title(f"{which} [{unit}]", pad=20)
-        upper.text(0, 1.04, f"{record.excitation or record.name}, {use[b.record]}", transform=upper.transAxes, color=QUIET, fontsize=9.2)
+        upper.text(
+            0, 1.04, f"{record.excitation or record.name}, {use[b.record]}", transform=upper.transAxes, color=QUIET, fontsize=9.2
+        )
         lower.set_xlabel("time [s]")
         lower.set_xlim(start, stop)
         if column == 0:

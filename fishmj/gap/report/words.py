@@ -1,13 +1,21 @@
 """The answer in words: what it says, what it means, what to do next, and each gate as a question."""
 
+import math
 from typing import NamedTuple
 
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
+from fishmj.gap.localise.words import percent
 from fishmj.gap.report.material import Material
 from fishmj.gap.verdict import Verdict
 
-SCALES = {"s": (1e3, "ms"), "rad": (57.29577951308232, "deg"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "rad/s": (57.29577951308232, "deg/s")}
+SCALES = {
+    "s": (1e3, "ms"),
+    "rad": (math.degrees(1.0), "deg"),
+    "rad/s": (math.degrees(1.0), "deg/s"),
+    "m": (1e3, "mm"),
+    "m/s": (1e3, "mm/s"),
+}
 CONTRACT = {
     "AGREES": "Nothing differs beyond what the model leaves open.",
     "NAMED": "One effect explains it, on records that it was not fitted to.",
@@ -34,11 +42,17 @@ def title(name: str) -> str:
 
 def quantity(value: float, unit: str, low: float | None = None, high: float | None = None) -> str:
     """A value in the unit that a lab uses, with its interval."""
-    factor, shown = SCALES.get(unit, (1.0, "" if unit == "1" else unit))
+    small = unit.startswith("rad") or max(abs(value), abs(high or 0.0)) < 1.0
+    factor, shown = SCALES[unit] if unit in SCALES and small else (1.0, "" if unit == "1" else unit)
     text = f"{factor * value:.3g}"
     if low is not None and high is not None:
         text += f" ({factor * low:.3g} to {factor * high:.3g})"
     return f"{text} {shown}".strip()
+
+
+def level(value: float) -> str:
+    """A mean square in units of the floor, three digits."""
+    return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
 def headline(v: Verdict) -> str:
@@ -47,8 +61,9 @@ def headline(v: Verdict) -> str:
     if v.answer == "NAMED":
         return f"Missing: {' and '.join(names)}"
     if v.answer == "CLASS":
-        others = [title(str(r["name"])) for r in v.rivals]
-        return f"Missing: {' or '.join([' and '.join(names), *others])}" if others else f"Perhaps {' and '.join(names)}, a stand-in"
+        others = list(dict.fromkeys(title(str(r["name"])) for r in v.rivals))
+        found = " and ".join(names)
+        return f"Missing: {' or '.join([found, *others])}" if others else f"Perhaps {found}, a stand-in"
     if v.answer == "UNEXPLAINED":
         return "Something is missing that the catalogue does not explain"
     if v.answer == "NOT_REPEATABLE":
@@ -62,11 +77,11 @@ def meaning(m: Material) -> str:
     known = {e.name: e for e in m.inquiry.evidence.plant.active.effects}
     if v.answer == "NAMED":
         about = "; ".join(_about(known[e.name]) for e in v.effects if e.name in known)
-        return f"{about[:1].upper()}{about[1:]}. With it the model explains {v.explained:.0%} of what was unexpected."
+        return f"{about[:1].upper()}{about[1:]}. With it the model explains {percent(v.explained)} of what was unexpected."
     if v.answer == "CLASS":
-        return f"{sentence(v.reason)} The first explains {v.explained:.0%} of what was unexpected."
+        return f"{sentence(v.reason)} The first explains {percent(v.explained)} of what was unexpected."
     if v.answer == "UNEXPLAINED":
-        tentative = f" The best try, {title(v.effects[-1].name)}, is tentative: do not add it yet." if v.effects else ""
+        tentative = f" Do not add {' and '.join(title(e.name) for e in v.effects)} yet." if v.effects else ""
         return f"{sentence(v.reason)}{tentative}"
     if v.answer == "NOT_REPEATABLE":
         return f"{sentence(v.reason)} There is nothing to name: turbulence, placing or noise."
@@ -118,10 +133,11 @@ def gates(m: Material) -> list[Gate]:
         ("gain", "Does the best effect help there more than chance does?")
         + (f"{first.gain if first else 0.0:.0f}", f"> {g.gain:g}", accepted),
         ("closure", "Is most of what was unexpected gone?")
-        + (f"{had('closure'):.0%}", f"≥ {g.closure:.0%}", had("closure") >= g.closure),
-        ("rest", "Is what is left within the error of any formula?") + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
+        + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure),
+        ("rest", "Is what is left within the error of any formula?")
+        + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
         ("transfer", "Do the held-out records get better one by one?")
-        + (f"{had('transfer'):.0%}", f"≥ {g.transfer:.0%}", had("transfer") >= g.transfer),
+        + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer),
         ("uniqueness", "Is no other effect nearly as good?")
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
         ("sanity", "Are the values believable?") + (f"{len(v.warnings)} warnings", "none", not v.warnings),
