@@ -1,7 +1,8 @@
 """From the rounds to one of the five answers, and to a report with every figure behind it.
 
 NOT_REPEATABLE  the baseline's error is no larger than 1.5 times what replicates differ by
-UNEXPLAINED     nothing is accepted, or less than `CLOSURE` of the excess is gone on records kept aside
+UNEXPLAINED     nothing is accepted; or, on records kept aside, less than `CLOSURE` of the excess is gone, or more than `LEFT`
+                times the floor is left
 CLASS           a rival is as good, folds disagree, or a value is not believable
 NAMED           else
 """
@@ -17,6 +18,7 @@ from fishmj.gap.verdict import Named, Value, Verdict
 from fishmj.log.replicates import RATIO
 
 CLOSURE, P_BEST = 0.6, 0.9
+LEFT = 25.0  # mean square over the floor's: five times its root
 
 
 def answer(study: Study, found: Outcome) -> Verdict:
@@ -44,6 +46,9 @@ def answer(study: Study, found: Outcome) -> Verdict:
         return Verdict("UNEXPLAINED", reason=why, **plain)
     if closed < CLOSURE:
         why = f"{closed:.0%} of what lies above {study.floor_of} is gone on records kept aside; the names are tentative"
+        return Verdict("UNEXPLAINED", reason=why, **plain)
+    if after > LEFT * study.floor:
+        why = f"{study.said(after)} are left where {study.floor_of} is {study.said(study.floor)}; the names are tentative"
         return Verdict("UNEXPLAINED", reason=why, **plain)
     if rivals or any(w.startswith("folds") for w in warnings):
         return Verdict("CLASS", reason="these records cannot tell the effects apart that are listed", **plain)

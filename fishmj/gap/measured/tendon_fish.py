@@ -1,7 +1,7 @@
 """A tendon-driven fish that swims straight at four motor frequencies: three speeds fit the water, the fourth is predicted.
 
-What the tail did comes from the markers: the fundamental of the tail's and the fin's angle. The simulated fish is made to bend like
-that, and its mean speed is compared. Fitted are one constant of the water, and one term of the catalogue where asked for:
+What the tail did comes from the markers: the fundamental of the tail's and the fin's angle. The simulated fish is made to bend
+like that, and its mean speed is compared. Fitted are one constant of the water, and one term of the catalogue where asked for:
 
     min over grid of sum_three (log(speed / measured))^2
 """
@@ -23,7 +23,7 @@ MATCHING = 3  # rounds in which the commands are adapted until the joints do wha
 WITHIN = 0.15  # of the measured speed
 TERMS = ("linear_surge_drag", "wake_memory")
 FACTORS = np.geomspace(0.1, 4.0, 41)
-AMOUNTS = {"linear_surge_drag": np.linspace(0.0, 0.2, 41), "wake_memory": np.linspace(0.0, 0.3, 16)}  # N s/m; s
+AMOUNTS = {"linear_surge_drag": np.linspace(0.0, 0.2, 21), "wake_memory": np.linspace(0.0, 0.3, 11)}  # N s/m; s
 CONSTANTS = ("trailing_edge", "added_mass_tail", "form_drag")
 CHOSEN = ("trailing_edge", "linear_surge_drag")
 
@@ -125,7 +125,7 @@ class Tank:
 
 
 class Choice(NamedTuple):
-    """One model, left out in turn. errors: (L,) relative, of each trial predicted from the others; values: (L, 2) factor, amount."""
+    """One model. errors: (L,) relative, of each trial predicted from the others; values: (L, 2) factor and amount then."""
 
     constant: str
     term: str
@@ -188,6 +188,7 @@ def predicted(beats: list[Beat], say=lambda text: None, choices=None) -> tuple[s
         "within": WITHIN,
         "holds": answer.worst <= WITHIN,
     }
+    said = "within" if answer.worst <= WITHIN else "beyond"
     row = lambda values, form: ", ".join(format(v, form) for v in values)  # noqa: E731
     lines = [
         "tendon_fish",
@@ -198,7 +199,7 @@ def predicted(beats: list[Beat], say=lambda text: None, choices=None) -> tuple[s
             f" {c.fitted[0]:.2f}" + (f", {c.term} {c.fitted[1]:.3g}" if c.term else "")
             for c in found
         ),
-        f"{answer.constant} and {answer.term}: worst {answer.worst:.1%}, {'within' if answer.worst <= WITHIN else 'beyond'} the limit",
+        f"{answer.constant} and {answer.term}: worst {answer.worst:.1%}, {said} the limit",
         f"  the model was chosen among these {len(found)} with all trials in view; four speeds do not name a term",
     ]
     return "\n".join(lines), figures

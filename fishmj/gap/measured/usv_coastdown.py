@@ -131,7 +131,7 @@ def compared(runs: list[Coast], short: list[str], say=lambda text: None) -> tupl
     }
     lines = [
         "usv_coastdown",
-        f"  {len(runs)} runs, {count.sum()} speeds at GPS fixes; {len(short)} runs with fewer than {ROWS} left out; mass {MASS:g} kg",
+        f"  {len(runs)} runs, {count.sum()} speeds at GPS fixes; {len(short)} run(s) of fewer than {ROWS} not used; {MASS:g} kg",
         *(
             f"  {law}: c = {value[law]:.3g} ({spread[law][0]:.3g} to {spread[law][1]:.3g} over the folds) {unit},"
             f" rms {rms[law]:.2f} m/s, held-out log likelihood {likely[law].sum():.2f}"
