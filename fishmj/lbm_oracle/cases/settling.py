@@ -6,6 +6,9 @@ body on slides, 1.15 to 1.17 times as heavy as what it displaces; its weight and
 Source: ten Cate, Nieuwstad, Derksen and van den Akker 2002, Phys. Fluids 14:4012, table 2, as kept with oils, box and gap by the
 benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which starts a quarter of a diameter higher than the
 120 mm stated, to match the measured tracks; so does this.
+
+The time step keeps the viscosity small in lattice units: the markers' retraction was measured for that, and the layer of the
+force is thinner where the water is thick (a sphere of six cells at Re 4 has 8 % less drag at 0.075 than at 0.02, and 15 % at 0.15).
 """
 
 from math import inf
@@ -24,7 +27,7 @@ from fishmj.units import G
 
 DIAMETER, DENSITY = 0.015, 1120.0  # m, kg/m3
 BOX, GAP = (0.1, 0.1, 0.16), 0.12 + DIAMETER / 4  # m
-FASTEST, THICKEST = 0.05, 0.15  # lattice units, speed and viscosity: the time step is the shorter of the two
+FASTEST, THICKEST = 0.05, 0.02  # lattice units, speed and viscosity: the time step is the shorter of the two
 
 
 class Oil(NamedTuple):
@@ -91,14 +94,14 @@ def settling_coarse(device):
     yield from checks("E4", 10, device, 0.04)
 
 
-@register("settling_oils", rung=10.1, grid="67 x 67 x 107, D = 10, E1 to E3", source=SOURCE, cost="6 min", gpu=True)
+@register("settling_oils", rung=10.1, grid="67 x 67 x 107, D = 10, E1 to E3", source=SOURCE, cost="GPU, 22 G updates", gpu=True)
 def settling_oils(device):
     """The same in the three thicker oils."""
     for name in ("E1", "E2", "E3"):
         yield from checks(name, 10, device, 0.04)
 
 
-@register("settling", rung=10.2, grid="107 x 107 x 171, D = 16, E1 to E4", source=SOURCE, cost="GPU, 40 G updates", gpu=True)
+@register("settling", rung=10.2, grid="107 x 107 x 171, D = 16, E1 to E4", source=SOURCE, cost="GPU, 250 G updates", gpu=True)
 def settling(device):
     """A sphere that sinks in four oils."""
     for name in OILS:
