@@ -8,7 +8,7 @@ benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which st
 120 mm stated, to match the measured tracks; so does this.
 
 The time step keeps the viscosity small in lattice units: the markers' retraction was measured for that, and the layer of the
-force is thinner where the water is thick (a sphere of six cells at Re 4 has 8 % less drag at 0.075 than at 0.02, and 15 % at 0.15).
+force is thinner where the water is thick (a sphere of six cells at Re 4 has 8 % less drag at 0.075 than at 0.02, 15 % at 0.15).
 """
 
 from math import inf
