@@ -230,8 +230,8 @@ def _records(out, commands, flow, start, block, split, noise, seed, prescribed):
     return made
 
 
-def campaign(size=1.0, seed=0, split="train", seconds=8.0):
-    """A small campaign of every kind; 34 records at size 1."""
+def campaign(size=1.0, seed=0, split="train", seconds=8.0, **world):
+    """A small campaign of every kind; 34 records at size 1. world: water, hidden, noise."""
     count = lambda n: max(2, round(n * size))  # noqa: E731
     few, n, rest = count(6), count(12), count(4)
     rng = np.random.default_rng([9, seed])
@@ -241,14 +241,14 @@ def campaign(size=1.0, seed=0, split="train", seconds=8.0):
     flow = np.concatenate([np.zeros((n, 2)), stream, np.zeros((few, 2))])
     turned = np.concatenate([np.zeros(n), yaw, np.zeros(few)])
     names = ["gait"] * (n + few) + ["random"] * few
-    out = swim(commands, flow=flow, yaw=turned, block=names, split=split, seed=seed)
+    out = swim(commands, flow=flow, yaw=turned, block=names, split=split, seed=seed, **world)
     paths = chirps(few, seconds, seed)
     still = np.radians(rng.uniform(-40, 40, (rest, 1, 1))) * (np.arange(rest) % 2)[:, None, None]
     paths = np.concatenate([paths, np.broadcast_to(still, (rest, *paths.shape[1:]))])
     speed = np.concatenate([rng.choice([0.0, 0.2, 0.4], few), np.full(rest, 0.25)])
     heading = np.concatenate([np.full(few, np.pi), rng.uniform(-np.pi, np.pi, rest)])
     names = ["chirp"] * few + ["static"] * rest
-    return out + hold(paths, speed=speed, heading=heading, block=names, split=split, seed=seed)
+    return out + hold(paths, speed=speed, heading=heading, block=names, split=split, seed=seed, **world)
 
 
 def write_dataset(folder, records):

@@ -13,6 +13,7 @@ from fishmj.hydro_fit import chain, check, correct, learned
 from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.fit import learning, lessons, linear, newton, rollout
 from fishmj.hydro_fit.fit.keep import keep
+from fishmj.hydro_fit.fit.pack import unpacked
 from fishmj.hydro_fit.fit.prior import flat, names_of, prior_of, replaced, unflat
 from fishmj.hydro_fit.fit.recipe import STAGES, Fit, Settings
 from fishmj.hydro_fit.fit.rows import attachment, rows_of
@@ -50,8 +51,7 @@ def test_forces_of_the_strips_give_their_coefficients_back():
     """No hidden water, no noise: what is left is the 50 Hz of the record."""
     known = replace_stall(hidden.TRUE)
     robot = replace(ROBOT, water={**ROBOT.water, "stall_angle_deg": np.degrees(known.stall_angle), "stall_lag": known.stall_lag})
-    made = hidden.swim(hidden.gaits(8, 8.0, 1), hidden=0.0, noise=0.0, water=known)
-    made += hidden.hold(hidden.chirps(5, 8.0, 1), speed=0.2, heading=np.full(5, np.pi), hidden=0.0, noise=0.0, water=known)
+    made = hidden.campaign(0.5, seconds=8.0, hidden=0.0, noise=0.0, water=known)
     done = linear.fit_linear(robot, CHAIN, rows_of(CHAIN, made), TICK, stall=False)
     for name, bound in (("k", 0.08), ("cn", 0.10)):
         np.testing.assert_allclose(getattr(done.water, name), getattr(known, name), rtol=bound)
@@ -77,8 +77,9 @@ def test_swims_decide_what_forces_leave_open(fitted):
 def test_the_residual_learns_what_strips_cannot(fitted, records):
     """Normal force on the tail: wash and overshoot are found on episodes that were not trained on."""
     fit, model, _ = fitted
-    seen = lessons.lessons_of(CHAIN, records["test"], model.base)
-    net = model.learnt.net
+    state = fit._read("residual")
+    seen = lessons.lessons_of(CHAIN, records["test"], unflat(state["water"].tolist()))
+    net = unpacked(state).net
 
     def left(memory):
         z, _ = learning.wakes(net, seen.xi, seen.speed, seen.step, memory=memory)

@@ -16,10 +16,9 @@ from fishmj.mjcf.description import Robot
 VARIANTS: dict[str, dict] = {
     "strips by forces alone": {"residual": False, "rollout": False},
     "strips, rollout fit": {"residual": False},
-    "residual without memory": {"memory": False, "rehearsals": 0},
-    "residual with wake, no rollout fit": {"rollout": False, "rehearsals": 0},
-    "residual with wake": {"rehearsals": 0},
-    "residual with wake, rehearsed": {},
+    "residual without memory": {"memory": False},
+    "residual with wake, no rollout fit": {"rollout": False},
+    "residual with wake": {},
 }
 SHOWN = (
     "speed_error_mean",

@@ -6,7 +6,7 @@ Recursive least squares with a forgetting factor (Ljung 1999, section 11.2): wit
 fades at most to the prior's, so a factor that is no longer seen stays where it is and none runs away. Factors are held within
 `BOUNDS`; the residual stays as it is.
 
-A right surrogate has an error, too, that no factor mends. Its mean square, over that of the force, is `own`; rows count only as
+A right surrogate has an error, too, that no factor mends. Its mean square, over that of all drags, is `own`; rows count only as
 far as the uncorrected error exceeds it, from `CALM` times (not at all) to `ALARM` times (fully). So forces never talk a surrogate
 out of coefficients that were fitted to whole swims.
 """
@@ -17,12 +17,14 @@ import numpy as np
 
 from fishmj.hydro_fit import chain, terms
 
+DRAGS = [1, 2, 3, 6, 9]  # of the ten factors: all but added mass, whose force may be any
 KINDS = ("added_mass", "cross_flow", "friction", "form", "edge")
 BOUNDS = (0.3, 3.0)
 SPREAD = np.array([0.15, 0.5, 1.0, 0.7, 0.5])  # standard deviation of each factor before any row
 MEMORY = 30.0  # s of rows, after which they count for 1/e
 HANG = 15.0  # rows that one error lasts, as in the fit
-CALM, ALARM = 2.0, 4.0  # uncorrected mean square error over the surrogate's own
+CALM, ALARM = 0.7, 1.1  # uncorrected mean square error over the surrogate's own
+FAINT = np.array([0.05, 0.05, 0.005])  # N, N, N m: errors that nobody needs corrected, as of a fish at rest
 
 
 class Correction(NamedTuple):
@@ -32,12 +34,12 @@ class Correction(NamedTuple):
     information: np.ndarray  # (10, 10) inverse covariance
     noise: np.ndarray  # (3,) running mean square of the remaining error by component
     left: np.ndarray  # (3,) running mean square of the uncorrected error
-    size: np.ndarray  # (3,) and of the force
+    size: np.ndarray  # (3,) and of the uncorrected drags
     rows: float  # ticks seen
 
     def excess(self, own) -> float:
         """Uncorrected mean square error over what a right surrogate has."""
-        return float(np.mean(self.left / (self.size * np.asarray(own) + 1e-12)))
+        return float(np.mean(self.left / (self.size * np.asarray(own) + FAINT**2)))
 
 
 class Row(NamedTuple):
@@ -97,7 +99,7 @@ def update(
     """Take one row in.
 
     Args:
-        c: the uncorrected coefficients. own: (3,) mean square error over mean square force that a right surrogate has, by
+        c: the uncorrected coefficients. own: (3,) mean square error over mean square drag that a right surrogate has, by
             component; 0 takes every row at its word. tick: s that the row stands for. idle: s since the row before without any.
     """
     a = parts(s, c, row)
@@ -106,8 +108,10 @@ def update(
     seen = state.rows + 1.0
     share = 1.0 / min(seen, MEMORY / tick)
     follow = lambda old, values: old + ((values**2).mean(1) - old) * share  # noqa: E731
-    new = state._replace(left=follow(state.left, left), size=follow(state.size, row.force), noise=follow(state.noise, error))
-    weight = np.clip((new.excess(own) - CALM) / (ALARM - CALM), 0.0, 1.0) / (HANG * (new.noise + 1e-8))
+    new = state._replace(
+        left=follow(state.left, left), size=follow(state.size, a[DRAGS].sum(0)), noise=follow(state.noise, error)
+    )
+    weight = np.clip((new.excess(own) - CALM) / (ALARM - CALM), 0.0, 1.0) / (HANG * (new.noise + FAINT**2))
     prior = np.diag(1 / np.tile(SPREAD, 2) ** 2)
     keep = np.exp(-(tick + idle) / MEMORY)
     information = prior + keep * (state.information - prior)
