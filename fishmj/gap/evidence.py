@@ -33,7 +33,7 @@ def costs(z: np.ndarray, layout) -> np.ndarray:
     return out
 
 
-def closure(cost_before: float, cost_after: float, size: int) -> float:
+def closure(cost_before: float, cost_after: float, size: float) -> float:
     """Share of the excess that is gone; 0 when there was none."""
     excess = cost_before - size
     return float((cost_before - cost_after) / excess) if excess > 0 else 0.0

@@ -29,32 +29,40 @@ def answer(study: Study, found: Outcome) -> Verdict:
     rivals = tuple({"name": n, "p_best": p} for r in accepted for n, p in rivals_of(r))
     closed = evidence.closure(before, after, study.floor)
     warnings = [w for r in accepted for w in doubts(study, r, effects)]
-    plain = dict(
-        effects=effects,
-        rivals=rivals,
+    said, reason = decided(study, found, rivals, warnings)
+    return Verdict(
+        said,
+        effects=() if said == "NOT_REPEATABLE" else effects,
+        rivals=() if said == "NOT_REPEATABLE" else rivals,
         gap_before=before / study.floor,
         gap_after=after / study.floor,
         gap_after_unseen=after / study.floor,
         explained=closed,
+        reason=reason,
         warnings=tuple(dict.fromkeys(warnings)),
         gates={"closure": closed, "p_useful": [r.useful for r in found.rounds]},
     )
+
+
+def decided(study: Study, found: Outcome, rivals, warnings) -> tuple[str, str]:
+    """The answer and its reason."""
+    before, after = found.kept_aside[0], found.kept_aside[-1]
+    closed = evidence.closure(before, after, study.floor)
     if before <= RATIO * study.floor:
-        return Verdict("NOT_REPEATABLE", reason=f"the error is that of {study.floor_of}", **plain | dict(effects=(), rivals=()))
-    if not accepted:
-        why = "no candidate lowers the error on groups that were left out; the best is tentative"
-        return Verdict("UNEXPLAINED", reason=why, **plain)
+        return "NOT_REPEATABLE", f"the error is that of {study.floor_of}"
+    if not any(r.accepted for r in found.rounds):
+        return "UNEXPLAINED", "no candidate lowers the error on groups that were left out; the best is tentative"
     if closed < CLOSURE:
         why = f"{closed:.0%} of what lies above {study.floor_of} is gone on records kept aside; the names are tentative"
-        return Verdict("UNEXPLAINED", reason=why, **plain)
+        return "UNEXPLAINED", why
     if after > LEFT * study.floor:
         why = f"{study.said(after)} are left where {study.floor_of} is {study.said(study.floor)}; the names are tentative"
-        return Verdict("UNEXPLAINED", reason=why, **plain)
+        return "UNEXPLAINED", why
     if rivals or any(w.startswith("folds") for w in warnings):
-        return Verdict("CLASS", reason="these records cannot tell the effects apart that are listed", **plain)
+        return "CLASS", "these records cannot tell the effects apart that are listed"
     if warnings:
-        return Verdict("CLASS", reason="one effect fits best, but what it came out at is not believable: a stand-in", **plain)
-    return Verdict("NAMED", reason="the same effect wins in every fold, and on conditions kept aside", **plain)
+        return "CLASS", "one effect fits best, but what it came out at is not believable: a stand-in"
+    return "NAMED", "the same effect wins in every fold, and on conditions kept aside"
 
 
 def share(found: Outcome, i: int) -> float:
@@ -87,7 +95,8 @@ def rivals_of(r: Round) -> list[tuple[str, float]]:
 def doubts(study: Study, r: Round, effects: tuple[Named, ...]) -> list[str]:
     """What a reader should know before believing a round."""
     name = r.fitted.names[-1]
-    out = list(sanity(study, r.fitted, next(e for e in effects if e.name == name)))
+    asked: Any = study
+    out = list(sanity(asked, r.fitted, next(e for e in effects if e.name == name)))
     agree = r.best.count(name)
     if agree < len(r.best):
         others = ", ".join(sorted(set(r.best) - {name}))

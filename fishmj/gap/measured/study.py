@@ -89,10 +89,8 @@ class Fold:
         self.groups = [r.group for r in self.records]
         plain = Whitening(self.layout.noise(), np.zeros((self.layout.size, 0)), np.zeros(0))
         first = Search(study.plant, self.records, self.layout, plain)
-        row, names, places = study.plant.null, (), tuple(range(len(study.plant.constants)))
-        if start is not None:
-            row, names, places = start.row, start.names, start.places
-        fit = first.refine([scored(first, Candidate(names, places, row, 0.0, np.zeros(0)))], FIT)[0]
+        bare = Candidate((), tuple(range(len(study.plant.constants))), study.plant.null, 0.0, np.zeros(0))
+        fit = first.refine([scored(first, start or bare)], FIT)[0]
         residual = self.layout.residuals(study.plant.predict(self.records, fit.row))[0]
         self.scatter = Scatter(self.layout, self.groups, residual)
         self.search = Search(study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))

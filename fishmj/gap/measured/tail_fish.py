@@ -4,6 +4,7 @@ A condition is a group. Runs of 1.5 s start from the pose and speed of 1 s movin
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +109,7 @@ def averaged(values: np.ndarray, n: int) -> np.ndarray:
     return np.stack([np.convolve(column, np.ones(n) / n, "valid") for column in values.T], 1)
 
 
-def error(plant: Body, records: Sequence[Swim], row: np.ndarray) -> float:
+def error(plant: Body, records: Sequence[Any], row: np.ndarray) -> float:
     """The protocol's figure."""
     layout = Layout(list(records))
     residual = layout.residuals(plant.predict(list(records), row))[0]

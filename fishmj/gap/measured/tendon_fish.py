@@ -18,6 +18,7 @@ from fishmj.log import Trial, stacked
 
 HINGES = (2, 7)  # markers at which tail and fin begin; the ones between are swapped now and then
 SECONDS, STEADY = 20.0, 8.0  # s: length of a swim, and the end of it that is averaged
+STAMPS = np.arange(0.0, SECONDS, 0.02)  # s, of the simulated tank's sensors
 SLOWEST = 0.2  # Hz, below which nothing is a beat
 MATCHING = 3  # rounds in which the commands are adapted until the joints do what the markers did
 WITHIN = 0.15  # of the measured speed
@@ -76,13 +77,10 @@ class Tank:
 
     def speeds(self, rows) -> np.ndarray:
         """(R, L) mean speed of every parameter row in every trial."""
-        rows = np.atleast_2d(rows)
-        out = []
-        for seen, record in zip(self.plant.predict(self.records, rows), self.records, strict=True):
-            t = record.pose.t
-            late = t >= SECONDS - STEADY
-            out.append([abs(np.polyfit(t[late], seen["pose"][i, late, 0], 1)[0]) for i in range(len(rows))])
-        return np.array(out).T
+        late = STAMPS >= SECONDS - STEADY
+        seen = [each["pose"][:, late] for each in self.plant.predict(self.records, np.atleast_2d(rows))]
+        slopes = [[np.polyfit(STAMPS[late], track[..., axis].T, 1)[0] for axis in (0, 1)] for track in seen]  # (L, 2, R)
+        return np.array([np.hypot(*each) for each in slopes]).T
 
     @property
     def records(self) -> list[Record]:
@@ -95,13 +93,12 @@ class Tank:
 
     def _bent(self, b: Beat, joints: np.ndarray) -> np.ndarray:
         """Complex amplitude of the joints over whole beats at the end."""
-        t = np.arange(0.0, SECONDS, 0.02)
-        last = t >= SECONDS - round(STEADY * b.frequency) / b.frequency
-        return 2 * (joints[last] * np.exp(-2j * np.pi * b.frequency * t[last])[:, None]).mean(0)
+        last = STAMPS >= SECONDS - round(STEADY * b.frequency) / b.frequency
+        return 2 * (joints[last] * np.exp(-2j * np.pi * b.frequency * STAMPS[last])[:, None]).mean(0)
 
     def _record(self, b: Beat, commands: np.ndarray) -> Record:
         dt = self.plant.dt
-        t, seen = np.arange(0.0, SECONDS, dt), np.arange(0.0, SECONDS, 0.02)
+        t = np.arange(0.0, SECONDS, dt)
         ramp = np.minimum(t * b.frequency, 1.0)[:, None]
         wave = np.real(commands * np.exp(2j * np.pi * b.frequency * t)[:, None])
         none, size = np.full(3, np.nan), len(commands)
@@ -111,8 +108,8 @@ class Tank:
             replicate_of="",
             dt=dt,
             commands=ramp * wave,
-            joint=Sensor(seen, np.zeros((len(seen), size)), none),
-            pose=Sensor(seen, np.zeros((len(seen), 3)), none),
+            joint=Sensor(STAMPS, np.zeros((len(STAMPS), size)), none),
+            pose=Sensor(STAMPS, np.zeros((len(STAMPS), 3)), none),
             power=None,
             flow=(0.0, 0.0),
             medium="water",

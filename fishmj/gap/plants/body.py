@@ -14,7 +14,7 @@ A parameter row is [constants (factors on the hull), effects]. One record holds 
 from collections import namedtuple
 from collections.abc import Iterable
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class Swim(NamedTuple):
 
 
 # what effects see, with what the tail does sideways in the mean: A^2 b, rad^3
-Beaten = namedtuple("Beaten", (*sites.Body._fields, "push"))
+Beaten: Any = namedtuple("Beaten", (*sites.Body._fields, "push"))  # type: ignore[misc]
 
 
 class Link(NamedTuple):
@@ -175,8 +175,8 @@ class Body:
         many = len(rows)
         given = (np.tile(which, many), inputs, steps, np.repeat(rows, len(starts), 0), np.tile(state, (many, 1)))
         out = self.kernel(*given, np.zeros(many * len(starts)), stride, int(steps.max()) // stride + 1)
-        out = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
-        return [track[:, :, : n // stride + 1] for track, n in zip(out, steps, strict=True)]
+        each = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
+        return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]
 
     def _covered(self, record: Swim, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(R, K, 3) what a camera saw covered."""

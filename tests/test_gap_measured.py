@@ -1,0 +1,82 @@
+"""The workflow on real recordings, found through FISHMJ_MEASURED; the full figures stand in docs/gap_measured.md."""
+
+import os
+
+import numpy as np
+import pytest
+
+from fishmj import console
+from fishmj.gap.__main__ import main
+from fishmj.gap.measured import command, servo_xl330, tail_fish, tendon_fish, usv_coastdown
+from fishmj.gap.measured.answer import answer, report
+from fishmj.gap.measured.folder import trials
+from fishmj.gap.measured.study import investigate
+
+measured = pytest.mark.skipif(not os.environ.get("FISHMJ_MEASURED"), reason="set FISHMJ_MEASURED to the folder of measured data")
+
+
+def test_without_the_folder_the_command_says_how_to_get_it(monkeypatch, capsys):
+    monkeypatch.delenv("FISHMJ_MEASURED", raising=False)
+    assert console.run(main, ["measured", "tail_fish"]) == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "FISHMJ_MEASURED is not set" in said and "gap fetch tail_fish" in said
+
+
+def test_a_set_that_is_not_there_or_not_known_is_one_clear_error(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("FISHMJ_MEASURED", str(tmp_path))
+    assert console.run(command.main, ["servo_xl330"]) == console.BAD_INPUT
+    assert "no such folder" in capsys.readouterr().err
+    assert console.run(command.main, ["tailfish"]) == console.BAD_INPUT
+    assert "Did you mean 'tail_fish'" in capsys.readouterr().err
+
+
+@measured
+def test_body_lift_is_named_on_the_tail_fish_in_every_fold():
+    study = tail_fish.study()
+    assert len({r.group for r in study.learn}) == 20 and len({r.group for r in study.aside}) == 7
+    assert not {r.group for r in study.learn} & {r.group for r in study.aside}
+    found = investigate(study, most=1)
+    verdict = answer(study, found)
+    assert found.rounds[0].best == ("body_lift",) * 4
+    assert found.kept_aside[1] <= 0.55 * found.kept_aside[0]
+    assert verdict.answer == "NAMED" and verdict.effects[0].p_best > 0.9, verdict.text()
+    spread = verdict.effects[0].parameters["coefficient"]
+    assert spread.high - spread.low < 0.2 * spread.value
+    assert report(study, found, verdict)["origin"] == "measured"
+
+
+@measured
+def test_one_effect_improves_the_servo_and_the_rest_stays_unexplained():
+    study = servo_xl330.study()
+    assert {r.group for r in study.learn} == {"kp100", "kp200", "kp400"} and len(study.aside) == 3
+    found = investigate(study, most=1)
+    verdict = answer(study, found)
+    before, after = (study.figure(e) for e in found.kept_aside[:2])
+    assert after <= 0.72 * before
+    assert verdict.answer == "UNEXPLAINED" and "tentative" in verdict.reason
+    assert verdict.effects[0].name == "load_friction" and found.rounds[0].best == ("load_friction",) * 3
+
+
+@measured
+def test_the_servo_is_predicted_at_the_stamps_of_the_log():
+    study = servo_xl330.study()
+    raw = trials("servo_xl330")
+    for r in study.learn:
+        t = raw[r.name].table("joint")["t"]
+        assert np.array_equal(r.joint.t, t - raw[r.name].table("cmd")["t"][0]) and np.ptp(np.diff(t)) > 1e-4
+
+
+@measured
+def test_the_boats_runs_do_not_tell_linear_from_quadratic_drag():
+    said, figures = usv_coastdown.run(lambda text: None)
+    assert figures["runs"] >= 4 and figures["speeds"] >= 40
+    assert figures["answer"].startswith("CLASS") and max(figures["p_better"].values()) < 0.95, said
+
+
+@measured
+def test_a_left_out_frequency_of_the_tendon_fish_is_predicted_within_15_per_cent():
+    beats = [tendon_fish.beat(name, trial) for name, trial in trials("tendon_fish_markers").items()]
+    assert [b.frequency for b in beats] == pytest.approx([0.375, 0.75, 1.125, 1.5], abs=0.02)
+    said, figures = tendon_fish.predicted(beats, choices=[tendon_fish.CHOSEN])
+    assert figures["holds"] and max(map(abs, figures["choices"][0]["errors"])) <= 0.15, said
+    assert max(abs(b / s - 1) for b, s in zip(figures["speed_before"], figures["speed"], strict=True)) > 0.15  # it took a fit
