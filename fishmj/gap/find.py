@@ -40,7 +40,7 @@ def search(args) -> Inquiry:
     trials = [named(name, trial) for name, trial in zip(*_trials(args.data), strict=True)]
     gates = frozen() if args.most is None else replace(frozen(), most=args.most)
     null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
-    return investigate(Fish(args.model), trials, gates=gates, null=null, seed=args.seed, say=console.say)
+    return investigate(Fish(args.model), trials, gates=gates, null=null, seed=args.seed, further=True, say=console.say)
 
 
 def _trials(folder: Path) -> tuple[list[str], list[Trial]]:

@@ -44,12 +44,14 @@ def investigate(
     gates: Gates | None = None,
     null: Null | None = None,
     seed: int = 0,
+    further: bool = False,
     say: Callable[[str], None] = lambda text: None,
 ) -> Inquiry:
     """Find what the model of `plant` is missing in `trials`.
 
     Args:
         null: how null runs are drawn.
+        further: after CLASS, look for the experiment that decides.
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared.
     """
@@ -68,6 +70,11 @@ def investigate(
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
+    if further and verdict.answer == "CLASS":
+        from fishmj.gap.next_experiment import advised
+
+        say("which experiment would decide?")
+        verdict = advised(e, found, verdict, null)
     if unseen.any():
         last = [r for r, u in zip(records, unseen, strict=True) if u]
         apart = evidence_of(plant, last, null)
