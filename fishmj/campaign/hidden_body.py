@@ -2,11 +2,9 @@
 
     f  = T^T (f_effect - f_null),   A = T^T (A_effect - A_null) T          W_k = psi' + j_1' + .. + j_k'  in T
 
-What a hydrodynamic effect adds in the second robot's own water, at the same state, is added to the solver's: force explicitly, added
-mass in the mass matrix. Masses, balance and inertia are the MuJoCo body's own.
+What a hydrodynamic effect adds in the second robot's own water, at the same state, is added to the solver's: force explicitly,
+added mass in the mass matrix. Masses, balance and inertia are the MuJoCo body's own.
 """
-
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -85,5 +83,3 @@ class Difference:
 def _drawn(water) -> list[str]:
     """Fields of the water that every robot has, drawn or not: not the effects."""
     return [key for key in water._fields if key not in water._field_defaults]
-
-

@@ -27,7 +27,7 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
 
     Args:
         as `virtual_robot.loop.advance`; a joint's rotor counts in the guess and belongs into the solver's mass matrix, too.
-        law: (3, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end rad/s, greatest rate rad/s, scratch.
+        law: (3, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end, greatest rate rad/s, scratch.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
     fresh = 1.0 - exp(-H / motor.inductive_time)

@@ -1,0 +1,101 @@
+"""Masses, balance point and yaw inertia from a page of weighings (`measurements.toml`).
+
+    link        mean of its weighings
+    balance     the head's centre of mass moves until the straight fish balances where it was seen to
+    pendulum    I = m g (T d/2 / 2 pi)^2 / l,   two threads of length l, d apart, turning about the vertical
+    yaw_inertia what I has beyond the described fish, as an effect of the head
+
+A bifilar pendulum about the other two axes would give the rest of the tensor; the fish moves in the plane, so only yaw is asked.
+"""
+
+from dataclasses import replace
+from math import pi, sqrt
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from fishmj.calib import read_toml
+from fishmj.calibrate.least_squares import NORMAL, Estimate
+from fishmj.errors import ConfigError
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import geometry_of
+from fishmj.units import G
+
+FILE = "measurements.toml"
+
+
+class Weighed(NamedTuple):
+    """Estimates: mass, com (from the nose), inertia, yaw_inertia; mass and com of every link, (m, back from its front)."""
+
+    estimates: dict[str, Estimate]
+    links: dict[str, tuple[float, float]]
+
+
+def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
+    """Read and turn into masses.
+
+    Raises:
+        ConfigError: the page is missing, lacks a link, or a number is not positive.
+    """
+    path = Path(folder) / FILE
+    page = read_toml(path)
+    scales = [_numbers(page, path, "scales", link.name) for link in robot.links]
+    balance, period = _numbers(page, path, "balance", "at"), _numbers(page, path, "pendulum", "period")
+    thread, apart = (float(_numbers(page, path, "pendulum", key)[0]) for key in ("thread", "apart"))
+    masses = np.array([s.mean() for s in scales])
+    resolution = 0.001 / sqrt(12)  # kg: scales read whole grams
+    mass_sd = sqrt(sum(_sd(s, resolution) ** 2 for s in scales))
+    total, com, com_sd = float(masses.sum()), float(balance.mean()), _sd(balance, float(page["balance"].get("error", 0.0)))
+    lever = apart / 2 / (2 * pi)
+    inertia = total * G * (float(period.mean()) * lever) ** 2 / thread
+    inertia_sd = inertia * sqrt((2 * _sd(period) / period.mean()) ** 2 + (mass_sd / total) ** 2)
+    described = described_as(robot, masses, com)
+    extra = inertia - _yaw_inertia(described)
+    found = {
+        "mass": _estimate("mass", "kg", total, mass_sd, len(scales[0])),
+        "com": _estimate("com", "m", com, com_sd, len(balance)),
+        "inertia": _estimate("inertia", "kg m2", inertia, inertia_sd, len(period)),
+        "yaw_inertia": _estimate("yaw_inertia", "kg m2", extra, inertia_sd, len(period)),
+    }
+    return Weighed(found, {link.name: (link.mass, link.com[0]) for link in described.links if link.com})
+
+
+def described_as(robot: Robot, masses: np.ndarray, com: float) -> Robot:
+    """The robot with these link masses, the head's centre of mass where the straight fish balances at `com` from the nose."""
+    fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])[:-1]
+    place = [link.com or (0.5 * link.length, 0.0, 0.0) for link in robot.links]
+    behind = sum(float(m) * (f + c[0]) for m, f, c in list(zip(masses, fronts, place, strict=True))[1:])
+    head = (float(masses.sum()) * com - behind) / float(masses[0])
+    places = [(head, *place[0][1:]), *place[1:]]
+    return replace(
+        robot, links=tuple(replace(k, mass=float(m), com=c) for k, m, c in zip(robot.links, masses, places, strict=True))
+    )
+
+
+def _yaw_inertia(robot: Robot) -> float:
+    """About the balance point of the straight fish, kg m2; every link's shape as it is described."""
+    g = geometry_of(robot)
+    x = g.origin + g.com[:, 0]
+    middle = float(g.mass @ x / g.mass.sum())
+    return float(np.sum(g.inertia[:, 2] + g.mass * (x - middle) ** 2))
+
+
+def _numbers(page: dict, path: Path, table: str, key: str) -> np.ndarray:
+    value = page.get(table, {}).get(key)
+    numbers = np.atleast_1d(np.array([np.nan] if value is None else value, float))
+    if not np.all(np.isfinite(numbers)) or np.any(numbers <= 0):
+        raise ConfigError(f"{path}: [{table}] {key} = {value!r}; expected one or more positive numbers in SI units")
+    return numbers
+
+
+def _sd(values: np.ndarray, floor: float = 0.0) -> float:
+    """Standard deviation of the mean."""
+    scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    return max(scatter, floor) / sqrt(len(values))
+
+
+def _estimate(name: str, unit: str, value: float, sd: float, repeats: int) -> Estimate:
+    half = (float(student.ppf(0.95, repeats - 1)) if repeats > 1 else NORMAL) * sd
+    return Estimate(name, unit, value, value - half, value + half, sd, "repeats")

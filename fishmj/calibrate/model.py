@@ -1,0 +1,85 @@
+"""Write what was calibrated into a fish TOML: the numbers where the fish reads them, and beside them where they come from.
+
+    servo     [servo] kp, kd, speed_no_load = torque / (kd - kv);  [[effect]] coulomb_friction;  [timing] command_latency
+    latency   [timing] command_latency, camera_latency
+    mass      [[link]] mass, com;  [body] mass_total;  [[effect]] yaw_inertia where its interval leaves out zero
+    slip      [calibration.slip] only: the strip water has no slip ratio, the flow solver takes it as --slip
+
+Lines are replaced one by one; comments and everything else stay.
+"""
+
+import re
+from pathlib import Path
+
+from fishmj.calib import resolve
+from fishmj.calibrate.least_squares import Estimate
+from fishmj.effects import calibration
+from fishmj.effects.calibration import Fitted, Interval
+from fishmj.errors import ConfigError
+from fishmj.mjcf.description import load_robot
+from fishmj.store import write_text
+
+
+def start(out: Path, model: str) -> str:
+    """The text to change: `out` where it exists already, else the model's."""
+    return (out if out.is_file() else resolve(model)).read_text(encoding="utf-8")
+
+
+def write(out: Path, text: str, verb: str, estimates: dict[str, Estimate], effects: dict[str, Estimate], source: str) -> Path:
+    """Record the estimates, write the file, put the effects in, and read the fish back.
+
+    Args:
+        effects: {"coulomb_friction.torque": estimate}; one that is already there is replaced.
+
+    Raises:
+        ConfigError: the file would not be a fish.
+    """
+    write_text(out, recorded(text, verb, estimates, source))
+    kept = {f.name: f for f in calibration.read(out)}
+    for key, e in effects.items():
+        name, parameter = key.split(".")
+        kept[name] = Fitted(name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}")
+    calibration.write(out, tuple(kept.values()))
+    load_robot(out)
+    return out
+
+
+def put(text: str, table: str, values: dict[str, float], name: str = "") -> str:
+    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`.
+
+    Raises:
+        ConfigError: no such table or key.
+    """
+    lines, inside, left = text.splitlines(), False, dict(values)
+    block = -1
+    for i, line in enumerate(lines):
+        head = line.split("#")[0].strip()
+        if head.startswith("["):
+            inside, block = head in (f"[{table}]", f"[[{table}]]"), i
+        elif inside and name and re.fullmatch(r'name\s*=\s*"(.*)"', head):
+            inside = head.split('"')[1] == name
+        match = re.match(r"(\w+)\s*=\s*(\[[^]]*\]|[^#\s]+)(.*)", line)
+        if inside and block != i and match and match[1] in left:
+            lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{match[3]}"
+    if left:
+        raise ConfigError(f"[{table}] {name}: no line for {', '.join(left)}; the fish file must have one to be replaced")
+    return "\n".join(lines) + "\n"
+
+
+def _number(old: str, value: float) -> str:
+    """The new number; of a list, the first entry."""
+    return re.sub(r"\[\s*[^,\]]+", f"[{value:.6g}", old, count=1) if old.startswith("[") else f"{value:.6g}"
+
+
+def recorded(text: str, verb: str, estimates: dict[str, Estimate], source: str) -> str:
+    """The text with a block [calibration.<verb>], in place of an older one."""
+    kept, inside = [], False
+    for line in text.splitlines():
+        if line.startswith("["):
+            inside = line.strip() == f"[calibration.{verb}]"
+        if not inside:
+            kept.append(line)
+    rows = [f"[calibration.{verb}]", f'source = "{source}"']
+    for name, e in estimates.items():
+        rows.append(f'{name} = {{ value = {e.value:.6g}, low = {e.low:.6g}, high = {e.high:.6g}, unit = "{e.unit}" }}')
+    return "\n".join(kept).rstrip("\n") + "\n\n" + "\n".join(rows) + "\n"

@@ -1,0 +1,85 @@
+"""Servo and command latency from joint angles: torque = clip(kp (c(t - delay) - q), +-T) - kd q' - F sign(q').
+
+Fitted at once on sine, square and impulse in air and water (paper: "tuned to step and transient responses"), every sample at its
+own stamp. What the water and the hull do is known to some per cent only: those constants take part with their tolerance.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, fit
+from fishmj.calibrate.logs import MEDIA, Logs
+from fishmj.gap.plants.bench import CONSTANTS, Bench
+from fishmj.gap.records import Record
+
+FREE = ("kp", "kd", "friction", "command_latency")
+
+
+class Found(NamedTuple):
+    """The fit on everything, on each medium alone, and what it was fitted to."""
+
+    plant: Bench
+    records: list[Record]
+    row: np.ndarray
+    whole: Fit
+    alone: dict[str, Fit]
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        return {name: self.whole.estimates[name] for name in FREE}
+
+
+def calibrate(logs: Logs, plant: Bench, *, alone: bool = True) -> Found:
+    """Fit kp, kd, friction and command latency to the bench trials of `logs`.
+
+    Args:
+        alone: fit air and water by themselves as well: two media that disagree are a missing effect.
+
+    Raises:
+        LogError: too few trials, or none with joint angles.
+    """
+    records = [r for r in logs.records(plant.dt, logs.bench()) if r.joint is not None]
+    whole = fitted(plant, records)
+    media = [m for m in MEDIA if any(r.medium == m for r in records)] if alone else []
+    apart = {m: fitted(plant, [r for r in records if r.medium == m]) for m in media if len(media) > 1}
+    return Found(plant, records, row_of(plant, whole.theta), whole, apart)
+
+
+def parameters(plant: Bench) -> list[Parameter]:
+    """What is free, and the hull's constants within their tolerance."""
+    s, late = plant.robot.servo, plant.latency
+    free = [
+        Parameter("kp", "N m/rad", s.kp, 0.02 * s.kp, 0.1 * s.kp, 10 * s.kp),
+        Parameter("kd", "N m s/rad", s.kb + s.kv, 0.02 * s.kb, 0.1 * s.kb, 10 * s.kb),
+        Parameter("friction", "N m", 0.01, 0.002, 0.0, s.torque),
+        Parameter("command_latency", "s", late, 0.001, 0.0, late + 0.25),
+    ]
+    return free + [Parameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in CONSTANTS[2:]]
+
+
+def row_of(plant: Bench, theta) -> np.ndarray:
+    """The plant's row for fitted parameters (K,)."""
+    row = plant.null.copy()
+    row[[plant.place("kp"), plant.place("kd")]] = theta[:2]
+    row[plant.index("coulomb_friction", "torque")] = theta[2]
+    row[plant.index("command_latency", "delay")] = theta[3] - plant.latency
+    row[[plant.place(c.name) for c in CONSTANTS[2:]]] = theta[4:]
+    return row
+
+
+def fitted(plant: Bench, records: list[Record]) -> Fit:
+    """The fit on some records."""
+    blocks, size = [], 0
+    for record in records:
+        for _ in range(record.joint.values.shape[1]):
+            where = slice(size, size + len(record.joint.t))
+            blocks.append(Block(record.name, f"{record.excitation} {record.medium}", where))
+            size = where.stop
+
+    def residual(thetas: np.ndarray) -> np.ndarray:
+        predicted = plant.predict(records, np.array([row_of(plant, theta) for theta in thetas]))
+        parts = [(r.joint.values - p["joint"]).transpose(0, 2, 1) for r, p in zip(records, predicted, strict=True)]
+        return np.concatenate([part.reshape(len(thetas), -1) for part in parts], 1)
+
+    return fit(parameters(plant), residual, blocks)

@@ -1,0 +1,144 @@
+"""The four calibrations as the command line calls them: fit, tables, report, fish file."""
+
+from pathlib import Path
+from typing import Any
+
+from fishmj import console
+from fishmj.calibrate import latency, mass, model, overlay, servo, slip
+from fishmj.calibrate.least_squares import Estimate
+from fishmj.calibrate.logs import Logs, read
+from fishmj.calibrate.systematic import widened
+from fishmj.gap.plants.bench import Bench
+from fishmj.mjcf.description import load_robot
+
+Answer = dict[str, Any]
+
+
+def rows(estimates: dict[str, Estimate]) -> list[dict]:
+    """A table of estimates."""
+    return [
+        {"parameter": e.name, "value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "width from": e.widest}
+        for e in estimates.values()
+    ]
+
+
+def said(logs: Logs, more: str = "") -> list[str]:
+    """Where the trials come from."""
+    origins = sorted({f"{t.value('origin', '?')} ({t.value('source', '?')})" for t in logs.trials.values()})
+    return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
+
+
+def run_servo(args) -> Answer:
+    """Servo gain, damping, friction and command latency from sine, square and impulse."""
+    logs, plant = read(args.data), Bench(args.model)
+    found = servo.calibrate(logs, plant)
+    estimates = {name: widened(e) for name, e in found.estimates.items()}
+    apart = [
+        {"medium": m, **{name: fit.estimates[name].value for name in servo.FREE}, "rounds": fit.rounds}
+        for m, fit in found.alone.items()
+    ]
+    left = [
+        {"signal": s, "medium": m, "trials": len(part), "RMS left [deg]": overlay.rms(found, part)}
+        for s, m in sorted({(r.excitation, r.medium) for r in found.records})
+        if (part := [r for r in found.records if (r.excitation, r.medium) == (s, m)])
+    ]
+    console.say(*said(logs), console.table(rows(estimates)), "", console.table(apart), "", console.table(left))
+    tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left}
+    picture = overlay.draw(found, args.report / "overlay.png")
+    page = overlay.report(args.report, "Servo calibration", tables, picture, said(logs))
+    if args.out:
+        text, s = model.start(args.out, args.model), plant.robot.servo
+        kp, kd = estimates["kp"].value, estimates["kd"].value
+        text = model.put(text, "servo", {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)})
+        text = model.put(text, "timing", {"command_latency": estimates["command_latency"].value})
+        model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, str(args.data))
+    return {"estimates": plain(estimates), "alone": apart, "left": left, "report": page, "overlay": picture}
+
+
+def run_latency(args) -> Answer:
+    """Command and camera latency, from the clocks and against the fitted servo."""
+    logs, plant = read(args.data), Bench(args.model)
+    fitted = servo.calibrate(logs, plant, alone=False)
+    found = latency.calibrate(logs, fitted)
+    estimates = {name: widened(e) for name, e in found.estimates.items()}
+    lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
+    every = {finding for audit in found.audits.values() for finding in audit.findings}
+    findings = sorted(f for f in every if not f.startswith("pose drifts"))  # a fish that speeds up recoils later and later
+    console.say(*said(logs), console.table(lags), "", *findings, console.table(rows(estimates)))
+    tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
+    page = overlay.report(args.report, "Latency calibration", tables, None, said(logs))
+    if args.out:
+        values = {name: e.value for name, e in estimates.items()}
+        text = model.put(model.start(args.out, args.model), "timing", values)
+        model.write(args.out, text, "latency", estimates, {}, str(args.data))
+    return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page}
+
+
+def run_slip(args) -> Answer:
+    """Slip ratio of the hull from swims and a coast-down."""
+    if args.recompute:
+        return recomputed(args)
+    logs = read(args.data)
+    grid = args.grid or slip.grid_of(logs.trials.values())
+    swum = slip.measured(logs.trials.values())
+    found = slip.profile(swum, grid)
+    alone = {
+        name: slip.profile({name: value}, grid).estimate._replace(name=name)
+        for name, value in swum.items()
+        if name in found.predicted
+    }
+    facts = [{"metric": k, "measured": v, "trials": n} for k, (v, n) in swum.items()]
+    words = f"table of grid {grid}; J rises by {slip.RISE} at the ends of the interval. One swim alone leaves s open"
+    console.say(*said(logs, words), console.table(facts), "", console.table(found.rows()), "", console.table(rows(alone)))
+    console.say("", console.table(rows({"slip": found.estimate})))
+    tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
+    page = overlay.report(args.report, "Slip calibration", tables, None, said(logs, words))
+    if args.out:
+        model.write(args.out, model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, str(args.data))
+    return {
+        "estimates": plain({"slip": found.estimate}),
+        "profile": found.rows(),
+        "alone": plain(alone),
+        "grid": grid,
+        "report": page,
+    }
+
+
+def recomputed(args) -> Answer:
+    """One more entry for the table of solver swims."""
+    grid, ratios = args.grid or "paper", [float(text) for text in args.ratios.split(",")]
+    entry = slip.recompute(grid, ratios, args.device, args.tanks, args.seconds)
+    console.say(f"put this into data/calib/calibrate.toml, in place of grid {grid}:", "", "[[solver]]", f'grid = "{grid}"')
+    console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in values)}]" for key, values in entry.items() if key != "grid"))
+    return {"solver": entry}
+
+
+def run_mass(args) -> Answer:
+    """Masses, balance and yaw inertia from the page of weighings."""
+    robot = load_robot(args.model)
+    found = mass.calibrate(args.data, robot)
+    links = [{"link": name, "mass [kg]": m, "com from its front [m]": c} for name, (m, c) in found.links.items()]
+    console.say(console.table(rows(found.estimates)), "", console.table(links))
+    overlay.report(args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)])
+    if args.out:
+        text = model.start(args.out, args.model)
+        for name, (m, c) in found.links.items():
+            text = model.put(text, "link", {"mass": m, "com": c}, name)
+        text = model.put(text, "body", {"mass_total": round(sum(float(f"{m:.6g}") for m, _ in found.links.values()), 9)})
+        extra = found.estimates["yaw_inertia"]
+        beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
+        model.write(args.out, text, "mass", found.estimates, beyond, str(args.data))
+    return {"estimates": plain(found.estimates), "links": links}
+
+
+def plain(estimates: dict[str, Estimate]) -> dict[str, dict]:
+    """For JSON."""
+    return {name: e.plain() for name, e in estimates.items()}
+
+
+VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": run_mass}
+
+
+def default_report(verb: str) -> Path:
+    """Where the report goes unless it is said."""
+    return Path("runs") / "calibrate" / verb

@@ -1,0 +1,152 @@
+"""Many data sets of the flow solver with hidden effects, in several tanks; the same command goes on where it was stopped.
+
+python -m fishmj.campaign hidden --sets 48 --effects none --device cuda --out data/gap/lbm_null --truth truth_null.json
+python -m fishmj.campaign hidden --sets 36 --effects command_latency yaw_drag ... --device cuda --out data/gap/lbm --truth t.json
+python -m fishmj.campaign hidden --sets 2 --effects none command_latency=0.04 --excitations gait,steps,tow_ahead --seconds 5 ...
+
+Set i hides effect i of the list, round and round, in a robot of its own. OUT/<set>/ is a data set; what is hidden in it stands
+in the truth file only.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from fishmj import console, excitation
+from fishmj.campaign.hidden import jobs, swum, trial_of
+from fishmj.campaign.hidden_run import Job
+from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.excitation import PERIOD, Excitation
+from fishmj.lbm_oracle.device import device_of
+from fishmj.lbm_oracle.domain import preset
+from fishmj.log.folder import write_trial
+from fishmj.store import Manifest, read_json, write_json
+from fishmj.virtual_robot.dataset import parse
+
+SCHEMA = "fishmj.hidden/1"
+TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (docs/oracle.md)
+AGAIN = 0.1  # of the ticks are done again with finer steps, at three times the cost (docs/campaign.md)
+ON_GPU = 12
+PATIENCE = 300.0  # s of water that a CPU begins unasked
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("campaign hidden", "Data sets of the flow solver in which effects are hidden.")
+    add = parser.add_argument
+    add("--sets", type=int, default=1, metavar="N")
+    add("--effects", nargs="+", default=["none"], metavar="none|random|NAME[=value]", help="one a set, round and round")
+    add("--excitations", default="designed", help="designed, casual, all, or ids with commas")
+    add("--seconds", type=float, help="cut every experiment to this length")
+    add("--seed", type=int, default=0, help="of set 0; set i has seed + i")
+    add("--noise", type=float, default=1.0, help="factor on the sensors' noise")
+    add("--nuisance", type=float, default=0.1, help="relative half width of what nobody measured")
+    add("--slip", type=float, default=1.0, help="ratio of the hull, quoted at the paper's grid")
+    add("--domain", default="paper", help="box of water: paper, window, flow_tank, laptop (a preview)")
+    add("--device", default="auto")
+    add("--tanks", type=int, help=f"experiments side by side; {ON_GPU} on a GPU, else 1")
+    add("--out", type=Path, help="folder of data sets")
+    add("--truth", type=Path, help="file for what is hidden, outside of it")
+    add("--dry-run", action="store_true", help="print plan and cost, and stop")
+    args = parser.parse_args(argv)
+    plan = plan_of(args)
+    water = sum(job.steps * job.domain.dt for part in plan.values() for job in part)
+    steps = sum(job.steps for part in plan.values() for job in part)
+    cost = steps / TANK_STEPS * (1 + 3 * AGAIN)
+    console.say(
+        f"{len(plan)} sets, {sum(map(len, plan.values()))} trials, {water:.0f} s of water, {steps / 1e6:.2f} M tank-steps on"
+        f" {args.domain}: about {console.duration(cost)} of one H200 with {ON_GPU} tanks ({water / cost:.0f} times real time)"
+    )
+    if args.dry_run:
+        if args.json:
+            console.emit_json({"sets": len(plan), "water_s": water, "steps": steps, "gpu_s": cost})
+        return console.OK
+    if args.out is None or args.truth is None:
+        raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+    device = str(device_of(args.device))
+    if args.device == "auto" and device == "cpu" and water > PATIENCE:
+        console.warn(f"{water:.0f} s of water and no accelerator: nothing was run. --device cpu runs it all the same")
+        return console.FAILED_CHECK
+    _seal(args)
+    tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
+    lost = collect(args.out, plan, device, tanks)
+    for name, why in lost.items():
+        console.warn(f"{name}: {why}")
+    if args.json:
+        console.emit_json({"sets": len(plan), "out": args.out, "truth": args.truth, "lost": lost})
+    return console.FAILED_CHECK if lost else console.OK
+
+
+def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) -> dict[str, str]:
+    """Run what is missing in `out`; a set that is complete gets its manifest. Returns what nothing sound was left of."""
+    owner, waiting, lost = {}, [], {}
+    for name, part in plan.items():
+        if not (out / name / "manifest.json").is_file():
+            waiting += [job for job in part if not (out / name / job.name).is_dir()]
+            owner |= {id(job): name for job in part}
+    total = sum(job.steps for job in waiting)
+    done = 0
+    with console.Progress(total, "hidden", unit="steps") as bar:
+        for run in swum(waiting, device, tanks):
+            name, done = owner[id(run.job)], done + run.job.steps
+            try:
+                write_trial(out / name / run.job.name, trial_of(run))
+            except OracleUnstable as error:
+                lost[f"{name}/{run.job.name}"] = str(error)
+            bar.update(done, set=name)
+    for name, part in plan.items():
+        if all((out / name / job.name).is_dir() or f"{name}/{job.name}" in lost for job in part):
+            _close(out / name, {key: why for key, why in lost.items() if key.startswith(f"{name}/")})
+    return lost
+
+
+def plan_of(args) -> dict[str, list[Job]]:
+    """Jobs of every set, by its name.
+
+    Raises:
+        ConfigError, UnknownName: no set, no such effect, excitation or domain.
+    """
+    if args.sets < 1:
+        raise ConfigError(f"--sets {args.sets}; at least one")
+    runs = [_cut(excitation.get(name), args.seconds) for name in _ids(args.excitations)]
+    box = preset(args.domain)
+    plan = {}
+    for i in range(args.sets):
+        effects, seed = effects_of(args, i), args.seed + i
+        plan[f"set_{i:03d}"] = jobs(effects, runs, seed, args.noise, args.nuisance, box, args.slip)
+    return plan
+
+
+def effects_of(args, i: int) -> dict:
+    """What set i hides."""
+    text = args.effects[i % len(args.effects)]
+    return {} if text == "none" else parse([text], args.seed + i)
+
+
+def _ids(text: str) -> list[str]:
+    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "all": excitation.names()}
+    return list(shelf.get(text, [name.strip() for name in text.split(",")]))
+
+
+def _cut(what: Excitation, seconds: float | None) -> Excitation:
+    return what if seconds is None else replace(what, commands=what.commands[: max(50, round(seconds / PERIOD))])
+
+
+def _seal(args) -> None:
+    """Write what is hidden, before anything is run; a later call must ask for the same."""
+    if args.truth.resolve().is_relative_to(args.out.resolve()):
+        raise ConfigError(f"--truth {args.truth} lies inside {args.out}; choose a file outside, or nothing stays hidden")
+    asked = {key: getattr(args, key) for key in ("sets", "seed", "noise", "nuisance", "slip", "domain", "excitations", "seconds")}
+    hidden = {f"set_{i:03d}": {"effects": effects_of(args, i), "seed": args.seed + i} for i in range(args.sets)}
+    body = {"schema": SCHEMA, "origin": "synthetic", "asked": asked, "hidden": hidden}
+    if args.truth.is_file():
+        if read_json(args.truth) != body:
+            raise ConfigError(f"--truth {args.truth} belongs to another collection; choose another file and another --out")
+        return
+    if args.out.is_dir() and any(args.out.iterdir()):
+        raise ConfigError(f"--out {args.out} is not empty and --truth {args.truth} does not exist; choose another folder")
+    write_json(args.truth, body)
+
+
+def _close(folder: Path, lost: dict[str, str]) -> None:
+    """The manifest makes it a data set."""
+    if folder.is_dir() and not (folder / "manifest.json").is_file():
+        Manifest.of(folder, {"origin": "synthetic", "licence": "Apache-2.0", "lost": lost}).write(folder)

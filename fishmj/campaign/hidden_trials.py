@@ -1,0 +1,205 @@
+"""Calibration trials of a robot whose numbers nobody wrote down, and the sealed file that holds them.
+
+    python -m fishmj.campaign.hidden_trials --swims second                     seconds; the swims are the second robot's, too
+    python -m fishmj.campaign.hidden_trials --swims lbm --domain laptop --repeats-swims 1 --seconds 8 --device cpu     minutes
+    python -m fishmj.campaign.hidden_trials --swims lbm --domain paper --device cuda --tanks 9      all three repeats, on a GPU
+
+Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
+weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be
+the flow solver's, with a slip ratio drawn too. Who fits it may read everything in the folder but `sealed.json`, whose sha256
+stands in the manifest; `hidden_score` opens it.
+"""
+
+import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fishmj import console, excitation
+from fishmj.campaign.hidden_bench import weighings
+from fishmj.excitation import PERIOD, Excitation
+from fishmj.log import Trial, write_dataset
+from fishmj.log.toml import dumps
+from fishmj.store import Manifest, sha256, write_json, write_text
+from fishmj.virtual_robot import draws
+from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot.trials import plant, trial_of
+
+SEALED = "sealed.json"
+MEASUREMENTS = "measurements.toml"
+SCHEMA = "fishmj.sealed/1"
+OUT = Path("data") / "calib" / "trials"
+REPEATS = 3
+BENCH = ("sine", "square", "impulse")  # the paper's signals
+SWIMS = ("gait", "gait_slow", "tow_ahead")  # 1 Hz and 30 deg, another beat rate, coasting
+SECOND, SOLVER = "fishmj.virtual_robot", "fishmj.campaign.hidden"
+ROUGHEST = 0.05  # 1 - s, of the roughest hull that is drawn; small ones are likelier
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One hidden number: a field of the virtual robot's constants, drawn evenly from low to high."""
+
+    field: str
+    low: float
+    high: float
+    factor: bool = False  # of the nominal value, else added to it
+
+
+DRAWS = (
+    Draw("motor.gain", 0.8, 1.2, factor=True),
+    Draw("motor.damping", 0.0, 0.08),
+    Draw("motor.coulomb", 0.0, 0.06),
+    Draw("network.delay", -0.02, 0.04),
+    Draw("camera.delay", -0.02, 0.03),
+    Draw("hull.mass", 0.0, 0.1),
+    Draw("hull.com", -0.01, 0.01),
+    Draw("hull.inertia", 0.0, 0.004),
+)
+
+
+def hidden(seed: int, medium: str = "water") -> Plant:
+    """The robot of a seed: nuisance as every virtual robot has it, then the hidden numbers."""
+    made = plant({}, seed, medium=medium)
+    rng = draws.stream(seed, "calibration")
+    fields = {}
+    for item in DRAWS:
+        group, _, key = item.field.partition(".")
+        drawn, usual = float(rng.uniform(item.low, item.high)), float(getattr(getattr(made, group), key))
+        fields[item.field] = drawn * usual if item.factor else drawn + usual
+    return made.with_fields(fields)
+
+
+def slip_of(seed: int) -> float:
+    """Slip ratio of the hull of a seed; only the flow solver's swims have one."""
+    return 1.0 - ROUGHEST * float(draws.stream(seed, "slip").uniform()) ** 2
+
+
+def truth(made: Plant) -> dict[str, float]:
+    """What a perfect calibration would find, in its own words, SI."""
+    m, n, c = made.motor, made.network, made.camera
+    return {
+        "kp": m.gain,
+        "kd": m.constant**2 / m.resistance + m.rate_gain + m.viscous + m.damping,
+        "friction": m.dry + m.coulomb,
+        "command_latency": n.latency + n.delay + 0.5 * m.period,
+        "camera_latency": c.latency + c.delay,
+        "mass": made.body.total,
+        **_balance(made),
+    }
+
+
+def _balance(made: Plant) -> dict[str, float]:
+    """Balance point from the nose and yaw inertia about it, straight fish."""
+    body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
+    first = float(np.sum(body.first + body.mass * origin))
+    second = float(np.sum(body.second + 2 * origin * body.first + body.mass * origin**2))
+    middle = first / body.total
+    nose = float(body.hinge[0] + made.robot.links[0].length)
+    return {"com": nose - middle, "inertia": second - body.total * middle**2}
+
+
+def bench(repeats: int = REPEATS) -> Iterator[tuple[str, Excitation, str, int]]:
+    """(name, experiment, medium, repeat) of every trial of the servos."""
+    for medium in ("air", "water"):
+        for id_ in BENCH:
+            for repeat in range(repeats):
+                yield f"{medium}_{id_}_{repeat + 1}", excitation.get(id_), medium, repeat
+
+
+def swims(repeats: int = REPEATS, seconds: float | None = None) -> list[tuple[str, Excitation, int]]:
+    """(name, experiment, repeat) of every swim, cut to `seconds`."""
+    rows = len(excitation.get("gait_slow").commands) if seconds is None else round(seconds / PERIOD)
+    cut = lambda what: replace(what, commands=what.commands[:rows])  # noqa: E731
+    return [(f"swim_{id_}_{r + 1}", cut(excitation.get(id_)), r) for id_ in SWIMS for r in range(repeats)]
+
+
+def trials(seed: int, noise: float = 1.0, repeats: int = REPEATS) -> dict[str, Trial]:
+    """The servos' trials of the robot of `seed`, every repeat placed and measured anew."""
+    robots = {medium: hidden(seed, medium) for medium in ("air", "water")}
+    made = {}
+    for index, (name, what, medium, repeat) in enumerate(bench(repeats)):
+        first = f"{name[:-1]}1" if repeat else ""
+        made[name] = trial_of(robots[medium], what, seed, index, noise, name, first, (0.0, 0.0))
+        if medium == "air":
+            made[name].meta["bench"] = "hung on a thread of 1 m at the reference point"
+    return made
+
+
+def second_swims(seed: int, repeats: int = REPEATS, seconds: float | None = None) -> dict[str, Trial]:
+    """Swims in the second robot's own water."""
+    made, out = hidden(seed), {}
+    for index, (name, what, repeat) in enumerate(swims(repeats, seconds), 100):
+        out[name] = trial_of(made, what, seed, index, 1.0, name, f"{name[:-1]}1" if repeat else "", (0.0, 0.0))
+    return out
+
+
+def solver_swims(
+    seed: int, domain: str, device: str, tanks: int = 1, repeats: int = REPEATS, seconds: float | None = None
+) -> dict[str, Trial]:
+    """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed."""
+    from fishmj.campaign.hidden import swum
+    from fishmj.campaign.hidden import trial_of as seen
+    from fishmj.campaign.hidden_run import Job
+    from fishmj.lbm_oracle.domain import preset
+
+    made, slip, waiting = hidden(seed), slip_of(seed), []
+    for index, (name, what, repeat) in enumerate(swims(repeats, seconds), 100):
+        first = f"{name[:-1]}1" if repeat else ""
+        job = Job(made=made, what=what, seed=seed, index=index, name=name, replicate_of=first, slip=slip, domain=preset(domain))
+        waiting.append(job)
+    out = {}
+    for run in swum(waiting, device, tanks):
+        out[run.job.name] = seen(run)
+        console.say(f"{run.job.name}: {out[run.job.name].span[1]:.1f} s")
+    return out
+
+
+def write(out: str | Path, seed: int, swum: dict[str, Trial], *, overwrite: bool = False, slip: bool = False) -> Path:
+    """Trials, weighings, seal, manifest. Returns the manifest's path."""
+    out, made = Path(out), hidden(seed)
+    write_dataset(out, trials(seed) | swum, overwrite=overwrite)
+    write_text(out / MEASUREMENTS, dumps(weighings(made, truth(made), draws.stream(seed, "weighing"))))
+    values = truth(made) | ({"slip": slip_of(seed)} if slip else {})
+    return seal(out, seed, values, {"bench": SECOND, "weighing": SECOND, "swim": SOLVER if slip else SECOND})
+
+
+def seal(out: Path, seed: int, values: dict[str, float], generators: dict[str, str]) -> Path:
+    """Write the sealed file and, last, the manifest that knows its sha256 and does not list it."""
+    (out / SEALED).unlink(missing_ok=True)
+    found = Manifest.of(out)
+    write_json(out / SEALED, {"schema": SCHEMA, "origin": "synthetic", "seed": seed, "values": values, "generators": generators})
+    meta = {"origin": "synthetic", "licence": "Apache-2.0", "generators": generators}
+    meta["sealed"] = {"file": SEALED, "sha256": sha256(out / SEALED)}
+    return Manifest(found.files, meta).write(out)
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("campaign hidden_trials", "Calibration trials of a robot drawn anew, its numbers sealed.")
+    add = parser.add_argument
+    add("--out", type=Path, default=OUT)
+    add(
+        "--swims", choices=("second", "lbm"), default="second", help="water of the swims: the second robot's or the flow solver's"
+    )
+    add("--repeats-swims", type=int, default=REPEATS, metavar="N")
+    add("--seconds", type=float, help="cut the swims to this length")
+    add("--domain", default="paper", help="box of the flow solver")
+    add("--device", default="cpu")
+    add("--tanks", type=int, default=1)
+    add("--seed", type=int, help="of the robot; drawn by the system when not given")
+    add("--overwrite", action="store_true")
+    args = parser.parse_args(argv)
+    seed = secrets.randbits(48) if args.seed is None else args.seed
+    if args.swims == "lbm":
+        swum = solver_swims(seed, args.domain, args.device, args.tanks, args.repeats_swims, args.seconds)
+    else:
+        swum = second_swims(seed, args.repeats_swims, args.seconds)
+    write(args.out, seed, swum, overwrite=args.overwrite, slip=args.swims == "lbm")
+    console.say(f"{args.out}: {len(trials(seed)) + len(swum)} synthetic trials; the robot's numbers are sealed in {SEALED}")
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))
