@@ -96,7 +96,9 @@ def motion(xp, p: Panels, k: Links) -> Motion:
     """Features from the kinematics of the links."""
     n = len(p.area)
     middle = [k.w[i] + k.omega[i] * p.middle[i] for i in range(n)]
-    square = [k.u[i] * k.u[i] + k.w[i] * k.w[i] + k.omega[i] * (2 * p.middle[i] * k.w[i] + p.square[i] * k.omega[i]) for i in range(n)]
+    square = [
+        k.u[i] * k.u[i] + k.w[i] * k.w[i] + k.omega[i] * (2 * p.middle[i] * k.w[i] + p.square[i] * k.omega[i]) for i in range(n)
+    ]
     square = [xp.maximum(s, 0.0) for s in square]
     speed = [xp.sqrt(s + FLOOR**2) for s in square]
     xi = []
