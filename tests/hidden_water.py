@@ -5,6 +5,9 @@ The strip model with other coefficients, and two things that no strip model has:
     overshoot  cross-flow drag is higher while the speed across grows: C_o (|w| - |w| delayed) w
 """
 
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -262,3 +265,9 @@ def write_dataset(folder, records):
     write_json(folder / dataset.SPLIT, {"episodes": episodes, "sha256": dataset.split_hashes(episodes)})
     Manifest.of(folder).write(folder)
     return folder
+
+
+if __name__ == "__main__":  # python tests/hidden_water.py FOLDER: a whole synthetic campaign, to try the verbs of hydro_fit on
+    parts = (("train", 1.0, 0, 8.0), ("val", 0.5, 3, 8.0), ("test", 1.0, 11, 14.0))
+    every = [r for split, size, seed, seconds in parts for r in campaign(size, seed, split, seconds)]
+    print(write_dataset(Path(sys.argv[1]), every))
