@@ -9,12 +9,14 @@ a motion, h: too late a motion. Only where the command beats.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from fishmj.gap.localise.comparison import Comparison
 from fishmj.gap.localise.regimes import beat_of
 
 LEAST = 0.05  # rad, standard deviation of a command that beats
 BINS = 5
+RECENT = 0.25  # s, in which a command has become a motion
 
 
 class Beat(NamedTuple):
@@ -81,15 +83,14 @@ def analytic(values: np.ndarray) -> np.ndarray:
 
 
 def by_rate(c: Comparison) -> Rates | None:
-    """Joint residual by speed of the command; None without joints or when nothing is commanded."""
+    """Joint residual by the fastest command of the last RECENT seconds; None without joints or when nothing is commanded."""
     speed, level = [], []
     for b in c.layout.blocks:
         if b.channel != "joint":
             continue
         record = c.records[b.record]
         rate = np.abs(np.gradient(record.commands[:, b.column], record.dt))
-        width = max(round(0.06 / record.dt), 1)
-        rate = np.convolve(rate, np.ones(width) / width, mode="same")
+        rate = maximum_filter1d(rate, width := max(round(RECENT / record.dt), 1), origin=(width - 1) // 2)
         speed.append(np.interp(b.t, np.arange(len(rate)) * record.dt, rate))
         level.append(c.ratio[0][b.where])
     if not speed:

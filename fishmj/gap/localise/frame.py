@@ -7,7 +7,7 @@
                                                               odd: a turn too strong or too weak
 
 Seen from the body, a shows as first harmonic over the heading and b as a constant. Rates are straight lines through STRETCH
-seconds; fits weigh with the floor; standard deviations resample stretches of BLOCK seconds.
+seconds, tapered so that a beat does not look like a turn; fits weigh with the floor; standard deviations resample BLOCK seconds.
 """
 
 from typing import NamedTuple
@@ -16,9 +16,10 @@ import numpy as np
 
 from fishmj.gap.localise.comparison import Comparison
 
-STRETCH, BLOCK = 1.0, 3.0  # s
+STRETCH, EVERY, BLOCK = 2.0, 1.0, 4.0  # s
 DRAWS = 400
 OCTANTS = 8
+TURNS = 0.3  # rad/s, spread of the turning rate from which its share in the residual can be told
 MOVES = 0.03  # rad, standard deviation of a command that moves
 
 
@@ -47,7 +48,8 @@ class Frame(NamedTuple):
 
 
 class Side(NamedTuple):
-    """Residual of the turning rate: even [rad/s], odd [1], with sd; left, right: mean residual while turning there, rad/s."""
+    """Residual of the turning rate: even [rad/s], odd [1], with sd (infinite: cannot be told); left, right: mean residual while
+    turning there, rad/s."""
 
     even: float
     even_sd: float
@@ -81,7 +83,7 @@ def stretches(c: Comparison) -> list[Stretch]:
         t = blocks[0].t
         yaw = np.interp(t, record.pose.t, record.pose.values[:, 2])
         model = np.interp(t, record.pose.t, c.predictions[i]["pose"][0][:, 2])
-        for start in np.arange(0.0, t[-1] - STRETCH + 1e-6, STRETCH):
+        for start in np.arange(0.0, t[-1] - STRETCH + 1e-6, EVERY):
             some = (t >= start) & (t < start + STRETCH)
             if some.sum() < 4:
                 continue
@@ -125,14 +127,19 @@ def side(found: list[Stretch]) -> Side | None:
     turning, spin = np.array([s.turning for s in found]), np.array([s.spin for s in found])
     weight = np.array([s.spin_weight for s in found])
     columns = np.stack([np.ones(len(found)), turning], 1)[:, None]
-    value, sd = _fit(columns, spin[:, None], weight, _blocks(found))
+    both = turning.std() > TURNS
+    value, sd = _fit(columns if both else columns[..., :1], spin[:, None], weight, _blocks(found))
+    if not both:  # nothing turns: only the even part can be told
+        value, sd = np.append(value, 0.0), np.append(sd, np.inf)
     means = [float(np.mean(spin[some])) if (some := sign * turning > 0.1).any() else np.nan for sign in (1, -1)]
     return Side(float(value[0]), float(sd[0]), float(value[1]), float(sd[1]), *means)
 
 
 def _slope(t: np.ndarray, values: np.ndarray) -> float:
-    t = t - t.mean()
-    return float(t @ values / (t @ t))
+    """Of the straight line through values, weighted with a Hann window over the stretch."""
+    weight = np.sin(np.pi * (t - t[0] + 0.5 * (t[1] - t[0])) / (t[-1] - t[0] + t[1] - t[0])) ** 2
+    t = t - weight @ t / weight.sum()
+    return float((weight * t) @ values / ((weight * t) @ t))
 
 
 def _blocks(found: list[Stretch]) -> np.ndarray:

@@ -30,7 +30,6 @@ def write(inquiry: Inquiry, folder: Path, gates: Gates | None = None) -> list[st
     """Write the report; returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     material = gathered(inquiry, gates)
-    write_json(folder / "verdict.json", inquiry.verdict.plain())
     write_json(folder / "report.json", plain(material))
     write_text(folder / "report.html", html(material))
-    return ["verdict.json", "report.json", "report.html"]
+    return ["report.html", "report.json"]
