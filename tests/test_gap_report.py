@@ -94,7 +94,7 @@ def test_a_late_joint_sensor_is_at_the_joint(plant):
 
 
 def test_a_current_is_fixed_in_the_tank(plant):
-    runs = ("gait", "turn_left", "drift_north", "drift_west")
+    runs = tuple(f"drift_{way}" for way in ("east", "north", "west", "south"))
     p = localise(planted(plant, {"steady_current": {"x": 0.03, "y": 0.02}}, runs))
     towards = np.degrees(np.arctan2(p.frame.world[1], p.frame.world[0]))
     assert p.frame.points == "world" and abs(towards - np.degrees(np.arctan2(2, 3))) < 25

@@ -87,10 +87,10 @@ class Restart(Fish):
         self.latency = plant.latency - late.command  # cut() has shifted them
         self.swings = {s.record.name: s.swing for s in segments}
 
-    def _start(self, record: Record) -> np.ndarray:
-        state = super()._start(record)
+    def _starts(self, record: Record, effect_rows) -> np.ndarray:
+        state = super()._starts(record, effect_rows)
         nv = self.joints + 3
-        state[nv + 3 : 2 * nv] = self.swings[record.name]
+        state[:, nv + 3 : 2 * nv] = self.swings[record.name]
         return state
 
 
@@ -176,7 +176,7 @@ def errors(plant: Fish, records: list[Record], row: np.ndarray) -> tuple[np.ndar
     found = segments(records, late)
     if not found:
         return np.zeros(0, int), *np.zeros((2, 0, len(HORIZONS), plant.joints + 3))
-    parts = _as_reported(plant, [s for _, s in found], row, late)
+    parts = [s for _, s in found]
     predictions = Restart(plant, parts, late).predict([s.record for s in parts], row)
     error, start = np.full((2, len(parts), len(HORIZONS), plant.joints + 3), np.nan)
     for s, (part, predicted) in enumerate(zip(parts, predictions, strict=True)):
@@ -191,20 +191,6 @@ def errors(plant: Fish, records: list[Record], row: np.ndarray) -> tuple[np.ndar
                     moved = horizon if name == "pose" else 0.0  # a servo forgets its start
                     start[s, h, columns] = np.sqrt(state.value_sd**2 * (1 + 1 / some.sum()) + (moved * state.rate_sd) ** 2)
     return np.array([i for i, _ in found]), error, start
-
-
-def _as_reported(plant: Fish, parts: list[Segment], row: np.ndarray, late: Late) -> list[Segment]:
-    """Starts moved such that the row's own sensors report there what was measured: a camera that turns the world, an offset."""
-    still = []
-    for p in parts:
-        joint, pose = (s._replace(t=np.array([w]), values=s.values[:1]) for s, _, w in _clocks(p.record, late))
-        still.append(p._replace(record=p.record._replace(joint=joint, pose=pose)))
-    reported = Restart(plant, parts, late).predict([p.record for p in still], row)
-    out = []
-    for p, seen in zip(parts, reported, strict=True):
-        start, joints = 2 * p.record.start - seen["pose"][0, 0], 2 * p.record.joints - seen["joint"][0, 0]
-        out.append(p._replace(record=p.record._replace(start=start, joints=joints)))
-    return out
 
 
 def curves(plant: Fish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[Curve, ...]:
