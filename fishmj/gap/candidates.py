@@ -63,6 +63,9 @@ class Search:
                 row[self.plant.index(effect.name, effect.parameters[k].name)] = value
                 rows.append(row)
                 owners.append((effect, k, value))
+            for row in shaped(self.plant, base.row, effect):
+                rows.append(row)
+                owners.append((effect, -1, 0.0))
         tried = np.array(rows)
         z = self.z(tried)
         cost = np.einsum("rm,rm->r", z, z)
@@ -129,9 +132,28 @@ def probes(effect: Effect) -> list[tuple[int, float]]:
     """(parameter, value) pairs at which an effect is tried; several sizes, both sides where both make sense."""
     out = []
     for k, p in enumerate(effect.parameters):
+        if p.shape:
+            continue
         signs = (1.0, -1.0) if p.signed else ((1.0,) if p.high > p.null else (-1.0,))
         values = {float(np.clip(p.null + s * m * _size(p), p.low, p.high)) for s in signs for m in MAGNITUDES}
         out += [(k, v) for v in sorted(values - {p.null})]
+    return out
+
+
+def shaped(plant, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
+    """Rows with the effect at its usual size and each shaping parameter on either side of its null."""
+    out = []
+    shapes = [p for p in effect.parameters if p.shape]
+    for shape in shapes:
+        for value in {float(np.clip(shape.null + s * _size(shape), shape.low, shape.high)) for s in (1.0, -1.0)} - {shape.null}:
+            row = base.copy()
+            for p in effect.parameters:
+                if not p.shape:
+                    row[plant.index(effect.name, p.name)] = np.clip(
+                        p.null + (1 if p.high > p.null else -1) * _size(p), p.low, p.high
+                    )
+            row[plant.index(effect.name, shape.name)] = value
+            out.append(row)
     return out
 
 
@@ -141,6 +163,8 @@ def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
     for m in MAGNITUDES:
         columns, places, sizes = [], [], []
         for k, p in enumerate(effect.parameters):
+            if p.shape:
+                continue
             near = [(value, z) for (_, j, value), z in tried if j == k]
             value, z = min(near, key=lambda v: abs(abs(v[0] - p.null) - m * _size(p)))
             columns.append((z - base.z) / (value - p.null))
@@ -152,7 +176,7 @@ def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
             normal + 1e-6 * np.trace(normal) * np.eye(len(normal)) + 1e-12 * np.eye(len(normal)), jac @ base.z
         )
         row = base.row.copy()
-        for place, p, size, c in zip(places, effect.parameters, sizes, change, strict=True):
+        for place, p, size, c in zip(places, [p for p in effect.parameters if not p.shape], sizes, change, strict=True):
             row[place] = np.clip(p.null + c * size, p.low, p.high)
         out.append(row)
     return out

@@ -34,9 +34,9 @@ def costs(z: np.ndarray, layout) -> np.ndarray:
 
 
 def closure(cost_before: float, cost_after: float, size: float) -> float:
-    """Share of the excess that is gone; 0 when there was none."""
-    excess = cost_before - size
-    return float((cost_before - cost_after) / excess) if excess > 0 else 0.0
+    """Share of the excess over m that is gone; all of it once |z|^2 is below m."""
+    gone = cost_before - cost_after
+    return float(gone / max(cost_before - size, gone)) if gone > 0 else 0.0
 
 
 def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:

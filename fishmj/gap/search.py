@@ -19,6 +19,8 @@ from fishmj.gap.features import Layout
 from fishmj.gap.null import leftover, smooth, whitening
 from fishmj.gap.records import Record
 
+CHANCES = 3  # finalists that may show what they gain on held-out records
+
 
 @dataclass(frozen=True)
 class Gates:
@@ -88,7 +90,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Step:
-    """One round of the search. ranked: candidates on all records, best first; fitted: the same without the held-out ones."""
+    """One round of the search.
+
+    ranked: candidates on all records, the accepted one first, then by cost. fitted: the same without the held-out ones.
+    """
 
     ranked: tuple[Candidate, ...]
     fitted: dict[tuple[str, ...], Candidate]
@@ -153,11 +158,12 @@ def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gat
         short = sorted([*short, *swaps(fit, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
     ranked = whole.refine([moved(whole, c) for c in short[: gates.finalists]], 3)
     fitted = {c.names: c for c in short}
-    gain = _cost(rest, base.row) - _cost(rest, fitted[ranked[0].names].row)
-    enough = gates.gain
-    if base.names:
-        enough = max(enough + gates.again * _cost(rest, base.row), gates.beside * gained)
-    return Step(tuple(ranked), fitted, gain, gain > enough)
+    before = _cost(rest, base.row)
+    enough = max(gates.gain + gates.again * before, gates.beside * gained) if base.names else gates.gain
+    gains = [before - _cost(rest, fitted[c.names].row) for c in ranked[:CHANCES]]
+    first = next((i for i, gain in enumerate(gains) if gain > enough), 0)
+    ranked = [ranked[first], *ranked[:first], *ranked[first + 1 :]]
+    return Step(tuple(ranked), fitted, gains[first], gains[first] > enough)
 
 
 def swaps(fit: Search, short: list[Candidate], effects, gates: Gates) -> list[Candidate]:
