@@ -18,6 +18,7 @@ from fishmj.gap.verdict import Named, Value, Verdict
 from fishmj.log.replicates import RATIO
 
 CLOSURE, P_BEST = 0.6, 0.9
+CLOSE = 0.1  # of the gain: rivals that a reader should hear of
 LEFT = 25.0  # mean square over the floor's: five times its root
 
 
@@ -92,6 +93,11 @@ def rivals_of(r: Round) -> list[tuple[str, float]]:
     return sorted(others, key=lambda item: -item[1])
 
 
+def own_cost(r: Round) -> float:
+    """Cost of the best on groups left out, of the model before."""
+    return float(r.cost[r.names.index(r.fitted.names[-1])].sum() / r.before.sum())
+
+
 def doubts(study: Study, r: Round, effects: tuple[Named, ...]) -> list[str]:
     """What a reader should know before believing a round."""
     name = r.fitted.names[-1]
@@ -120,6 +126,7 @@ def report(study: Study, found: Outcome, verdict: Verdict) -> dict[str, Any]:
         "records": {"learned": len(study.learn), "kept_aside": len(study.aside)},
         "error_learned": [study.figure(e) for e in found.learned],
         "error_kept_aside": [study.figure(e) for e in found.kept_aside],
+        "each_kept_aside": {r.name: [study.figure(study.error([r], row)) for row in found.rows] for r in study.aside},
         "ratio": study.figure(found.kept_aside[-1]) / study.figure(found.kept_aside[0]),
         "rounds": [described(r) for r in found.rounds],
         "verdict": verdict.plain(),
@@ -150,8 +157,13 @@ def text(study: Study, found: Outcome, verdict: Verdict) -> str:
         lines.append(f"  {name} {state}: best in {r.best.count(name)} of {len(r.best)} folds, P(useful) = {r.useful:.2f}")
         others = [c for c in described(r)["candidates"] if c["name"] != name][:5]
         behind = ", ".join(f"{c['name']} {c['cost']:.2f}" for c in others)
-        own = next(c["cost"] for c in described(r)["candidates"] if c["name"] == name)
-        lines.append(f"    cost on groups left out, of the model before: {own:.2f}; others: {behind}")
+        lines.append(f"    cost on groups left out, of the model before: {own_cost(r):.2f}; others: {behind}")
+        close = [c["name"] for c in others if c["cost"] - own_cost(r) < CLOSE * (1.0 - own_cost(r))]
+        lines += (
+            [f"    within {CLOSE:.0%} of its gain, though behind in the draws: {', '.join(close)}"]
+            if r.accepted and close
+            else []
+        )
     return "\n".join([*lines, verdict.text()])
 
 

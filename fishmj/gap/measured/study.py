@@ -79,6 +79,11 @@ class Outcome:
     learned: tuple[float, ...]  # error on `learn`: baseline, then after each accepted round
     kept_aside: tuple[float, ...]
 
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """Parameter rows of the baseline and of each accepted round."""
+        return [self.base.row, *(r.fitted.row for r in self.rounds if r.accepted)]
+
 
 class Fold:
     """A search on some records, under the scatter of the baseline fitted to them."""

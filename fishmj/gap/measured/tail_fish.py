@@ -25,6 +25,7 @@ VARIANTS = {
     "a drag across the body of its own": dict(sway=True),
     "the video's clock corrected": dict(clock=True),
     "both": dict(sway=True, clock=True),
+    "the video's clock corrected, runs of the same pictures as without": dict(clock=True, pictures=True),
 }
 # Only ratios of force to mass show in a pose. The mass is that of the published robot (Wang & Tan 2015), about; forces are rough,
 # a fit adapts them.
@@ -43,14 +44,14 @@ HULL = Hull(
 CONSTANTS = tuple(Constant(name, 0.3) for name in ("thrust", "torque", "drag", "yaw_drag"))
 
 
-def study(clock: bool = False, sway: bool = False, seed: int = 0) -> Study:
+def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed: int = 0) -> Study:
     """The set as a study.
 
     Args:
-        clock: correct the video's clock by what each trial's meta data say. sway: a quadratic drag across the body in the
-        baseline, of its own size.
+        clock: correct the video's clock by what each trial's meta data say. pictures: but let runs and averages be the pictures
+        that they are without, so that errors compare. sway: a quadratic drag across the body in the baseline, of its own size.
     """
-    records = [r for name, trial in trials("tail_fish").items() if (r := swim(name, trial, clock)) is not None]
+    records = [r for name, trial in trials("tail_fish").items() if (r := swim(name, trial, clock, pictures)) is not None]
     groups = sorted({r.group for r in records})
     order = [groups[i] for i in np.random.default_rng(seed).permutation(len(groups))]
     aside, fold = set(order[:ASIDE]), {g: i % FOLDS for i, g in enumerate(order[ASIDE:])}
@@ -78,13 +79,14 @@ def study(clock: bool = False, sway: bool = False, seed: int = 0) -> Study:
     )
 
 
-def swim(name: str, trial: Trial, clock: bool = False) -> Swim | None:
+def swim(name: str, trial: Trial, clock: bool = False, pictures: bool = False) -> Swim | None:
     """The runs of one trial; None when it is too short for one."""
     pose = trial.table("pose")
     t = pose["t"] * (trial.value("clock_ratio.pose", 1.0) if clock else 1.0)
     h = float(np.median(np.diff(t)))
-    path = averaged(np.stack([pose["x"], pose["y"], np.unwrap(pose["yaw"])], 1), round(WINDOW / h))
-    steps = round(SPAN / h)
+    shown = float(np.median(np.diff(pose["t"]))) if pictures else h
+    path = averaged(np.stack([pose["x"], pose["y"], np.unwrap(pose["yaw"])], 1), round(WINDOW / shown))
+    steps = round(SPAN / shown)
     first = np.arange(0, len(path) - steps, steps)
     if not len(first):
         return None

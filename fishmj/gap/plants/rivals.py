@@ -10,6 +10,10 @@ def _sway(xp, p, b, memory, h):
     return b._replace(fy=b.fy - b.wet * p.coefficient * b.w), memory
 
 
+def _across(xp, p, b, memory, h):
+    return b._replace(fy=b.fy - b.wet * p.coefficient * xp.abs(b.w) * b.w), memory
+
+
 def _yaw(xp, p, b, memory, h):
     return b._replace(n=b.n - b.wet * p.coefficient * b.r), memory
 
@@ -38,6 +42,7 @@ def _rival(name: str, formula: str, unit: str, size: float, body, signed: bool =
 
 RIVALS = (
     _rival("linear_sway_damping", "fy = -c w", "N s/m", 1.0, _sway),
+    _rival("quadratic_sway_drag", "fy = -c |w| w", "N s2/m2", 40.0, _across),
     _rival("linear_yaw_damping", "n = -c r", "N m s", 0.003, _yaw),
     _rival("tail_side_force", "fy = c A^2 b", "N/rad3", 0.3, _side, signed=True),
     _rival("inert", "nothing", "1", 1.0, _nothing, signed=True),
