@@ -28,6 +28,7 @@ from fishmj.gap.records import Sensor
 
 SITES = {"body", "flow", "fish", "measure"}
 MOTION = 6  # x, y, yaw, u, w, r
+FAR = 1e3  # m, rad: where a run that diverged is put
 STILL = 1e-9  # m/s, keeps the root of V differentiable
 NOT_HERE = {"crossflow_drag", "tail_normal_force", "power_offset", "joint_zero_offset"}  # constants already, or not measured
 
@@ -182,7 +183,7 @@ class Body:
         """(R, K, 3) what a camera saw covered."""
         parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
         before = self._seen(parameters, np.broadcast_to(record.starts, end.shape), 0.0)
-        after = self._seen(parameters, end, record.span)
+        after = self._seen(parameters, np.clip(np.nan_to_num(end, nan=FAR), -FAR, FAR), record.span)
         return covered(before, after, record.starts[:, 2])
 
     def _seen(self, parameters, motion, t) -> np.ndarray:
