@@ -2,6 +2,8 @@
 
     command -> clamp, quantise -> bus (latency) -> [ inject water -> mj_step -> check -> advance water ] x 5 -> record
 
+Effects of the robot's description and a learnt water act as in every engine: `engines.solo` then stands in for `inject`.
+
     sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
 
@@ -16,7 +18,9 @@ import mujoco
 import numpy as np
 
 from fishmj import mjcf
+from fishmj.engines.added import SURROGATE, Added, in_water
 from fishmj.engines.record import Recorder, rescue
+from fishmj.engines.solo import Solo
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
 from fishmj.hydro_fit import chain
@@ -38,7 +42,8 @@ class Sim:
 
     Args:
         robot: description, TOML path or shipped name.
-        water: "structured" (strip model with added mass), "ellipsoid" (MuJoCo's own fluid) or "none".
+        water: "structured" (strip model with added mass), "surrogate" (the shipped fitted one; another by the path of its TOML),
+            "ellipsoid" (MuJoCo's own fluid) or "none".
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
@@ -63,16 +68,21 @@ class Sim:
         latency: float | None = None,
         rescue_folder: Path | None = None,
     ):
-        for kind, name, known in (("water", water, WATERS), ("engine", engine, ENGINES)):
+        fitted = water == SURROGATE or str(water).endswith(".toml")
+        for kind, name, known in (("water", water, (*WATERS, *[water] * fitted)), ("engine", engine, ENGINES)):
             if name not in known:
                 raise UnknownName(kind, name, known)
         self.robot, self.water_name, self.root = mjcf.load_robot(robot), water, root
+        if fitted:
+            self.robot, water = in_water(self.robot, water), "structured"
         self.flow, self.rescue_folder = flow or Flow(), rescue_folder
         timing = self.robot.timing
         check_timing(timing, f"{self.robot.name} [timing]")
         self.ticks_a_second = round(1 / timing.bus_dt)
         self.steps = round(timing.bus_dt / timing.physics_dt)
-        self.delay = round((timing.command_latency if latency is None else latency) / timing.physics_dt)
+        self.added = Added.of(self.robot)
+        late = float(self.added.late(np, self.added.row, "command"))
+        self.delay = round(((timing.command_latency if latency is None else latency) + late) / timing.physics_dt)
         self.swimmer = swimmer or chain.nominal(self.robot)
         self.model = mjcf.build(self.robot, root, ellipsoid=water == "ellipsoid")
         s = self.swimmer
@@ -80,7 +90,8 @@ class Sim:
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
         make_water = {"planar": PlanarWater, "free": FreeWater}[root]
-        self.water = make_water(self.robot, self.swimmer) if water == "structured" else None
+        self.solo = Solo.of(self.robot, self.added, self.swimmer, root, water)
+        self.water = make_water(self.robot, self.swimmer) if water == "structured" and self.solo is None else None
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)
@@ -97,13 +108,13 @@ class Sim:
         self.commands.append(sent)
         flow, power = self._meet_flow(), 0.0
         try:
-            with inject(self.model, self.water) if self.water else nullcontext() as fish:
+            with inject(self.model, self.water) if self.water else nullcontext(self.solo) as fish:
                 for i in range(self.steps):
                     self.data.ctrl[:] = self.arrived(self.tick * self.steps + i)
                     rates = self.data.qvel.copy()
                     self.recent.append((self.data.time, self.data.qpos.copy(), rates, self.data.ctrl.copy()))
                     fish.step(self.data) if fish else checked_step(self.model, self.data)
-                    power += self._electrical(rates) / self.steps
+                    power += (self.solo.power if self.solo else self._electrical(rates)) / self.steps
         except SimDiverged as error:
             raise rescue(self, error) from error
         self.tick += 1
@@ -144,8 +155,9 @@ class Sim:
     def _meet_flow(self) -> np.ndarray:
         """Look the flow up at every link, (N, 2) m/s, and tell the water; constant over the tick."""
         flow, ambient = sample(np, self._current, self.links()[None, :, :2], np.array([self.tick]))
-        if self.water:
-            self.water.set_flow(flow[0], ambient[0])
+        wet = self.water or self.solo
+        if wet:
+            wet.set_flow(flow[0], ambient[0])
         elif self.water_name == "ellipsoid":
             self.model.opt.wind[:2] = flow[0, 0]
         return flow[0]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fishmj import engines, mjcf
-from fishmj.engines import FishState, Trace
+from fishmj.engines import Trace
 from fishmj.tasks.env import Options, StationHold
 
 ROBOT = mjcf.load_robot("fish")
@@ -32,7 +32,7 @@ class Raft:
         v = jnp.concatenate([velocity[:, -1], 0.5 * commands[:, -1]], -1)
         buffer = jnp.concatenate([state.buffer, commands], 1)[:, -engines.BUFFER :]
         pose = jnp.where(broken[:, None], jnp.nan, path)
-        return FishState(q, v, state.attached, buffer), Trace(pose, commands, 0.5 * commands, velocity, velocity[:, :, 0])
+        return state._replace(q=q, v=v, buffer=buffer), Trace(pose, commands, 0.5 * commands, velocity, velocity[:, :, 0])
 
 
 @cache

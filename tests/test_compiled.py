@@ -63,7 +63,9 @@ def varied(batch, turbulence="default", seed=0, dtype=np.float64):
     state = state._replace(v=0.2 * rng.normal(size=state.v.shape), buffer=rng.uniform(-0.5, 0.5, state.buffer.shape))
     params = engines.nominal_params(ROBOT, batch)
     vary = lambda a, share: a * rng.uniform(1 - share, 1 + share, a.shape)  # noqa: E731
-    params = FishParams(*(vary(a, 0.2) for a in params[:4]), rng.uniform(-0.09, 0.09, (batch, 3)), vary(params.water, 0.2), None)
+    params = FishParams(
+        *(vary(a, 0.2) for a in params[:4]), rng.uniform(-0.09, 0.09, (batch, 3)), vary(params.water, 0.2), None, params.effects
+    )
     params = params._replace(delay=rng.integers(0, 40, batch).astype(np.int32))
     table, cell = table_of(turbulence)
     speed, direction, uniforms = rng.uniform(0.1, 0.3, batch), rng.uniform(-3, 3, batch), rng.random((batch, 4))

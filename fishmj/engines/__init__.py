@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj.engines.added import Added, bus_rows, in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.hydro_fit import chain, terms
@@ -25,7 +26,8 @@ class FishState(NamedTuple):
     q: Any  # (B, nv) m, rad
     v: Any  # (B, nv) m/s, rad/s
     attached: Any  # (B,) tail attachment, 0..1
-    buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last
+    buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last; longer where effects may delay commands (`rows_of`)
+    memory: Any  # (B, M) what effects and a learnt water remember (added.py); M = 0 without them
 
 
 class FishParams(NamedTuple):
@@ -37,7 +39,8 @@ class FishParams(NamedTuple):
     kb: Any  # (B, J) N m s/rad
     zero: Any  # (B, J) rad
     water: Any  # (B, 2 N + 9) coefficients of the strip model, flat
-    delay: Any  # (B,) int, command latency in physics steps
+    delay: Any  # (B,) int, command latency in physics steps, effects included
+    effects: Any  # (B, P) parameters of the robot's effects, in the order of its description
 
 
 class Trace(NamedTuple):
@@ -66,9 +69,9 @@ def flat_water(c: terms.Coefficients) -> np.ndarray:
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:
     """The calibrated fish, `batch` times, without randomisation (NumPy)."""
-    s = chain.nominal(robot)
+    s, added = chain.nominal(robot), Added.of(robot)
     rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))  # noqa: E731
-    delay = round(robot.timing.command_latency / robot.timing.physics_dt)
+    delay = round((robot.timing.command_latency + added.late(np, added.row, "command")) / robot.timing.physics_dt)
     return FishParams(
         mass=rows(s.mass),
         kp=rows(s.kp),
@@ -77,6 +80,7 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
         zero=rows(s.zero),
         water=rows(flat_water(s.water)),
         delay=np.full(batch, delay, np.int32),
+        effects=rows(added.row),
     )
 
 
@@ -95,7 +99,13 @@ def at_rest(robot: Robot, pose) -> FishState:
     pose = np.asarray(pose, float)
     batch, joints = len(pose), robot.n_joints
     q = np.concatenate([pose, np.zeros((batch, joints))], -1)
-    return FishState(q, np.zeros_like(q), np.full(batch, 0.5), np.zeros((batch, BUFFER, joints)))
+    memory = np.tile(Added.of(robot).memory, (batch, 1))
+    return FishState(q, np.zeros_like(q), np.full(batch, 0.5), np.zeros((batch, rows_of(robot), joints)), memory)
+
+
+def rows_of(robot: Robot) -> int:
+    """Bus commands that the engines remember of this robot."""
+    return bus_rows(robot, BUFFER)
 
 
 def ticks_per(robot: Robot) -> tuple[int, int]:
@@ -113,13 +123,17 @@ def check_commands(commands, joints: int) -> None:
 __all__ = [
     "BUFFER",
     "NAMES",
+    "Added",
     "Current",
     "FishParams",
     "FishState",
     "Trace",
     "at_rest",
     "flat_water",
+    "in_water",
     "make",
     "nominal_params",
+    "rows_of",
     "swimmer",
+    "with_effects",
 ]

@@ -16,6 +16,7 @@ from mujoco.batch import Batch
 
 from fishmj import mjcf
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.engines.added import Added, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.errors import MissingExtra, SimDiverged
 from fishmj.flow import Current, sample
@@ -98,6 +99,7 @@ class Shoal:
         batch = self._models(count, params)
         batch.qpos[:], batch.qvel[:] = state.q, state.v
         attached, buffer = np.array(state.attached, float), np.array(state.buffer, float)
+        memory = np.array(state.memory, float)
         before = batch.warning[:, :, 1].copy()  # counters; column 0 is the last degree of freedom
         q, v, ctrl, applied = batch.qpos, batch.qvel, batch.ctrl, batch.qfrc_applied
         blank = lambda n: np.empty((count, length, n))  # noqa: E731
@@ -106,14 +108,14 @@ class Shoal:
             buffer = np.concatenate([buffer[:, 1:], commands[:, k : k + 1]], 1)
             flow, ambient = sample(np, current, link_centres(np, self.chain, q), tick + k)
             for target in arrived(np, buffer, params.delay, self.steps, self.ramp):
-                force, attached, power = self.evaluate(q, v, attached, params, target, flow, ambient)
+                force, attached, power, memory = self.evaluate(q, v, attached, params, target, flow, ambient, memory)
                 ctrl[:], applied[:] = target, force
                 batch.step()
                 out.power[:, k] += power / self.steps
             out.pose[:, k], out.joint[:, k] = q[:, :3], q[:, 3:] - params.zero
             out.velocity[:, k], out.rate[:, k] = v[:, :3], v[:, 3:]
         lost = (batch.warning[:, :, 1] > before).any(-1) | ~np.isfinite(q).all(-1) | ~np.isfinite(v).all(-1)
-        return FishState(q.copy(), v.copy(), attached, buffer), out, np.flatnonzero(lost)
+        return FishState(q.copy(), v.copy(), attached, buffer, memory), out, np.flatnonzero(lost)
 
     def _models(self, count: int, params: FishParams):
         """The batch of `count` fish with these masses and gains."""
@@ -134,7 +136,7 @@ class Shoal:
 
 
 def evaluator_of(robot: Robot, ch: chain.Chain, name: str | None):
-    """f(q, v, attached, params, target, flow, ambient) -> (applied (B, nv), attached (B,), power (B,)), float64."""
+    """f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), float64."""
     if name != "jax":
         try:
             from fishmj.engines.compiled import Engine as Compiled
@@ -145,19 +147,20 @@ def evaluator_of(robot: Robot, ch: chain.Chain, name: str | None):
         except MissingExtra:
             if name == "compiled":
                 raise
-    return _jax_evaluator(ch)
+    return _jax_evaluator(ch, Added.of(robot))
 
 
-def _jax_evaluator(ch: chain.Chain):
+def _jax_evaluator(ch: chain.Chain, added: Added):
     import jax
     import jax.numpy as jnp
 
     @jax.jit
-    def forces(q, v, attached, params, target, flow, ambient):
+    def forces(q, v, attached, params, target, flow, ambient, memory):
         columns = lambda a: [a[:, i] for i in range(a.shape[1])]  # noqa: E731
-        links = [(flow[:, i, 0], flow[:, i, 1]) for i in range(ch.n)]
-        s = chain.step(jnp, ch, swimmer(params), columns(q), columns(v), attached, columns(target), links, columns(ambient))
-        return jnp.stack(s.applied, -1), s.attached, s.power
+        links, hooks = [columns(flow[:, i]) for i in range(ch.n)], added.hooks(jnp, columns(params.effects), columns(memory))
+        around = (columns(target), links, columns(ambient))
+        s = chain.step(jnp, ch, swimmer(params), columns(q), columns(v), attached, *around, hooks)
+        return jnp.stack(s.applied, -1), s.attached, s.power, stacked(jnp, s.memory, memory)
 
     def evaluate(*arguments):
         with jax.enable_x64(True):

@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.engines import BUFFER, FishParams, FishState, Trace, approx, check_commands, native, ticks_per
+from fishmj.engines import FishParams, FishState, Trace, approx, check_commands, native, rows_of, ticks_per
+from fishmj.engines.added import Added
 from fishmj.errors import ConfigError
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
@@ -33,6 +34,7 @@ class Applied(NamedTuple):
     force: np.ndarray  # (B, nv) generalised force that makes MuJoCo take the same step, N and N m
     attached: np.ndarray  # (B,) attachment after the step
     power: np.ndarray  # (B,) servos, W
+    memory: np.ndarray  # (B, M) after the step
 
 
 class Engine:
@@ -56,6 +58,7 @@ class Engine:
         native.require_numba()
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.steps, self.ticks = ticks_per(self.robot)
+        self.buffer, self.added = rows_of(self.robot), Added.of(self.robot)
         self.threads = threads or usable_cpus()
         self._pool: ThreadPoolExecutor | None = None
         self._owner = 0  # process of the pool
@@ -86,7 +89,8 @@ class Engine:
         real, read = self.dtype, _reader(batch, self.dtype)
         fresh = lambda *args: np.array(read(*args))  # noqa: E731  the loop writes into its state
         q, v = fresh("state.q", state.q, joints + 3), fresh("state.v", state.v, joints + 3)
-        attached, buffer = fresh("state.attached", state.attached), fresh("state.buffer", state.buffer, BUFFER, joints)
+        attached, buffer = fresh("state.attached", state.attached), fresh("state.buffer", state.buffer, self.buffer, joints)
+        memory = fresh("state.memory", state.memory, len(self.added.memory))
         delay = _reader(batch, np.dtype(np.int64))("params.delay", params.delay)
         if batch and delay.min() < 0:
             raise ConfigError(f"compiled engine, params.delay: got {delay.min()} physics steps, expected 0 or more")
@@ -99,26 +103,34 @@ class Engine:
             read("current.turn", current.turn, 2),
         )
         trace = tuple(np.empty((batch, ticks, size), real) for size in (3, joints, joints, 3, 1))
-        bodies = ((q, v, _column(attached)), buffer, read("commands", commands, ticks, joints), _swimmer(read, params, joints))
+        swimmer = self._swimmer(read, params)
+        bodies = ((q, v, _column(attached), memory), buffer, read("commands", commands, ticks, joints), swimmer)
         flow = (table.reshape(-1), table.shape[1], real.type(current.cell), table.ndim == 3)
         self._share(batch, self._advance, (*bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace))
-        return FishState(q, v, attached, buffer), Trace(*trace[:4], trace[4][..., 0])
+        return FishState(q, v, attached, buffer, memory), Trace(*trace[:4], trace[4][..., 0])
 
-    def forces(self, q, v, attached, params: FishParams, target, flow, ambient) -> Applied:
+    def forces(self, q, v, attached, params: FishParams, target, flow, ambient, memory=None) -> Applied:
         """`Step.applied`, attachment and power of one physics step over a batch, NumPy, float64.
 
         Args:
             q, v: (B, nv). attached: (B,). target: (B, J) encoder angles that the servos follow now, rad.
             flow: (B, N, 2) water velocity at the links, m/s. ambient: (B, 2) DU/Dt, m/s2. World frame.
+            memory: (B, M) of `FishState`; not needed by a robot to which nothing is added.
         """
         batch, joints = len(q), self.robot.n_joints
         read = _reader(batch, np.dtype(np.float64))
-        state = (read("q", q, joints + 3), read("v", v, joints + 3), _column(read("attached", attached)))
+        memory = read("memory", np.zeros((batch, 0)) if memory is None else memory, len(self.added.memory))
+        state = (read("q", q, joints + 3), read("v", v, joints + 3), _column(read("attached", attached)), memory)
         around = read("flow", flow, joints + 1, 2).reshape(batch, 2 * joints + 2)
-        given = (state, _swimmer(read, params, joints), read("target", target, joints), around, read("ambient", ambient, 2))
-        out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1))
+        given = (state, self._swimmer(read, params), read("target", target, joints), around, read("ambient", ambient, 2))
+        out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1, memory.shape[1]))
         self._share(batch, self._evaluate, (*given, out))
-        return Applied(out[0], out[1][:, 0], out[2][:, 0])
+        return Applied(out[0], out[1][:, 0], out[2][:, 0], out[3])
+
+    def _swimmer(self, read, params: FishParams) -> tuple:
+        j = self.robot.n_joints
+        sizes = {"mass": j + 1, "kp": j, "kv": j, "kb": j, "zero": j, "water": 2 * (j + 1) + 9, "effects": len(self.added.row)}
+        return tuple(read(f"params.{name}", getattr(params, name), size) for name, size in sizes.items())
 
     def _share(self, batch: int, kernel, arguments: tuple) -> None:
         """Run `kernel(first, stop, *arguments)` over all fish, whole blocks to each thread."""
@@ -146,7 +158,8 @@ class Engine:
         leaves, tree = jax.tree_util.tree_flatten((state, commands, params, slim, tick))
         sizes = [leaf.shape[1:] for leaf in leaves]
         nv = joints + 3
-        results = [(nv,), (nv,), (), (BUFFER, joints), (ticks, 3), (ticks, joints), (ticks, joints), (ticks, 3), (ticks,)]
+        results = [(nv,), (nv,), (), (self.buffer, joints), self.added.memory.shape]
+        results += [(ticks, 3), (ticks, joints), (ticks, joints), (ticks, 3), (ticks,)]
         width = sum(int(np.prod(size)) for size in results)
 
         def host(packed, table):
@@ -158,7 +171,7 @@ class Engine:
         shape = jax.ShapeDtypeStruct((batch, width), real)
         out = jax.pure_callback(host, shape, _pack(jnp, leaves, batch, real), current.table, vmap_method="sequential")
         out = _unpack(out, results)
-        return FishState(*out[:4]), Trace(*out[4:])
+        return FishState(*out[:5]), Trace(*out[5:])
 
 
 def usable_cpus() -> int:
@@ -178,11 +191,6 @@ def _reader(batch: int, dtype: np.dtype):
     return read
 
 
-def _swimmer(read, params: FishParams, joints: int) -> tuple:
-    sizes = {"mass": joints + 1, "kp": joints, "kv": joints, "kb": joints, "zero": joints, "water": 2 * (joints + 1) + 9}
-    return tuple(read(f"params.{name}", getattr(params, name), size) for name, size in sizes.items())
-
-
 def _rows(row: np.ndarray, table: tuple) -> np.ndarray:
     """Flow rows (B,), checked against the table's shape: the compiled loop reads memory unguarded."""
     square = len(table) == 4 and table[1] == table[2]
@@ -199,7 +207,7 @@ def _column(array: np.ndarray) -> np.ndarray:
 
 def _pack(xp, arrays: list, batch: int, dtype):
     """Arrays (B, ...) side by side as one (B, width)."""
-    return xp.concatenate([a.reshape(batch, -1).astype(dtype) for a in arrays], 1)
+    return xp.concatenate([a.reshape(batch, int(np.prod(a.shape[1:]))).astype(dtype) for a in arrays], 1)
 
 
 def _unpack(packed, sizes: list) -> list:

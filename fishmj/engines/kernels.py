@@ -161,20 +161,22 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
     w, ticks = np.zeros(ROWS * LANES, real), commands.shape[1]
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
     places = np.empty(3 * LANES, np.int64)
-    q, v, attached = state
-    mass, kp, kv, kb, zero, water = swimmer
+    q, v, attached, memory = state
+    mass, kp, kv, kb, zero, water, effects = swimmer
     mean, rms, row, offset, turn = current
     pose, joint, rate, velocity, power = trace
     for block in range(first, stop, LANES):
         load(w, Q, q, block)
         load(w, V, v, block)
         load(w, ATTACHED, attached, block)
+        load(w, MEMORY, memory, block)
         load(w, MASS, mass, block)
         load(w, KP, kp, block)
         load(w, KV, kv, block)
         load(w, KB, kb, block)
         load(w, ZERO, zero, block)
         load(w, WATER, water, block)
+        load(w, EFFECTS, effects, block)
         load(w, MEAN, mean, block)
         load(w, RMS, rms, block)
         load(w, SLICE, row, block)
@@ -201,25 +203,28 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
         store(q, w, Q, block)
         store(v, w, V, block)
         store(attached, w, ATTACHED, block)
+        store(memory, w, MEMORY, block)
         store_commands(buffer, line, ticks, block)
 
 
 def evaluate(first, stop, state, swimmer, target, flow, ambient, out):
     """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
     w = np.zeros(ROWS * LANES, real)
-    q, v, attached = state
-    mass, kp, kv, kb, zero, water = swimmer
-    applied, attached_new, power = out
+    q, v, attached, memory = state
+    mass, kp, kv, kb, zero, water, effects = swimmer
+    applied, attached_new, power, memory_new = out
     for block in range(first, stop, LANES):
         load(w, Q, q, block)
         load(w, V, v, block)
         load(w, ATTACHED, attached, block)
+        load(w, MEMORY, memory, block)
         load(w, MASS, mass, block)
         load(w, KP, kp, block)
         load(w, KV, kv, block)
         load(w, KB, kb, block)
         load(w, ZERO, zero, block)
         load(w, WATER, water, block)
+        load(w, EFFECTS, effects, block)
         load(w, TARGET, target, block)
         load(w, FLOW, flow, block)
         load(w, AMBIENT, ambient, block)
@@ -227,3 +232,4 @@ def evaluate(first, stop, state, swimmer, target, flow, ambient, out):
         store(applied, w, APPLIED, block)
         store(attached_new, w, ATTACHED, block)
         store(power, w, POWER, block)
+        store(memory_new, w, MEMORY, block)

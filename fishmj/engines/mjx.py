@@ -14,6 +14,7 @@ from mujoco import mjx
 
 from fishmj import mjcf
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.engines.added import Added, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.flow import Current, sample
 from fishmj.hydro_fit import chain
@@ -30,7 +31,7 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         self.robot, self.unroll = load_robot(robot), unroll
-        self.chain = chain.chain_of(self.robot)
+        self.chain, self.added = chain.chain_of(self.robot), Added.of(self.robot)
         model = mjcf.build(self.robot, bare=True)
         self.model, self.blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         self.steps, self.ticks = ticks_per(self.robot)
@@ -49,26 +50,27 @@ class Engine:
         columns = lambda a: [a[:, i] for i in range(a.shape[1])]  # noqa: E731
 
         def one_tick(carry, command):
-            q, v, attached, buffer, tick = carry
+            q, v, attached, buffer, memory, tick = carry
             buffer = jnp.concatenate([buffer[:, 1:], command[:, None]], 1)
             flow, ambient = sample(jnp, current, link_centres(jnp, self.chain, q), tick)
             targets = jnp.stack(arrived(jnp, buffer, params.delay, self.steps, self.ramp))
             links, ambient = [columns(flow[:, i]) for i in range(self.chain.n)], columns(ambient)
 
             def one_step(inner, target):
-                q, v, attached, power = inner
-                s = chain.step(jnp, self.chain, sw, columns(q), columns(v), attached, columns(target), links, ambient)
+                q, v, attached, memory, power = inner
+                hooks = self.added.hooks(jnp, columns(params.effects), columns(memory))
+                s = chain.step(jnp, self.chain, sw, columns(q), columns(v), attached, columns(target), links, ambient, hooks)
                 q, v = self._step(fields, q, v, target, jnp.stack(s.applied, -1))
-                return (q, v, s.attached, power + s.power), None
+                return (q, v, s.attached, stacked(jnp, s.memory, memory), power + s.power), None
 
-            start = (q, v, attached, jnp.zeros_like(attached))
-            (q, v, attached, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
+            start = (q, v, attached, memory, jnp.zeros_like(attached))
+            (q, v, attached, memory, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
             out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)
-            return (q, v, attached, buffer, tick + 1), out
+            return (q, v, attached, buffer, memory, tick + 1), out
 
-        start = (state.q, state.v, state.attached, state.buffer, tick)
-        (q, v, attached, buffer, _), trace = lax.scan(one_tick, start, jnp.swapaxes(commands, 0, 1))
-        return FishState(q, v, attached, buffer), Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
+        start = (state.q, state.v, state.attached, state.buffer, state.memory, tick)
+        (q, v, attached, buffer, memory, _), trace = lax.scan(one_tick, start, jnp.swapaxes(commands, 0, 1))
+        return FishState(q, v, attached, buffer, memory), Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
 
     def fields(self, params: FishParams) -> dict:
         """Model fields that differ from fish to fish, batch axis first."""

@@ -16,7 +16,8 @@ import tempfile
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
-from fishmj.engines import BUFFER, approx, codegen, ticks_per
+from fishmj.engines import approx, codegen, rows_of, ticks_per
+from fishmj.engines.added import Added
 from fishmj.errors import MissingExtra
 from fishmj.flow import TICK
 from fishmj.hydro_fit import chain, terms
@@ -49,12 +50,12 @@ def several(count, kind):
     return types.UniTuple(kind, count)
 
 
-STATE, SWIMMER = several(3, given(2)), several(6, given(2))
+STATE, SWIMMER = several(4, given(2)), several(7, given(2))
 ADVANCE = void(
-    int64, int64, several(3, result(2)), result(3), given(3), SWIMMER, given(2, int64),
+    int64, int64, several(4, result(2)), result(3), given(3), SWIMMER, given(2, int64),
     several(5, given(2)), given(2), given(1), int64, item, boolean, several(5, result(3)),
 )
-EVALUATE = void(int64, int64, STATE, SWIMMER, given(2), given(2), given(2), several(3, result(2)))
+EVALUATE = void(int64, int64, STATE, SWIMMER, given(2), given(2), given(2), several(4, result(2)))
 '''
 
 
@@ -70,8 +71,11 @@ def flat(tree) -> list:
     return [leaf for item in tree for leaf in flat(item)] if isinstance(tree, list | tuple) else [tree]
 
 
-def names_of(n: int) -> dict:
-    """Every row of the workspace for N links, in order: the arguments of `chain.step`, then what the loops need."""
+def names_of(n: int, parameters: int = 0, memory: int = 0) -> dict:
+    """Every row of the workspace for N links, in order: the arguments of `chain.step`, then what the loops need.
+
+    parameters, memory: of the effects and the learnt water.
+    """
     line = lambda name, count: [f"{name}{i}" for i in range(count)]  # noqa: E731
     pairs = lambda name, count: [(f"{name}{i}x", f"{name}{i}y") for i in range(count)]  # noqa: E731
     return {
@@ -87,6 +91,8 @@ def names_of(n: int) -> dict:
         "kb": line("kb", n - 1),
         "zero": line("zero", n - 1),
         "water": [*line("k_", n), *line("cn", n), *terms.Coefficients._fields[2:]],
+        "effects": line("effect", parameters),
+        "memory": line("memory", memory),
         "power": "power",
         "applied": line("applied", n + 2),
         "centre": pairs("centre", n),
@@ -108,30 +114,32 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
 
     from fishmj.engines.planar import link_centres
 
-    ch, names = chain.chain_of(robot), names_of(len(robot.links))
-    n = ch.n
+    ch, added = chain.chain_of(robot), Added.of(robot)
+    n, names = ch.n, names_of(ch.n, len(added.row), len(added.memory))
 
     def step(a):
         water = terms.Coefficients(a["water"][:n], a["water"][n : 2 * n], *a["water"][2 * n :])
         sw = chain.Swimmer(a["mass"], a["kp"], a["kv"], a["kb"], a["zero"], water)
-        return chain.step(jnp, ch, sw, a["q"], a["v"], a["attached"], a["target"], a["flow"], a["ambient"])
+        hooks = added.hooks(jnp, a["effects"], a["memory"], unrolled=True)
+        return chain.step(jnp, ch, sw, a["q"], a["v"], a["attached"], a["target"], a["flow"], a["ambient"], hooks)
 
     def physics(a):
         s = step(a)
-        return [*s.q, *s.v, s.attached, a["power"] + s.power]
+        return [*s.q, *s.v, s.attached, *s.memory, a["power"] + s.power]
 
     def forces(a):
         s = step(a)
-        return [*s.applied, s.attached, s.power]
+        return [*s.applied, s.attached, s.power, *s.memory]
 
     def centres(a):
         xp = SimpleNamespace(cos=jnp.cos, sin=jnp.sin, stack=lambda parts, axis: parts)
         return flat(link_centres(xp, ch, Row(a["q"])))
 
-    whole = ("q", "v", "attached", "target", "flow", "ambient", "mass", "kp", "kv", "kb", "zero", "water", "power")
+    fish = ("mass", "kp", "kv", "kb", "zero", "water", "effects")
+    whole = ("q", "v", "attached", "memory", "target", "flow", "ambient", *fish, "power")
     function, arguments, results = {
-        "physics": (physics, whole, ("q", "v", "attached", "power")),
-        "forces": (forces, whole[:-1], ("applied", "attached", "power")),
+        "physics": (physics, whole, ("q", "v", "attached", "memory", "power")),
+        "forces": (forces, whole[:-1], ("applied", "attached", "power", "memory")),
         "centres": (centres, ("q",), ("centre",)),
     }[name]
     program = codegen.trace(function, {key: names[key] for key in arguments}, f"{name}_")
@@ -150,10 +158,11 @@ def lane_loop(name: str, program: codegen.Program, results: list[str], rows: dic
 
 def write(robot: Robot, entry: str, precision: approx.Precision) -> str:
     """The text of the module whose entry point is `advance` or `evaluate`; `CACHE` is left to the loader."""
-    servo, names = robot.servo, names_of(len(robot.links))
+    servo, added = robot.servo, Added.of(robot)
+    names = names_of(len(robot.links), len(added.row), len(added.memory))
     rows = {name: i for i, name in enumerate(flat(list(names.values())))}
-    numbers = {key.upper(): rows[flat(tree)[0]] for key, tree in names.items()}
-    numbers |= dict(ROWS=len(rows), LANES=LANES, BUFFER=BUFFER, LINKS=len(robot.links), JOINTS=robot.n_joints)
+    numbers = {key.upper(): rows[flat(tree)[0]] if tree else 0 for key, tree in names.items()}
+    numbers |= dict(ROWS=len(rows), LANES=LANES, BUFFER=rows_of(robot), LINKS=len(robot.links), JOINTS=robot.n_joints)
     numbers |= dict(STEPS=ticks_per(robot)[0], RAMP=robot.timing.command_path == "move_time")
     parts = [HEADER.format(robot=robot.name, real=precision.name, whole=precision.integer)]
     parts += [f"{name} = {value!r}\n" for name, value in numbers.items()]

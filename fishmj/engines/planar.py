@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.engines.added import Added, stacked
 from fishmj.flow import Current, sample
 from fishmj.hydro_fit import chain
 from fishmj.mjcf.description import Robot
@@ -65,6 +66,7 @@ class Engine:
 
     def __init__(self, robot: Robot, unroll: int = 1):
         self.robot, self.chain, self.unroll = robot, chain.chain_of(robot), unroll
+        self.added = Added.of(robot)
         self.steps, self.ticks = ticks_per(robot)
         self.ramp = robot.timing.command_path == "move_time"
 
@@ -78,6 +80,7 @@ class Engine:
         check_commands(commands, self.robot.n_joints)
         sw = swimmer(params)
         commands = quantise(jnp, self.robot, commands)
+        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731
 
         def one_tick(carry, inputs):
             state, tick = carry
@@ -88,17 +91,16 @@ class Engine:
             ambient = (ambient[:, 0], ambient[:, 1])
 
             def one_step(inner, target):
-                q, v, attached, power = inner
-                target = [target[:, j] for j in range(self.chain.n - 1)]
-                s = chain.step(jnp, self.chain, sw, q, v, attached, target, flow, ambient)
-                return (tuple(s.q), tuple(s.v), s.attached, power + s.power), None
+                q, v, attached, memory, power = inner
+                hooks = self.added.hooks(jnp, split(params.effects), split(memory))
+                s = chain.step(jnp, self.chain, sw, q, v, attached, split(target), flow, ambient, hooks)
+                return (tuple(s.q), tuple(s.v), s.attached, stacked(jnp, s.memory, memory), power + s.power), None
 
-            split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731
-            start = (split(state.q), split(state.v), state.attached, jnp.zeros_like(state.attached))
-            (q, v, attached, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
+            start = (split(state.q), split(state.v), state.attached, state.memory, jnp.zeros_like(state.attached))
+            (q, v, attached, memory, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
             q, v = jnp.stack(q, -1), jnp.stack(v, -1)
             out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)
-            return (FishState(q, v, attached, buffer), tick + 1), out
+            return (FishState(q, v, attached, buffer, memory), tick + 1), out
 
         (state, _), trace = lax.scan(one_tick, (state, tick), jnp.swapaxes(commands, 0, 1))
         return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))

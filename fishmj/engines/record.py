@@ -9,6 +9,7 @@ from uuid import uuid4
 import numpy as np
 
 from fishmj import __version__
+from fishmj.engines.solo import reported
 from fishmj.errors import LogError, SimDiverged
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.model import reference_pose
@@ -37,11 +38,12 @@ class Recorder:
             raise LogError("Sim.trial: nothing recorded yet; call Sim.step or Sim.run first")
         start, t, cmd, pose, joint, rate, flow, power = (np.array(column) for column in zip(*self.rows, strict=True))
         servo = self.sim.robot.servo
+        seen_pose, seen_joint, seen_rate, total = reported(self.sim.added, t, pose, joint, rate, power + servo.idle_power)
         tables = {
             "cmd": {"t": start, **numbered("c#", cmd)},
-            "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
-            "pose": {"t": t, "x": pose[:, 0], "y": pose[:, 1], "yaw": pose[:, 2]},
-            "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": (power + servo.idle_power) / servo.voltage},
+            "joint": {"t": t, **numbered("j#", seen_joint), **numbered("w#", seen_rate)},
+            "pose": {"t": t, "x": seen_pose[:, 0], "y": seen_pose[:, 1], "yaw": seen_pose[:, 2]},
+            "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": total / servo.voltage},
             "truth": truth(t, pose, joint, rate),
             "flow": {"t": start, **numbered("u#x", flow[:, :, 0]), **numbered("u#y", flow[:, :, 1])},
         }
@@ -56,7 +58,10 @@ def truth(t, pose, joint, rate) -> dict:
 
 def meta_of(sim) -> dict:
     """Meta data of a simulated trial."""
-    flow = sim.flow
+    flow, listed = sim.flow, [fitted.name for fitted in sim.robot.effects]
+    sensors = (
+        f"joint, pose and power through the sensors of the effects {', '.join(listed)}" if listed else "joint and pose are exact"
+    )
     return {
         "schema": SCHEMA,
         "origin": "synthetic",
@@ -70,7 +75,7 @@ def meta_of(sim) -> dict:
         "versions": {"fishmj": __version__, "mujoco": version("mujoco"), "numpy": version("numpy")},
         "source": "fishmj.sim",
         "licence": "Apache-2.0",
-        "notes": "simulated; joint and pose are exact, without sensor noise",
+        "notes": f"simulated; {sensors}, without sensor noise",
     }
 
 

@@ -31,6 +31,11 @@ class Engine:
     jittable = False
 
     def __init__(self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto"):
+        if robot.effects:
+            listed = ", ".join(fitted.name for fitted in robot.effects)
+            raise ConfigError(
+                f"tanks: the flow solver's fish has no place for effects, {robot.name} has {listed}; use its nominal file"
+            )
         self.robot, self.flows = robot, list(flows)
         self.domain, self.slip, self.device = preset(domain), slip, device
         self.tanks: Tanks | None = None
@@ -64,7 +69,7 @@ class Engine:
         trace = Trace(*(np.stack(column, 1) for column in zip(*rows, strict=True)))
         q = np.concatenate([trace.pose[:, -1], trace.joint[:, -1] + params.zero], -1)
         v = np.concatenate([trace.velocity[:, -1], trace.rate[:, -1]], -1)
-        return FishState(q, v, np.zeros(batch), np.asarray(state.buffer)), trace
+        return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), np.asarray(state.memory)), trace
 
     def _fill(self, q: np.ndarray, params: FishParams) -> Tanks:
         if len(q) != len(self.flows):

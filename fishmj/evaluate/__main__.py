@@ -12,7 +12,7 @@ from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
-WATERS = ("structured", "lbm")
+WATERS = ("structured", "surrogate", "lbm")
 FALLBACKS = ("compiled", "planar")
 
 
@@ -22,7 +22,7 @@ def options(argv: list[str]):
     add = parser.add_argument
     add("controllers", nargs="+", metavar="CONTROLLER", help=f"{', '.join(controllers.NAMES)}, a shipped policy or a policy file")
     add("--robot", default="fish", help="shipped name or TOML file")
-    add("--water", default="structured", help=", ".join(WATERS))
+    add("--water", default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")
     add("--domain", default="paper", help="box of water of --water lbm: paper, flow_tank, window, laptop (a preview)")
     add("--slip", type=float, default=1.0, help="slip ratio of --water lbm at the paper's grid")
     add("--device", default="auto", help="of --water lbm: auto, cpu, cuda")
@@ -53,11 +53,11 @@ def numbers(text: str) -> list[float]:
 
 def main(argv: list[str]) -> int:
     args = options(argv)
-    if args.water not in WATERS:
+    if args.water not in WATERS and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, WATERS)
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
-    robot = load_robot(args.robot)
+    robot = load_robot(args.robot) if args.water == "lbm" else engines.in_water(load_robot(args.robot), args.water)
     if args.command_path is not None:
         if args.command_path not in COMMAND_PATHS:
             raise UnknownName("command path", args.command_path, COMMAND_PATHS)

@@ -15,6 +15,7 @@ from fishmj.evaluate.result import Result
 from fishmj.flow import stack
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.sensing import Sensors, readings
 
 
 def run(
@@ -47,20 +48,20 @@ def run(
     current = stack(trials.flows())
     state = engines.at_rest(robot, start)
     state.q[:, 3:] = params.zero
-    history = np.repeat(start[:, None], task.history_length(robot), 1)
-    joint = rate = np.zeros((n, robot.n_joints))
+    length, sensors = task.history_length(robot), Sensors(robot)
+    history, recent = np.repeat(start[:, None], length, 1), np.zeros((n, sensors.behind + 1, 2 * robot.n_joints))
     rows: list[tuple] = []
     brain.reset(n)
     for k in range(steps):
-        obs = task.observe(np, robot, history, camera, joint, rate, target, noise[:, k])
+        obs = task.look(np, robot, sensors, params, history, camera, recent, target, noise[:, k])
         command = _checked(brain, brain(obs), (n, ticks, robot.n_joints))
         try:
             state, trace = body.advance(state, command, params, current, np.full(n, k * ticks))
         except SimDiverged as error:
             raise _named(error, trials, k * robot.timing.control_dt) from error
         trace = engines.Trace(*(np.asarray(a, float) for a in trace))
-        history = np.concatenate([history, trace.pose], 1)[:, -task.history_length(robot) :]
-        joint, rate = trace.joint[:, -1], trace.rate[:, -1]
+        history = np.concatenate([history, trace.pose], 1)[:, -length:]
+        recent = np.concatenate([recent, readings(np, trace.joint, trace.rate)], 1)[:, -sensors.behind - 1 :]
         rows.append((*trace, command, obs[:, None], _action(brain)))
         progress(k + 1)
     return _result(brain, robot, trials, body, start, target, rows)

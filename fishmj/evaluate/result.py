@@ -32,8 +32,8 @@ class Result(NamedTuple):
 
     @property
     def water(self) -> str:
-        """`lbm` for the flow solver, else `structured`."""
-        return "lbm" if self.engine.startswith("tanks") else "structured"
+        """`lbm` for the flow solver, else the robot's model: `structured`, `surrogate` or the file of a fitted one."""
+        return "lbm" if self.engine.startswith("tanks") else str(self.robot.water.get("model", "structured"))
 
 
 def arrival_tick(result: Result) -> np.ndarray:

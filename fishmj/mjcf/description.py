@@ -7,9 +7,13 @@ listed from nose to tail; each hangs on the rear end of the one before it by a s
 from dataclasses import dataclass, field, fields
 from math import pi, radians
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fishmj.calib import read_toml, resolve
 from fishmj.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fishmj.effects.calibration import Fitted
 
 COMMAND_PATHS = ("linear", "hold", "move_time")
 
@@ -92,6 +96,7 @@ class Robot:
     water: dict = field(default_factory=dict)
     title: str = ""
     density_water: float = 1000.0  # kg/m3
+    effects: "tuple[Fitted, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
 
     @property
     def n_joints(self) -> int:
@@ -149,6 +154,7 @@ def robot_from_dict(table: dict, where: str) -> Robot:
         timing=timing,
         water=dict(table.get("water", {})),
         density_water=float(table.get("body", {}).get("density_water", 1000.0)),
+        effects=_effects(table, where),
     )
     total = table.get("body", {}).get("mass_total")
     if total is not None and abs(robot.mass - total) > 1e-9:
@@ -169,6 +175,15 @@ def check_timing(timing: Timing, where: str) -> None:
             )
     if timing.command_path not in COMMAND_PATHS:
         raise ConfigError(f"{where}: command_path = {timing.command_path!r}; choose one of {', '.join(COMMAND_PATHS)}")
+
+
+def _effects(table: dict, where: str) -> "tuple[Fitted, ...]":
+    """The blocks [[effect]]; the catalogue is loaded only for a fish that has some."""
+    if not table.get("effect"):
+        return ()
+    from fishmj.effects.calibration import parse
+
+    return parse(table, where)
 
 
 def _link(entry: dict, where: str) -> Link:

@@ -11,6 +11,7 @@ from fishmj.hydro_fit import chain
 from fishmj.log import Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.sensing import Sensors, readings
 from fishmj.units import wrap
 
 FASTEST = 0.5  # m/s
@@ -44,8 +45,9 @@ class Pond:
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.engine = engines.make(engine, self.robot) if isinstance(engine, str) else engine
         self._chain = chain.chain_of(self.robot)
-        self._params = engines.nominal_params(self.robot, 1)
-        self._camera = np.array([round(self.robot.timing.camera_latency / self.robot.timing.bus_dt)])
+        self._params, self._sensors = engines.nominal_params(self.robot, 1), Sensors(self.robot)
+        late = float(self._sensors.added.late(np, self._params.effects[0], "pose"))
+        self._camera = np.array([max(0, round((self.robot.timing.camera_latency + late) / self.robot.timing.bus_dt))])
         self._ticks = engines.ticks_per(self.robot)[1]
         self.choose(controller)
         self.reset()
@@ -61,7 +63,8 @@ class Pond:
         self.target, self.count = np.array([0.7, 0.0]), 0
         self._state = engines.at_rest(self.robot, start)
         self._history = np.repeat(start[:, None], task.history_length(self.robot), 1)
-        self._joint = self._rate = np.zeros((1, self.robot.n_joints))
+        self._joint = np.zeros((1, self.robot.n_joints))
+        self._recent = np.zeros((1, self._sensors.behind + 1, 2 * self.robot.n_joints))
         self._current, self._random = self.flow.current(), np.random.default_rng(self.flow.seed)
         self.controller.reset(1)
         self.chunks: list[Chunk] = []
@@ -91,13 +94,15 @@ class Pond:
     def step(self) -> Chunk:
         """One control step of 0.2 s."""
         noise = self.noise * self._random.standard_normal((1, 5 + 2 * self.robot.n_joints))
-        obs = task.observe(np, self.robot, self._history, self._camera, self._joint, self._rate, self.target[None], noise)
+        seen = (self._history, self._camera, self._recent, self.target[None], noise)
+        obs = task.look(np, self.robot, self._sensors, self._params, *seen)
         command = np.asarray(self.controller(obs), float)
         first = np.array([self.count * self._ticks])
         self._state, trace = self.engine.advance(self._state, command, self._params, self._current, first)
         trace = engines.Trace(*(np.asarray(a, float) for a in trace))
         self._history = np.concatenate([self._history, trace.pose], 1)[:, -task.history_length(self.robot) :]
-        self._joint, self._rate = trace.joint[:, -1], trace.rate[:, -1]
+        self._joint = trace.joint[:, -1]
+        self._recent = np.concatenate([self._recent, readings(np, trace.joint, trace.rate)], 1)[:, -self._sensors.behind - 1 :]
         q = np.concatenate([trace.pose[0], trace.joint[0]], -1)
         ticks = first + 1 + np.arange(self._ticks)
         chunk = Chunk(

@@ -23,6 +23,7 @@ from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import Rules, Scenario, Setting
+from fishmj.tasks.sensing import readings
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
@@ -113,16 +114,17 @@ class FishTask(base.Task):
         if trace.pose.shape[1]:
             self.count += 1
             self.history = np.concatenate([self.history, trace.pose], 1)[:, -self.rules.history :]
-            self.joint, self.rate, self.trace = trace.joint[:, -1], trace.rate[:, -1], trace
+            self.rate, self.trace, late = trace.rate[:, -1], trace, self.rules.sensors.behind
+            self.recent = np.concatenate([self.recent, readings(np, trace.joint, trace.rate)], 1)[:, -late - 1 :]
             self.normals = self._sensors()
             physics.place_target(self._target())
         super().after_step(physics)
 
     def get_observation(self, physics: Physics) -> OrderedDict:
         """The egocentric observation by name."""
-        rules, camera, target = self.rules, self.scenario.camera, self._target()[None]
-        noise = rules.noise(self.normals)
-        seen = task.observe(np, rules.robot, self.history, camera, self.joint, self.rate, target, noise)[0]
+        rules, now = self.rules, self.scenario
+        sight = (self.history, now.camera, self.recent, self._target()[None], rules.noise(self.normals))
+        seen = task.look(np, rules.robot, rules.sensors, now.params, *sight)[0]
         names = spans(rules.n_act)
         parts = np.split(seen, np.cumsum([*names.values()])[:-1])
         return OrderedDict((name, part.copy()) for name, part in zip(names, parts, strict=True))
@@ -149,7 +151,8 @@ class FishTask(base.Task):
         self.scenario, self.normals, self.count = scenario, normals, 0
         self.trace = None
         self.history = np.repeat(scenario.launch.start.pose[:, None], self.rules.history, 1)
-        self.command = self.joint = self.rate = np.zeros((1, self.rules.n_act))
+        self.command = self.rate = np.zeros((1, self.rules.n_act))
+        self.recent = np.zeros((1, self.rules.sensors.behind + 1, 2 * self.rules.n_act))
 
     def _sensors(self) -> np.ndarray:
         return self.random.standard_normal((1, self.rules.n_obs))

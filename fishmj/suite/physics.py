@@ -44,6 +44,7 @@ class Swim:
     current: Current
     attached: np.ndarray  # (1,)
     buffer: np.ndarray  # (1, BUFFER, J) bus commands
+    memory: np.ndarray  # (1, M) of effects and a learnt water
     pending: np.ndarray  # (T, J) bus commands not yet sent
     steps: int  # physics steps in a bus tick
     keep: int  # bus ticks in a control step
@@ -70,13 +71,18 @@ class Physics(dm_mujoco.Physics):
         """
         physics = cls.from_model(wrapper.MjModel(build_scene(robot, root).compile()))
         ch, free = chain.chain_of(robot), root == "free"
+        if free and robot.effects:
+            raise ConfigError(
+                "suite: effects act on a fish with a planar root; choose root = 'planar', or a robot without [[effect]]"
+            )
         physics.free_water = FreeWater(robot) if free else None
         model = physics.model
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
         rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
         physics.swim = Swim(
             robot=robot, chain=ch, evaluate=None if free else evaluator(robot, ch), params=engines.nominal_params(robot, 1),
-            current=Flow().current(), attached=rest.attached, buffer=rest.buffer, pending=np.zeros((0, robot.n_joints)),
+            current=Flow().current(), attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
+            pending=np.zeros((0, robot.n_joints)),
             steps=steps, keep=keep,
         )  # fmt: skip
         return physics
@@ -90,8 +96,8 @@ class Physics(dm_mujoco.Physics):
         self.data.qvel[:] = 0.0
         rest = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
         self.swim = replace(  # a new one: copies made before keep theirs
-            self.swim, params=params, current=current, attached=rest.attached, buffer=rest.buffer, pending=self.swim.pending[:0],
-            step=0, targets=(), water=None, yaw=float(pose[2]), power=0.0, rows=(),
+            self.swim, params=params, current=current, attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
+            pending=self.swim.pending[:0], step=0, targets=(), water=None, yaw=float(pose[2]), power=0.0, rows=(),
         )  # fmt: skip
 
     def send(self, commands) -> None:
@@ -178,7 +184,8 @@ class Physics(dm_mujoco.Physics):
 
     def _step_planar(self) -> None:
         target, s, data = self._command(), self.swim, self.data.ptr
-        force, attached, power = s.evaluate(data.qpos[None], data.qvel[None], s.attached, s.params, target, *s.water)
+        state = (data.qpos[None], data.qvel[None], s.attached, s.params)
+        force, attached, power, s.memory = s.evaluate(*state, target, *s.water, s.memory)
         data.ctrl[:], data.qfrc_applied[:] = target[0], force[0]
         mujoco.mj_step(self.model.ptr, data)
         self._remember(attached, float(power[0]))
@@ -248,18 +255,20 @@ def evaluator(robot: Robot, ch: chain.Chain):
         from fishmj.engines.compiled import Engine as Compiled
 
         compiled = Compiled(robot, threads=1)
-        compiled.forces(rest.q, rest.v, rest.attached, params, *still)  # compiles now, not in the first step
+        compiled.forces(rest.q, rest.v, rest.attached, params, *still, rest.memory)  # compiles now, not in the first step
         return compiled.forces
     except MissingExtra:
-        return lambda *arguments: in_numpy(ch, *arguments)
+        added = engines.Added.of(robot)
+        return lambda *arguments: in_numpy(ch, added, *arguments)
 
 
-def in_numpy(ch: chain.Chain, q, v, attached, params, target, flow, ambient):
-    """(applied (1, nv), attached (1,), power (1,)) of one fish, batch axis of 1 on every argument."""
+def in_numpy(ch: chain.Chain, added: engines.Added, q, v, attached, params, target, flow, ambient, memory):
+    """(applied (1, nv), attached (1,), power (1,), memory (1, M)) of one fish, batch axis of 1 on every argument."""
     one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
     line = lambda a: [float(x) for x in a[0]]  # noqa: E731
-    s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient))
-    return np.array([s.applied]), np.array([s.attached]), np.array([s.power])
+    hooks = added.hooks(np, line(params.effects), line(memory))
+    s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient), hooks)
+    return np.array([s.applied]), np.array([s.attached]), np.array([s.power]), np.array([s.memory], float).reshape(1, -1)
 
 
 __all__ = ["TARGET", "Physics", "Swim", "evaluator", "in_numpy"]

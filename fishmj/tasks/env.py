@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from fishmj import engines, flow
 from fishmj.calib import constant
@@ -20,6 +21,7 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.sensing import Sensors, readings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +35,7 @@ class Options:
     memory: int = 1  # observations (with the actions between them) that the policy sees
     box: str = "train"
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
+    effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
     def __post_init__(self):
         low, high = self.intensity
@@ -56,6 +59,7 @@ class EnvState(NamedTuple):
     current: Current
     target: Any  # (B, 2)
     history: Any  # (B, H, 3) poses at bus ticks
+    joints: Any  # (B, K, 2 J) older encoder readings, angles and rates; K = 0 unless an effect delays them
     camera: Any  # (B,) int
     command: Any  # (B, J) last bus command, rad
     tick: Any  # (B,) int
@@ -76,8 +80,13 @@ class StationHold:
     """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan."""
 
     def __init__(self, robot: Robot, engine="planar", options: Options = Options(), **reward):  # noqa: B008  (frozen)
-        self.robot = robot
+        self.robot = robot = engines.with_effects(robot, options.effects)
         self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
+        if getattr(self.engine, "robot", robot).effects != robot.effects:
+            raise ConfigError(
+                f"task: the engine's robot lacks {', '.join(options.effects)}; make it from engines.with_effects(robot, ..)"
+            )
+        self.sensors = Sensors(robot)
         self.options, self.weights = options, reward
         self.n_obs, self.n_act = 5 + 2 * robot.n_joints, robot.n_joints
         table, self.cell = flow.table_of(options.turbulence, flow.BOXES[options.box])
@@ -129,7 +138,9 @@ class StationHold:
             count=state.count + 1,
             key=key,
         )
-        sight = self._look(moved, trace.joint[:, -1], trace.rate[:, -1], k_noise)
+        recent = jnp.concatenate([state.joints, readings(jnp, trace.joint, trace.rate)], 1)[:, -self.sensors.behind - 1 :]
+        moved = moved._replace(joints=jnp.where(bad[:, None, None], 0.0, recent[:, 1:]))
+        sight = self._look(moved, recent, k_noise)
         obs = self._remember(state.obs, action, sight)
         fresh = self._fresh(k_fresh, n)
         moved = moved._replace(
@@ -165,28 +176,32 @@ class StationHold:
             low + (high - low) * u[:, 4],
             u,
         )
-        draws = jax.random.uniform(keys[2], (n, task.n_fish(self.robot)))
-        params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation)
+        draws = jax.random.uniform(keys[2], (n, task.n_fish(self.robot, self.options.effects)))
+        params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation, self.options.effects)
         params = jax.tree.map(lambda a: a if a.dtype == jnp.int32 else a.astype(jnp.float32), params)
         zero, joints = jnp.zeros((n,)), jnp.zeros((n, self.n_act))
         q = jnp.concatenate([start.pose, params.zero], -1)
-        fish = FishState(q, jnp.zeros_like(q), zero + 0.5, jnp.zeros((n, engines.BUFFER, self.n_act)))
+        rest = jax.tree.map(jnp.float32, engines.at_rest(self.robot, np.zeros((1, 3))))
+        spread = lambda a: jnp.tile(a, (n,) + (1,) * (a.ndim - 1))  # noqa: E731
+        fish = FishState(q, jnp.zeros_like(q), zero + 0.5, spread(rest.buffer), spread(rest.memory))
         history = jnp.repeat(start.pose[:, None], self.length, 1)
         no = jnp.zeros((n,), bool)
         blank = jnp.zeros((n, self.n_input))
         state = EnvState(
             fish=fish, params=params, current=current, target=start.target, history=history, camera=camera, command=joints,
+            joints=jnp.zeros((n, self.sensors.behind, 2 * self.n_act)),
             tick=jnp.zeros((n,), jnp.int32), count=jnp.zeros((n,), jnp.int32), key=key, obs=blank, final_obs=blank,
             privileged=None, final_privileged=None, reward=zero, terminated=no, truncated=no,
             distance=jnp.linalg.norm(start.pose[:, :2] - start.target, axis=-1), diverged=no,
         )  # fmt: skip
-        sight = self._look(state, joints, joints, keys[3])
+        sight = self._look(state, jnp.zeros((n, self.sensors.behind + 1, 2 * self.n_act)), keys[3])
         seen = self._privileged(state, sight)
         return state._replace(obs=self._remember(None, None, sight), privileged=seen, final_privileged=seen)
 
-    def _look(self, state: EnvState, joint, rate, key):
+    def _look(self, state: EnvState, recent, key):
         noise = self.options.noise * jax.random.normal(key, (state.target.shape[0], self.n_obs))
-        return self.mask * task.observe(jnp, self.robot, state.history, state.camera, joint, rate, state.target, noise)
+        seen = (state.history, state.camera, recent, state.target, noise)
+        return self.mask * task.look(jnp, self.robot, self.sensors, state.params, *seen)
 
     def _remember(self, obs, action, sight):
         """Policy input: the newest observation first, then (action, observation) pairs back in time."""

@@ -20,6 +20,7 @@ from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.course import COURSES, Launch
+from fishmj.tasks.sensing import Sensors, readings
 
 LARGEST = {
     "intensity": 1,
@@ -45,6 +46,7 @@ class Setting:
     noise: float = 1.0  # of the sensors, 1 the paper's
     seconds: float | None = None  # length of an episode
     box: str = "train"  # which turbulence table: train, tune or judge
+    effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode
     wG: float | None = None  # noqa: N815  (the paper's symbols)
     wD: float | None = None  # noqa: N815
     wS: float | None = None  # noqa: N815
@@ -66,7 +68,7 @@ class Setting:
         wanted = {k: v for k in ("control_dt", "command_path") if (v := getattr(self, k)) is not None}
         timing = replace(robot.timing, **wanted)
         check_timing(timing, "task")
-        return replace(robot, timing=timing)
+        return engines.with_effects(replace(robot, timing=timing), self.effects)
 
 
 class Draws(NamedTuple):
@@ -100,12 +102,13 @@ class Rules:
         if self.limit < 1:
             raise ConfigError(f"task: seconds = {setting.seconds} is less than one control step of {self.dt} s")
         self.table, self.cell = flow.table_of(setting.turbulence, flow.BOXES[setting.box])
-        self.history = task.history_length(self.robot)
+        self.history, self.sensors = task.history_length(self.robot), Sensors(self.robot)
         self.n_obs, self.n_act = 5 + 2 * self.robot.n_joints, self.robot.n_joints
 
     def draws(self, rng, n: int) -> Draws:
         """Draws for n episodes from a NumPy Generator or RandomState."""
-        return Draws(*(rng.random((n, k)) for k in (task.N_START, task.N_FLOW + 1, task.n_fish(self.robot))))
+        sizes = (task.N_START, task.N_FLOW + 1, task.n_fish(self.robot, self.setting.effects))
+        return Draws(*(rng.random((n, k)) for k in sizes))
 
     def scenario(self, draws: Draws, **fixed) -> Scenario:
         """What these draws mean; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
@@ -124,7 +127,7 @@ class Rules:
         low, high = np.broadcast_to(np.asarray(s.intensity, float), 2)
         intensity = low + (high - low) * u[:, 4]
         current = flow.draw(np, s.turbulence, self.table, self.cell, start.speed, start.direction, intensity, u)
-        params, camera = task.draw_fish(np, self.robot, draws.fish, s.randomisation)
+        params, camera = task.draw_fish(np, self.robot, draws.fish, s.randomisation, s.effects)
         return Scenario(launch._replace(start=start), current, params, camera)
 
     def target(self, scenario: Scenario, count) -> np.ndarray:
@@ -167,14 +170,14 @@ class Episodes:
         fish = engines.at_rest(robot, first.pose)
         fish = fish._replace(q=np.concatenate([first.pose, scenario.params.zero], -1))
         history = np.repeat(first.pose[:, None], self.rules.history, 1)
-        joints = np.zeros((n, robot.n_joints))
-        fresh = (scenario, fish, history, joints, joints, joints, np.zeros(n, np.int64))
+        recent = np.zeros((n, self.rules.sensors.behind + 1, 2 * robot.n_joints))
+        fresh = (scenario, fish, history, recent[:, 0, : robot.n_joints], recent, np.zeros(n, np.int64))
         if isinstance(rows, slice):
             running = fresh
         else:
-            old = (self.scenario, self.fish, self.history, self.command, self.joint, self.rate, self.count)
+            old = (self.scenario, self.fish, self.history, self.command, self.recent, self.count)
             running = _merged(old, fresh, np.asarray(rows))
-        self.scenario, self.fish, self.history, self.command, self.joint, self.rate, self.count = running
+        self.scenario, self.fish, self.history, self.command, self.recent, self.count = running
 
     def step(self, action) -> Outcome:
         """One control step with action (n, J) in [-1, 1].
@@ -189,7 +192,8 @@ class Episodes:
         fish, trace, diverged = self._advance(commands)
         self.fish, self.command, self.count = fish, commands[:, -1], self.count + 1
         self.history = np.concatenate([self.history, trace.pose], 1)[:, -rules.history :]
-        self.joint, self.rate = trace.joint[:, -1], trace.rate[:, -1]
+        late = rules.sensors.behind
+        self.recent = np.concatenate([self.recent, readings(np, trace.joint, trace.rate)], 1)[:, -late - 1 :]
         distance = np.linalg.norm(trace.pose[:, -1, :2] - self.target, axis=-1)
         terminated = task.outside(np, trace.pose[:, -1]) & ~diverged
         return Outcome(
@@ -203,8 +207,9 @@ class Episodes:
 
     def look(self, normals) -> np.ndarray:
         """Observations (n, n_obs) now; normals: (n, n_obs) standard normal draws of the sensors' noise."""
-        noise, robot = self.rules.noise(normals), self.rules.robot
-        return task.observe(np, robot, self.history, self.scenario.camera, self.joint, self.rate, self.target, noise)
+        rules, now = self.rules, self.scenario
+        seen = (self.history, now.camera, self.recent, self.target, rules.noise(normals))
+        return task.look(np, rules.robot, rules.sensors, now.params, *seen)
 
     @property
     def target(self) -> np.ndarray:
@@ -236,7 +241,7 @@ class Episodes:
 def _at_rest(fish: FishState, rows) -> FishState:
     """The same fish with `rows` (bool) stopped, straight, and all their commands at zero."""
     straight = np.concatenate([fish.q[:, :3], np.zeros_like(fish.q[:, 3:])], -1)
-    calm = FishState(straight, 0.0, 0.5, 0.0)
+    calm = FishState(straight, 0.0, 0.5, 0.0, 0.0)
     return FishState(*(_pick(rows, new, old) for new, old in zip(calm, fish, strict=True)))
 
 

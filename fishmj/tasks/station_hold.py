@@ -11,10 +11,11 @@ from math import ceil, pi, radians
 from typing import Any, NamedTuple
 
 from fishmj.calib import constant
-from fishmj.engines import FishParams, nominal_params, ticks_per
+from fishmj.effects import draws
+from fishmj.engines import Added, FishParams, nominal_params, ticks_per
 from fishmj.errors import UnknownName
-from fishmj.flow import TICK
 from fishmj.mjcf.description import Robot
+from fishmj.tasks.sensing import Sensors
 from fishmj.tracker import delayed, estimate
 
 JOINTS = 3
@@ -44,27 +45,34 @@ def draw_start(xp, uniforms) -> Start:
     )
 
 
-def n_fish(robot: Robot) -> int:
+def n_fish(robot: Robot, effects=()) -> int:
     """How many uniforms `draw_fish` needs."""
-    return len(robot.links) + 3 * robot.n_joints + 2
+    plain = len(robot.links) + 3 * robot.n_joints + 2
+    active = Added.of(robot).active
+    return plain + (draws.width(active, effects) if active is not None else 0)
 
 
-def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0) -> tuple[FishParams, Any]:
-    """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies.
+def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> tuple[FishParams, Any]:
+    """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies, and the named `effects`.
 
-    strength 0 gives the nominal fish with nominal latencies, 1 the paper's ranges.
+    strength 0 gives the nominal fish with nominal latencies, 1 the paper's ranges and effects of typical size. Effects of the
+    robot that are not named keep their calibrated values.
 
     Returns:
         (FishParams, camera delay in bus ticks (B,) int).
     """
-    n, j = len(robot.links), robot.n_joints
-    p = nominal_params(robot, 1)
+    n, j, m = len(robot.links), robot.n_joints, n_fish(robot)
+    p, added = nominal_params(robot, 1), Added.of(robot)
     span = lambda a, b: 2 * uniforms[:, a:b] - 1  # noqa: E731
     get = lambda key: constant("randomisation", key)  # noqa: E731
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
-    delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, -2], strength)
-    camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, -1], strength)
+    delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, m - 2], strength)
+    camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, m - 1], strength)
     like = xp.zeros_like(uniforms[:, :1])
+    rows = like + p.effects
+    if effects and added.active is not None:
+        rows = draws.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
+    delay = delay + added.late(xp, rows, "command")
     fish = FishParams(
         mass=1 + strength * get("mass") * span(0, n),
         kp=p.kp * (1 + strength * get("kp") * span(n, n + j)),
@@ -73,8 +81,11 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0) -> tuple[FishPa
         zero=strength * radians(get("zero_deg")) * span(n + 2 * j, n + 3 * j),
         water=like + p.water,
         delay=xp.floor(delay / robot.timing.physics_dt + 0.5).astype("int32"),
+        effects=rows,
     )
-    return fish, xp.minimum(xp.ceil(camera / TICK - 1e-6), MAX_CAMERA_TICKS).astype("int32")
+    sensors = Sensors(robot)
+    most = MAX_CAMERA_TICKS + sensors.frames - sensors.slow
+    return fish, xp.minimum(sensors.ticks(xp, camera, rows, "pose"), most)
 
 
 def _latency(nominal, bounds, uniform, strength):
@@ -111,10 +122,17 @@ def visible(joints: int, hide=()) -> list[bool]:
 
 def history_length(robot: Robot) -> int:
     """How many past poses the camera and its filter need, bus ticks."""
-    return robot.timing.velocity_window + MAX_CAMERA_TICKS
+    return robot.timing.velocity_window + MAX_CAMERA_TICKS + Sensors(robot).frames
 
 
-def observe(xp, robot: Robot, history, camera, joint, rate, target, noise):
+def look(xp, robot: Robot, sensors: Sensors, params: FishParams, history, camera, recent, target, noise):
+    """`observe` through the robot's sensors; recent: (B, sensors.behind + 1, 2 J) encoder readings, newest last."""
+    joint, rate = sensors.joints(xp, params.effects, recent)
+    slow = sensors.ticks(xp, 0.0, params.effects, "velocity") if sensors.slow else None
+    return observe(xp, robot, sensors.poses(xp, params.effects, history), camera, joint, rate, target, noise, slow)
+
+
+def observe(xp, robot: Robot, history, camera, joint, rate, target, noise, slow=None):
     """The egocentric observation.
 
     Args:
@@ -123,12 +141,15 @@ def observe(xp, robot: Robot, history, camera, joint, rate, target, noise):
         joint, rate: (B, J) encoder angles and rates, rad, rad/s.
         target: (B, 2) m, world.
         noise: (B, 5 + 2 J) standard normal times the wanted strength.
+        slow: (B,) int, ticks by which velocities lag behind the poses that they come with; None for no lag.
 
     Returns:
         (B, 5 + 2 J): target in the body frame (2), velocity over ground in the body frame (2), yaw rate, J, K.
     """
     frames = delayed(xp, history, camera, robot.timing.velocity_window)
     pose, velocity = estimate(xp, frames, robot.timing.bus_dt)
+    if slow is not None:
+        _, velocity = estimate(xp, delayed(xp, history, camera + slow, robot.timing.velocity_window), robot.timing.bus_dt)
     c, s = xp.cos(pose[:, 2]), xp.sin(pose[:, 2])
     dx, dy = target[:, 0] - pose[:, 0], target[:, 1] - pose[:, 1]
     body = xp.stack(

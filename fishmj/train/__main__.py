@@ -56,6 +56,9 @@ def options() -> argparse.ArgumentParser:
     )
     p.add_argument("--robot", help="fish, tendon_fish, or a TOML file")
     p.add_argument("--hide", help=f"observation groups set to zero, for ablations: {', '.join(GROUPS)}")
+    p.add_argument(
+        "--randomise-effects", metavar="NAME,..", help="effects of the catalogue drawn in typical sizes for each episode"
+    )
     p.add_argument("--reward", nargs="*", default=[], metavar="KEY=VALUE", help="weights of the reward: wG, wD, wS")
     p.add_argument("--out", type=Path, help="folder of the run (default runs/<preset>-<seed>)")
     p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
@@ -94,6 +97,8 @@ def settings_from(args):
         task["intensity"] = (0.0, args.intensity)
     if args.hide:
         task["hide"] = tuple(args.hide.split(","))
+    if args.randomise_effects:
+        task["effects"] = tuple(args.randomise_effects.split(","))
     for item in args.reward:
         key, _, value = item.partition("=")
         try:

@@ -1,0 +1,279 @@
+"""Effects of a description live in every simulator: same swim, same sensors, drawn for training, nothing where none is."""
+
+import warnings
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from fishmj import effects, engines
+from fishmj.effects import draws
+from fishmj.effects.calibration import Fitted, Interval, write
+from fishmj.engines import added, batch, mjx, planar
+from fishmj.engines.solo import cubic
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.flow import Flow, stack
+from fishmj.log import stacked
+from fishmj.mjcf import load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.sim import Sim
+from fishmj.tasks import station_hold as task
+from fishmj.tasks.env import Options, StationHold
+from fishmj.tasks.episode import Episodes, Rules, Setting
+from fishmj.tasks.sensing import Sensors
+
+PLAIN = load_robot("fish")
+EVERY_SITE = (  # command, servo, gear, fish, flow, body, water, measure; and the delays
+    "command_gain_error", "move_time_ramp", "voltage_sag", "coulomb_friction", "gear_backlash", "body_mass", "current_shear",
+    "tether", "wake_memory", "camera_scale", "joint_zero_offset", "power_offset", "command_latency", "joint_sensor_delay",
+    "camera_latency", "velocity_filter",
+)  # fmt: skip
+POSE, TICKS = np.array([0.1, -0.2, 0.5]), 40
+
+
+def typical(name: str) -> Fitted:
+    """An effect at its larger typical value."""
+    return Fitted(name, {p.name: Interval(p.probe, p.probe, p.probe) for p in effects.get(name).parameters})
+
+
+def robot_with(*names: str) -> Robot:
+    return replace(PLAIN, effects=tuple(typical(name) for name in names))
+
+
+def beat(ticks=TICKS):
+    """Bus commands (T, 3), rad; over the servo's range at times."""
+    return 1.15 * np.sin(2 * np.pi * 1.3 * np.arange(ticks)[:, None] / 50 - np.arange(3))
+
+
+FLOW = Flow(speed=0.2, direction=2.0, turbulence="default", intensity=0.1, seed=4)
+
+
+def advance(engine, robot, count=2):
+    """State and trace of `count` equal fish, NumPy."""
+    params, state = engines.nominal_params(robot, count), engines.at_rest(robot, np.tile(POSE, (count, 1)))
+    commands = np.tile(beat(), (count, 1, 1))
+    out = engine.advance(state, commands, params, stack([FLOW] * count), np.zeros(count, np.int32))
+    return jax.tree.map(np.asarray, tuple(out))
+
+
+@pytest.fixture(scope="module")
+def swim():
+    """(robot with effects at every site, what the closed form makes of it)."""
+    robot = robot_with(*EVERY_SITE)
+    sites = {site for name in EVERY_SITE for site in effects.get(name).sites}
+    assert sites == {"servo", "gear", "fish", "flow", "body", "water", "command", "measure"}
+    with jax.enable_x64(True):
+        return robot, advance(planar.Engine(robot), robot)
+
+
+def same(one, two, atol):
+    for name, a, b in zip((*one[0]._fields, *one[1]._fields), jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=atol, err_msg=name)
+
+
+def test_the_compiled_engine_swims_with_effects_at_every_site_as_the_closed_form(swim):
+    pytest.importorskip("numba")
+    from fishmj.engines import compiled
+
+    robot, expected = swim
+    same(advance(compiled.Engine(robot, dtype="float64"), robot), expected, 1e-11)
+
+
+def test_mujoco_in_c_swims_with_effects_at_every_site_as_the_closed_form(swim):
+    robot, expected = swim
+    same(advance(batch.Engine(robot, threads=1, evaluator="jax"), robot), expected, 1e-11)
+
+
+def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
+    robot = robot_with("coulomb_friction", "command_gain_error")
+    sim = Sim(robot, flow=FLOW, pose=POSE)
+    truth = sim.run(beat(), TICKS / 50).table("truth")
+    with jax.enable_x64(True):
+        state, trace = advance(mjx.Engine(robot), robot, 1)
+    np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(state.memory[0], sim.solo.memory, rtol=0, atol=1e-8)
+
+
+def test_one_fish_in_mujoco_swims_with_effects_at_every_site_as_the_closed_form(swim):
+    robot, (_, trace) = swim
+    sim = Sim(robot, flow=FLOW, pose=POSE)
+    trial = sim.run(beat(), TICKS / 50)
+    truth = trial.table("truth")
+    np.testing.assert_allclose(np.stack([truth[k] for k in ("x", "y", "yaw")], -1), trace.pose[0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(stacked(truth, "j#"), trace.joint[0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(sim.solo.memory, swim[1][0].memory[0], rtol=0, atol=1e-8)
+
+
+def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
+    robot, (_, trace) = swim
+    trial = Sim(robot, flow=FLOW, pose=POSE).run(beat(), TICKS / 50)
+    truth, pose, joint, power = (trial.table(name) for name in ("truth", "pose", "joint", "power"))
+    late = lambda name: effects.get(name).parameter("delay").probe  # noqa: E731
+    at = truth["t"][20:] - late("camera_latency")
+    scale = 1 + effects.get("camera_scale").parameter("scale").probe
+    np.testing.assert_allclose(pose["x"][20:], scale * np.interp(at, truth["t"], truth["x"]), rtol=0, atol=5e-4)
+    offset = effects.get("joint_zero_offset").parameter("offset2").probe
+    at = truth["t"][20:] - late("joint_sensor_delay")
+    np.testing.assert_allclose(joint["j2"][20:], np.interp(at, truth["t"], truth["j2"]) - offset, rtol=0, atol=5e-3)
+    more = effects.get("power_offset").parameter("power").probe
+    np.testing.assert_allclose(power["V"] * power["I"], trace.power[0] + robot.servo.idle_power + more, rtol=0, atol=1e-6)
+
+
+def test_a_fish_without_effects_has_no_columns_and_no_hooks():
+    state, params = engines.at_rest(PLAIN, np.zeros((5, 3))), engines.nominal_params(PLAIN, 5)
+    assert state.memory.shape == (5, 0) and params.effects.shape == (5, 0) and state.buffer.shape == (5, engines.BUFFER, 3)
+    assert added.Added.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN).solo is None
+    sensors, history = Sensors(PLAIN), np.random.default_rng(0).normal(size=(2, 11, 3))
+    assert sensors.poses(np, params.effects, history) is history and sensors.behind == sensors.frames == 0
+
+
+def test_effects_at_their_null_move_no_fish():
+    """The forces reach MuJoCo in another way, through `qfrc_applied`: round-off, nothing else."""
+    nothing = engines.with_effects(PLAIN, ["coulomb_friction", "tether", "command_gain_error", "wake_memory"])
+    one, two = (Sim(robot, flow=FLOW, pose=POSE).run(beat(), TICKS / 50) for robot in (nothing, PLAIN))
+    for name in ("truth", "pose", "joint", "power"):
+        for key, column in one.table(name).items():
+            np.testing.assert_allclose(column, two.table(name)[key], rtol=0, atol=1e-8, err_msg=f"{name} {key}")
+
+
+def test_a_description_lists_effects_in_their_order(tmp_path):
+    from fishmj.calib import resolve
+
+    path = tmp_path / "mine.toml"
+    path.write_text(resolve("fish").read_text())
+    assert load_robot(path).effects == () and load_robot("tendon_fish").effects == ()
+    write(path, [typical("tether"), typical("coulomb_friction")])
+    robot = load_robot(path)
+    assert [fitted.name for fitted in robot.effects] == ["tether", "coulomb_friction"]
+    assert repr(robot) == repr(load_robot("fish")).replace("'swift'", repr(robot.name))
+    path.write_text(path.read_text().replace("coulomb_friction", "coulomb_frction"))
+    with pytest.raises(ConfigError, match="mine.toml.*coulomb_friction"):
+        load_robot(path)
+
+
+def test_command_delays_become_physics_steps_and_make_room_on_the_bus():
+    robot = robot_with("command_latency")
+    value = effects.get("command_latency").parameter("delay").probe
+    steps = round((robot.timing.command_latency + value) / robot.timing.physics_dt)
+    assert engines.nominal_params(robot, 2).delay.tolist() == [steps, steps] and Sim(robot).delay == steps
+    assert engines.rows_of(robot) == engines.BUFFER + 13  # 0.25 s, the parameter's bound
+
+
+def test_pose_delays_join_the_camera_and_joint_delays_read_between_ticks():
+    robot = robot_with("camera_latency", "joint_sensor_delay")
+    draw = np.random.default_rng(0).random((3, task.n_fish(robot)))
+    params, camera = task.draw_fish(np, robot, draw, 0.0)
+    late = robot.timing.camera_latency + effects.get("camera_latency").parameter("delay").probe
+    assert camera.tolist() == [int(np.ceil(late / 0.02 - 1e-6))] * 3
+    assert task.history_length(robot) == task.history_length(PLAIN) + 13
+    sensors, value = Sensors(robot), effects.get("joint_sensor_delay").parameter("delay").probe
+    ramp = np.repeat(0.02 * np.arange(sensors.behind + 1)[None, :, None], 6, 2)  # rad: the time at which it was true
+    joint, rate = sensors.joints(np, params.effects[:1], ramp)
+    np.testing.assert_allclose(joint, ramp[:, -1, :3] - value, atol=1e-12)
+    np.testing.assert_allclose(rate, ramp[:, -1, 3:] - value, atol=1e-12)
+
+
+def test_feedback_alone_feels_a_slow_velocity_filter():
+    robot = robot_with("velocity_filter")
+    sensors, params = Sensors(robot), engines.nominal_params(robot, 1)
+    t = 0.02 * np.arange(task.history_length(robot))
+    history = np.stack([0.5 * t * t, 0 * t, 0 * t], -1)[None]  # m: the velocity is t
+    seen = task.look(np, robot, sensors, params, history, np.array([0]), np.zeros((1, 1, 6)), np.zeros((1, 2)), np.zeros((1, 11)))
+    fast = task.observe(
+        np, robot, history, np.array([0]), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 11))
+    )
+    late = np.ceil(effects.get("velocity_filter").parameter("time").probe / 0.02 - 1e-6) * 0.02
+    np.testing.assert_allclose(fast[0, 2] - seen[0, 2], late, atol=1e-9)
+    np.testing.assert_allclose(seen[0, :2], fast[0, :2])
+
+
+def test_drawn_effects_have_typical_sizes_on_both_sides_and_the_others_stay():
+    robot = replace(robot_with("camera_scale"), effects=(typical("camera_scale"),))
+    robot = engines.with_effects(robot, ["coulomb_friction", "command_gain_error"])
+    names = ("coulomb_friction", "command_gain_error")
+    u = np.random.default_rng(1).random((2000, task.n_fish(robot, names)))
+    rows = task.draw_fish(np, robot, u, 1.0, names)[0].effects
+    active = engines.Added.of(robot).active
+    assert (rows[:, active.index("camera_scale", "scale")] == effects.get("camera_scale").parameter("scale").probe).all()
+    for name, key in (("coulomb_friction", "torque"), ("command_gain_error", "gain")):
+        p, value = effects.get(name).parameter(key), rows[:, active.index(name, key)]
+        low, high = p.typical
+        assert low <= np.abs(value).min() < low + 0.02 * (high - low) and high - 0.02 * (high - low) < np.abs(value).max() <= high
+        assert (value < 0).any() == p.signed
+    np.testing.assert_array_equal(
+        draws.drawn(np, active, rows, names, u[:, -4:], 0.0)[:, 1:], np.tile(active.null[1:], (2000, 1))
+    )
+
+
+@pytest.fixture(scope="module")
+def school():
+    """(environment of a robot with bad sensors whose latency and gains are drawn, four first episodes)."""
+    robot = robot_with("camera_latency", "joint_sensor_delay", "camera_yaw", "joint_zero_offset")
+    env = StationHold(robot, "planar", Options(effects=("command_latency", "servo_gain"), noise=0.0, turbulence="none"))
+    return robot, env, env.reset(jax.random.key(1), 4)
+
+
+def test_a_school_in_training_differs_in_its_drawn_effects_and_swims(school):
+    robot, env, state = school
+    active = env.sensors.added.active
+    column = lambda *key: np.asarray(state.params.effects)[:, active.index(*key)]  # noqa: E731
+    assert len(np.unique(column("servo_gain", "gain"))) == 4 and len(np.unique(column("camera_yaw", "angle"))) == 1
+    assert len(np.unique(np.asarray(state.params.delay))) > 1
+    for _ in range(2):
+        state = env.step(state, np.full((4, 3), 0.3, np.float32))
+    assert np.isfinite(np.asarray(state.obs)).all() and not np.asarray(state.diverged).any()
+    with pytest.raises(ConfigError, match="servo_gain"):
+        StationHold(PLAIN, planar.Engine(PLAIN), Options(effects=("servo_gain",)))
+
+
+def test_both_environments_see_the_same_through_late_crooked_sensors(school):
+    """NumPy's episodes and the functional ones: one scenario, one action, one sight."""
+    robot, env, state = school
+    drawn = ("command_latency", "servo_gain")
+    rules = Rules("station_hold", Setting(robot=robot, noise=0.0, turbulence="none", randomisation=0.0, effects=drawn))
+    episodes = Episodes(rules, env.engine, 4)
+    now = episodes.scenario
+    state = state._replace(
+        fish=jax.tree.map(lambda a, b: np.asarray(a, b.dtype), episodes.fish, state.fish),
+        params=jax.tree.map(lambda a, b: np.asarray(a, b.dtype), now.params, state.params),
+        current=jax.tree.map(lambda a, b: np.asarray(a, b.dtype), now.current, state.current),
+        history=np.float32(episodes.history), target=np.float32(episodes.target), camera=np.asarray(now.camera, np.int32),
+    )  # fmt: skip
+    for seed in range(2):
+        action = np.random.default_rng(seed).uniform(-1, 1, (4, 3)).astype(np.float32)
+        state = env.step(state, action)
+        episodes.step(action)
+        np.testing.assert_allclose(np.asarray(state.obs), episodes.look(np.zeros((4, 11))), rtol=0, atol=2e-3)
+
+
+def test_what_no_simulator_holds_is_said():
+    with pytest.raises(ConfigError, match="packet_loss"):
+        engines.with_effects(PLAIN, ["packet_loss"])
+    with pytest.raises(UnknownName, match="coulomb_friction"):
+        engines.with_effects(PLAIN, ["coulomb_frction"])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        engines.Added.of(robot_with("packet_loss"))
+    assert "packet_loss" in str(said[0].message)
+    robot = robot_with("coulomb_friction")
+    for setting in (dict(root="free"), dict(water="ellipsoid")):
+        with pytest.raises(ConfigError, match="planar root"):
+            Sim(robot, **setting)
+
+
+def test_on_a_dry_bench_friction_acts_and_water_does_not():
+    dry = Sim(robot_with("coulomb_friction"), water="none", flow=Flow(speed=0.3)).run(beat(), 0.8).table("truth")
+    plain = Sim(PLAIN, water="none").run(beat(), 0.8).table("truth")
+    assert np.abs(dry["j1"] - plain["j1"]).max() > 1e-3
+    null = Sim(engines.with_effects(PLAIN, ["coulomb_friction"]), water="none", flow=Flow(speed=0.3)).run(beat(), 0.8)
+    np.testing.assert_allclose(null.table("truth")["j1"], plain["j1"], atol=1e-8)
+    np.testing.assert_allclose(null.table("truth")["x"], plain["x"], atol=1e-8)
+
+
+def test_the_cubic_between_samples_is_exact_for_a_cubic():
+    t = np.arange(6) * 0.02
+    f, g = (lambda s: (s**3 - s)[:, None]), (lambda s: (3 * s**2 - 1)[:, None])
+    at = np.array([0.0, 0.013, 0.05, 0.099, 0.1])
+    np.testing.assert_allclose(cubic(t, f(t), g(t), at), f(at), atol=1e-14)
+    np.testing.assert_allclose(cubic(t, f(t), g(t), np.array([-1.0])), f(t[:1]))
