@@ -4,6 +4,7 @@ fishmj gap find DATA            what is missing, with its size, its rivals and t
 fishmj gap plant EFFECT --out   data in which an effect is hidden
 fishmj gap next REPORT          the next most informative experiment
 fishmj gap apply REPORT         the next version of the model
+fishmj gap check MODEL          does a version still close the gap that it was written for
 fishmj gap bench                the blind benchmark
 fishmj gap fetch NAME           a public data set, checked
 fishmj gap measured NAME        the workflow on measured data of real robots
@@ -20,6 +21,7 @@ COMMANDS = {
     "plant": "plant",
     "next": "next_experiment",
     "apply": "apply",
+    "check": "check",
     "bench": "bench.command",
     "fetch": "fetch",
     "measured": "measured.command",

@@ -1,15 +1,21 @@
 """`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console
+from fishmj.gap import judge, version
+from fishmj.gap.apply import settle
 from fishmj.gap.null_runs import RUNS, Null
+from fishmj.gap.quiet import Shortage, everything, shortage
+from fishmj.gap.records import record_of
 from fishmj.gap.search import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log import Trial
 from fishmj.log.dataset import read_dataset
-from fishmj.store import write_json, write_text
+from fishmj.mjcf.description import load_robot
+from fishmj.store import sha256, write_json, write_text
+from fishmj.store.manifest import MANIFEST
 
 
 def main(argv: list[str]) -> int:
@@ -17,16 +23,22 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     add("data", type=Path, help="data set: a folder of trial folders with manifest.json (python -m fishmj.log import makes one)")
     add("--model", default="fish", help="the model to question: shipped name or TOML file, with the effects it already has")
-    add("--out", type=Path, help="folder for report.html, verdict.json and model.patched.toml")
+    add("--out", type=Path, help="folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml)")
     add("--noise", type=float, default=1.0, help="factor on the sensors' usual noise, when the logs do not state their own")
     add("--null-runs", type=int, default=RUNS, help="runs of every record in the independent simulator")
     add("--most", type=int, default=None, help="effects to add at most")
     add("--seed", type=int, default=0, help="of the split and of the null runs")
     args = parser.parse_args(argv)
+    lacking = missing(args)
+    if lacking is not None:
+        console.say(lacking.text())
+        if args.json:
+            console.emit_json(asdict(lacking))
+        return console.CANNOT_TELL
     inquiry = search(args)
     console.say(inquiry.verdict.text())
     if args.out:
-        written = write(inquiry, args.out)
+        written = write(inquiry, args.out, context_of(inquiry, args))
         console.say(f"written: {', '.join(written)}")
     if args.json:
         console.emit_json(inquiry.verdict.plain())
@@ -53,11 +65,37 @@ def named(name: str, trial: Trial) -> Trial:
     return Trial(trial.meta, trial.tables, name=name, notes=trial.notes)
 
 
-def write(inquiry: Inquiry, folder: Path) -> list[str]:
-    """verdict.json and report.html."""
+def missing(args) -> "Shortage | None":
+    """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
+    dt = load_robot(args.model).timing.physics_dt
+    return shortage([record_of(t, dt) for t in read_dataset(args.data)], everything())
+
+
+def context_of(inquiry: Inquiry, args) -> dict:
+    """What was searched, by hash, and the records that no decision saw (or none was fitted to): what gap apply needs."""
+    apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
+    seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
+    held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
+    null = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
+    hashes = {"model_sha256": version.digest(args.model), "data_sha256": sha256(args.data / MANIFEST)}
+    model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)
+    return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, "null": null}
+
+
+def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list[str]:
+    """verdict.json and report.html; with the context of the search also the patched (or the rejected) model."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "verdict.json", inquiry.verdict.plain())
+    verdict = inquiry.verdict.plain()
+    if context is None:
+        write_json(folder / "verdict.json", verdict)
+    else:
+        some = [r for r in inquiry.records if r.name in context["judged"]]
+        plant = inquiry.evidence.plant
+        measure = lambda versions: judge.gaps_of(versions, some, Null(**context["null"]), plant)  # noqa: E731
+        done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
+        patched = done.path.name if done.path and done.accepted else ""
+        write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
     from fishmj.gap.report import page
 
     write_text(folder / "report.html", page(inquiry))
-    return ["verdict.json", "report.html"]
+    return ["verdict.json", "report.html", *([done.path.name] if context is not None and done.path else [])]

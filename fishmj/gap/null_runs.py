@@ -67,7 +67,7 @@ class Null:
         except StoreError:
             pass
         runs = self._run(what, record)
-        predictions = plant.predict(runs, plant.null)
+        predictions = plant.predict(runs, getattr(plant, "nothing", plant.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
             layout = Layout([run])

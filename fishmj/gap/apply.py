@@ -1,0 +1,138 @@
+"""`gap apply REPORT`: the next version of the model, from what a search found; `--revert MODEL` goes back.
+
+REPORT is the folder (or verdict.json) of gap find --out. Written: <fish>.v<N>.toml with the effects, their intervals, the data's
+hash, gates and rivals; its parent's text beside it; a .diff of the MJCF where MuJoCo holds an effect itself. Nothing is written
+over. Only a NAMED effect that closes the gap on records it was not fitted to becomes a version; any other candidate is kept as
+model.rejected-<hash>.toml with its scores, and the exit code is 1.
+"""
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from fishmj import console
+from fishmj.errors import ConfigError
+from fishmj.gap import judge, version
+from fishmj.gap.check import check, named
+from fishmj.gap.null_runs import Null
+from fishmj.log.dataset import read_dataset
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import read_json, sha256, write_text
+from fishmj.store.manifest import MANIFEST
+
+
+class Written(NamedTuple):
+    """What came of a verdict. path: the version, the rejected candidate, or None where there was no candidate."""
+
+    path: "Path | None"
+    accepted: bool
+    reason: str
+    gap_before: "float | None" = None
+    gap_after: "float | None" = None
+    mjcf: str = ""  # unified diff
+    hooks: tuple[str, ...] = ()  # effects that no attribute of MJCF holds
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap apply", __doc__ or "")
+    add = parser.add_argument
+    add("report", nargs="?", type=Path, help="folder or verdict.json of gap find --out")
+    add("--out", type=Path, help="the next version; default <fish>.v<N>.toml beside the report")
+    add("--data", type=Path, help="the data set, when it is no longer where the search read it")
+    add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
+    add("--revert", type=Path, metavar="MODEL", help="put the parent's text back in the place of this version")
+    args = parser.parse_args(argv)
+    if (args.report is None) == (args.revert is None):
+        raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
+    if args.revert:
+        aside = version.revert(args.revert)
+        console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
+        return console.OK
+    written = apply(args.report, args.out, args.data, args.force)
+    console.say(written.reason, *([f"written: {written.path}"] if written.path else []))
+    if written.mjcf:
+        console.say(written.mjcf.rstrip("\n"))
+    if written.hooks:
+        console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(written.hooks)}")
+    if written.accepted:
+        console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
+    if args.json:
+        console.emit_json(written._asdict())
+    return console.OK if written.accepted or written.path is None else console.FAILED_CHECK
+
+
+def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, force: bool = False) -> Written:
+    """The next version from a report on disk; measures both gaps on the records that the report names.
+
+    Raises:
+        ConfigError: not a report, or model or data are not what the search saw.
+    """
+    path = report / "verdict.json" if report.is_dir() else report
+    verdict = read_json(path)
+    context = verdict.get("context", {})
+    if "answer" not in verdict or not context:
+        raise ConfigError(f"{path}: no verdict with its context; write it with: fishmj gap find DATA --out FOLDER")
+    if version.digest(context["model"]) != context["model_sha256"]:
+        raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
+    data = Path(context["data"]) if data is None else data
+    folder = read_dataset(data)
+    if sha256(data / MANIFEST) != context["data_sha256"]:
+        raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
+    trials = [named(n, folder[n]) for n in context["judged"]]
+    measure = lambda versions: [g for g, _ in judge.gaps(versions, trials, Null(**context["null"]))]  # noqa: E731
+    out = version.next_name(context["model"], path.parent) if out is None else out
+    return settle(verdict, context, measure, out, path.parent, force)
+
+
+def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:
+    """Write the version to `out`, or the rejected candidate into `folder`.
+
+    Args:
+        measure: [parent, candidate] -> their gaps on records that nothing was fitted to.
+    """
+    answer, parent = verdict["answer"], load_robot(context["model"])
+    if not verdict["effects"]:
+        return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
+    provenance = f"{answer}: {len(context['judged'])} unseen records of {context['data']}"
+    effects = version.found(verdict, provenance, context["data_sha256"])
+    with tempfile.TemporaryDirectory() as scratch:
+        table = {"effects": [e.name for e in effects], "answer": answer} | {
+            k: context[k] for k in ("data", "data_sha256", "judged")
+        }
+        table |= {"null": context["null"], "gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
+        draft = version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
+        candidate = load_robot(draft)
+        before, after = measure([parent, candidate])
+        table |= {"gap_before": float(before), "gap_after": float(after)}
+        good, reason = verdict_on(answer, before, after)
+        if good or force:
+            version.write(context["model"], out, effects, table)
+            diff, hooks = native(parent, candidate)
+            if diff:
+                write_text(out.with_suffix(".diff"), diff)
+            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooks))
+        text = version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False).read_text(
+            encoding="utf-8"
+        )
+    kept = folder / f"model.rejected-{hashlib.sha256(text.encode()).hexdigest()[:12]}.toml"
+    write_text(kept, text)
+    return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
+
+
+def verdict_on(answer: str, before: float, after: float) -> tuple[bool, str]:
+    """Whether a candidate becomes a version, and why."""
+    moved = f"gap {before:.2f} -> {after:.2f} on records that nothing was fitted to"
+    if answer != "NAMED":
+        return False, f"{answer}: no effect explains the gap for certain ({moved})"
+    return (True, moved) if after < before else (False, f"the patch hurts: {moved}")
+
+
+def native(parent: Robot, robot: Robot) -> tuple[str, list[str]]:
+    """MJCF diff, and the effects that only a hook holds."""
+    from fishmj.gap.mjcf_patch import difference, hooked
+
+    return difference(parent, robot), hooked(robot)
+
+
+__all__ = ["Written", "apply", "check", "settle"]

@@ -1,0 +1,66 @@
+"""`python -m fishmj.gap check MODEL --data DATA`: does a version of a model still close the gap that it was written for?
+
+Replays the records on which its gap was stated, with the version and with its parent. Exit 1 when the version is worse than
+stated (by more than 5 %), or no better than its parent. On another data set all records are taken and only the parent counts.
+"""
+
+from pathlib import Path
+
+from fishmj import console
+from fishmj.errors import ConfigError
+from fishmj.gap import judge, version
+from fishmj.gap.null_runs import Null
+from fishmj.log import Trial
+from fishmj.log.dataset import read_dataset
+from fishmj.mjcf.description import load_robot
+from fishmj.store import sha256
+from fishmj.store.manifest import MANIFEST
+
+SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap check", __doc__ or "")
+    parser.add_argument("model", type=Path, help="a version that gap apply or gap find wrote")
+    parser.add_argument("--data", type=Path, required=True, help="data set to replay")
+    args = parser.parse_args(argv)
+    found = check(args.model, args.data)
+    console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
+    if found["worse"]:
+        console.say(f"FAILED: {found['worse']}")
+    if args.json:
+        console.emit_json(found)
+    return console.FAILED_CHECK if found["worse"] else console.OK
+
+
+def check(model: Path, data: Path) -> dict:
+    """The gap of a version and of its parent on `data`, and what is wrong with it ("" when nothing is).
+
+    Raises:
+        ConfigError: no version table, or the parent's text is gone.
+    """
+    stated = version.facts(model)
+    if not stated:
+        raise ConfigError(f"{model}: no table [version]; gap check replays versions that gap apply wrote")
+    parent = Path(model).with_name(stated.get("parent_text", ""))
+    if not parent.is_file() or version.digest(parent) != stated["parent_sha256"]:
+        raise ConfigError(f"{model}: its parent's text {parent} is gone or changed; write the version again with gap apply")
+    folder = read_dataset(data)
+    same = sha256(data / MANIFEST) == stated.get("data_sha256")
+    names = [n for n in folder.names if not same or n in stated["judged"]]
+    trials = [named(n, folder[n]) for n in names]
+    (before, _), (after, channels) = judge.gaps([load_robot(parent), load_robot(model)], trials, Null(**stated["null"]))
+    limit, worse = SLACK * stated["gap_after"], ""
+    if same and after > limit:
+        worse = f"gap {after:.3f} on {len(names)} records, stated was {stated['gap_after']:.3f}"
+    elif after >= before:
+        worse = f"gap {after:.3f} on {len(names)} records, no smaller than its parent's {before:.3f}"
+    return {
+        "model": str(model), "records": len(names), "same_data": same, "gap_parent": before, "gap": after,
+        "stated": stated["gap_after"], "by_channel": channels, "worse": worse,
+    }  # fmt: skip
+
+
+def named(name: str, trial: Trial) -> Trial:
+    """The trial under its folder's name."""
+    return Trial(trial.meta, trial.tables, name=name, notes=trial.notes)

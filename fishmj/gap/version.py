@@ -1,0 +1,115 @@
+"""Versions of a model: a fish TOML with effects, and a table that says where they come from.
+
+    [version]
+    number = 2
+    parent = "fish"                 shipped name or file; parent_sha256 its hash: versions form a chain
+    effects = ["coulomb_friction"]  what this version added or changed
+    data, data_sha256, judged       data set, hash of its manifest, and the records on which the gaps were measured
+    gap_before, gap_after           mean squares in units of the floor: agreement is about 1
+    [version.null], [version.gates], rivals
+
+The blocks [[effect]] below it are `fishmj.effects.calibration`'s. The parent's text is kept beside the version.
+"""
+
+import hashlib
+from pathlib import Path
+
+from fishmj.calib import read_toml, resolve
+from fishmj.effects import calibration, get
+from fishmj.effects.calibration import Fitted, Interval
+from fishmj.errors import ConfigError
+from fishmj.log.toml import dumps
+from fishmj.mjcf.description import load_robot, robot_from_dict
+from fishmj.store import write_text
+
+
+def digest(path: "str | Path") -> str:
+    """sha256 of a model's text."""
+    return hashlib.sha256(resolve(path).read_bytes()).hexdigest()
+
+
+def facts(path: "str | Path") -> dict:
+    """The table [version] of a model; {} for a first one."""
+    return read_toml(resolve(path)).get("version", {})
+
+
+def found(verdict: dict, provenance: str, evidence: str) -> list[Fitted]:
+    """The effects of a verdict as calibration blocks, in the catalogue's order. Raises ConfigError: bounds, unknown effects."""
+    blocks = []
+    for effect in verdict["effects"]:
+        bounds = {p.name: (p.low, p.high) for p in get(effect["name"]).parameters}
+        intervals = {}
+        for name, v in effect["parameters"].items():
+            low, high = bounds.get(name, (v["low"], v["high"]))
+            inside = lambda x: min(max(float(x), low), high)  # noqa: B023, E731  used at once
+            value = inside(v["value"])
+            intervals[name] = Interval(value, min(inside(v["low"]), value), max(inside(v["high"]), value))
+        blocks.append(Fitted(effect["name"], intervals, provenance, evidence))
+    return blocks
+
+
+def merged(parent: "tuple[Fitted, ...]", new: list[Fitted]) -> list[Fitted]:
+    """The parent's effects with the new ones appended; one that it has already takes the new values in its place."""
+    fresh = {fitted.name: fitted for fitted in new}
+    return [fresh.pop(old.name, old) for old in parent] + list(fresh.values())
+
+
+def write(parent: "str | Path", out: Path, effects: list[Fitted], version: dict, *, keep: bool = True) -> Path:
+    """Write a version: the parent's text, the table [version], the blocks; checked before it is there.
+
+    keep: also put the parent's text beside it, which `revert` needs.
+    """
+    source = resolve(parent)
+    text = source.read_text(encoding="utf-8")
+    if out.resolve() == source.resolve():
+        raise ConfigError(f"{out}: the next version needs a name of its own; its parent stays as it is")
+    number = int(facts(parent).get("number", 1)) + 1
+    table = {"number": number, "parent": str(parent), "parent_sha256": digest(parent), **version}
+    if keep:
+        table["parent_text"] = beside(out).name
+        write_text(beside(out), text)
+    body = _without(text) + "\n" + dumps({"version": table})
+    write_text(out, body)
+    calibration.write(out, merged(load_robot(parent).effects, effects))
+    robot_from_dict(read_toml(out), str(out))
+    return out
+
+
+def revert(model: Path) -> Path:
+    """Put the parent's text back in the place of `model`, bit for bit; the version moves to MODEL.reverted-<hash>.toml.
+
+    Raises:
+        ConfigError: a first version, or the parent's text is gone or changed.
+    """
+    version = facts(model)
+    if not version:
+        raise ConfigError(f"{model}: this is a first version, it has no table [version]; there is nothing to go back to")
+    kept = Path(model).with_name(version.get("parent_text", ""))
+    if not kept.is_file() or digest(kept) != version["parent_sha256"]:
+        raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {version['parent_sha256']}")
+    aside = Path(model).with_name(f"{Path(model).stem}.reverted-{digest(model)[:12]}.toml")
+    write_text(aside, Path(model).read_text(encoding="utf-8"))
+    write_text(Path(model), kept.read_text(encoding="utf-8"))
+    return aside
+
+
+def next_name(parent: "str | Path", folder: Path) -> Path:
+    """`<fish>.v<N>.toml` of the version after `parent`."""
+    stem = resolve(parent).stem.split(".v")[0]
+    return folder / f"{stem}.v{int(facts(parent).get('number', 1)) + 1}.toml"
+
+
+def beside(out: Path) -> Path:
+    """Where the parent's text is kept."""
+    return out.with_name(f"{out.stem}.parent.toml")
+
+
+def _without(text: str) -> str:
+    """The text without the tables [version] and [version.*]."""
+    kept, inside = [], False
+    for line in text.splitlines():
+        if line.strip().startswith("["):
+            inside = line.strip().startswith(("[version]", "[version."))
+        if not inside:
+            kept.append(line)
+    return "\n".join(kept).rstrip("\n") + "\n"
