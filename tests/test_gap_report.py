@@ -237,10 +237,12 @@ def test_json_holds_what_the_page_shows(folder, material):
 def test_each_of_the_five_answers_has_its_page(inquiry, material, answer):
     v = inquiry.verdict
     other = {"name": "joint_sensor_delay", "p_best": 0.3, "behind": 0.01, "instead_of": "command_latency"}
+    term = {"name": "sway force ~ tail rate x yaw rate", "coefficient": 0.02, "unit": "N s2", "closure": 0.8, "stability": 1.0}
+    term |= {"firm": True, "alike": ("yaw torque ~ yaw rate",)}
     changed = {
         "NAMED": {},
         "CLASS": {"rivals": (other,)},
-        "UNEXPLAINED": {"reason": "the catalogue explains 28%", "gates": v.gates | {"closure": 0.28}},
+        "UNEXPLAINED": {"reason": "the catalogue explains 28%", "gates": v.gates | {"closure": 0.28}, "terms": (term,)},
         "AGREES": {"effects": ()},
         "NOT_REPEATABLE": {"effects": ()},
     }[answer]
@@ -250,6 +252,7 @@ def test_each_of_the_five_answers_has_its_page(inquiry, material, answer):
     assert f'class="mark">{answer}<' in text and headline(asked.verdict) in text and text.count('class="on"') == 1
     if answer == "CLASS":
         assert "or joint sensor delay" in text and "the body lags too" in text, "what separates them comes from the catalogue"
+    assert ("tail rate x yaw rate" in text and "As a force</h2>" in text) == (answer == "UNEXPLAINED")
     states = [g.state for g in gates(shown)] if answer in ("NAMED", "UNEXPLAINED") else []
     assert answer != "NAMED" or set(states) == {"passed"}
     assert answer != "UNEXPLAINED" or states[2:4] == ["failed", "not asked"]

@@ -75,7 +75,7 @@ class Curve:
         names = ("there at once", "like a velocity", "like a force")
         whole = int(np.clip(np.floor(self.slope + 0.35), 0, 2))
         if self.slope - whole > 0.35 and whole < 2:
-            return f"between {names[whole].removeprefix('like ')} and {names[whole + 1].removeprefix('like ')}"
+            return ("between offset and velocity", "between velocity and force")[whole]
         return names[whole]
 
 

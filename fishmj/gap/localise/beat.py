@@ -28,9 +28,9 @@ class Beat(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Mean square of the joint residual, × floor, by speed of the command: edges (BINS + 1,) rad/s, level (BINS,)."""
+    """Mean square of the joint residual, × floor, by speed of the command: middle (BINS,) rad/s, level (BINS,)."""
 
-    edges: np.ndarray
+    middle: np.ndarray
     level: np.ndarray
 
     @property
@@ -101,4 +101,6 @@ def by_rate(c: Comparison) -> Rates | None:
         return None
     edges = np.quantile(rate[moving], np.linspace(0, 1, BINS + 1))
     place = np.clip(np.searchsorted(edges, rate[moving], side="right") - 1, 0, BINS - 1)
-    return Rates(edges, np.array([ratio[moving][place == k].mean() for k in range(BINS)]))
+    bins = [place == k for k in range(BINS)]
+    middle = np.array([np.median(rate[moving][b]) for b in bins])
+    return Rates(middle, np.array([np.mean(ratio[moving][b]) for b in bins]))

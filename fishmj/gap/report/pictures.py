@@ -165,13 +165,12 @@ def _rates(axis, p: Localisation, changed: bool) -> None:
     r = p.rates
     if r is None:
         return
-    middle = 0.5 * (r.edges[1:] + r.edges[:-1])
-    places = np.arange(len(middle))
+    places = np.arange(len(r.middle))
     axis.bar(places, r.level, color=BEFORE, width=0.72, alpha=0.88)
     for x, height in zip(places, r.level, strict=True):
         axis.text(x, height, f"{_short(height)}\n", ha="center", va="center", fontsize=8.8, color=INK)
     axis.axhline(1.0, color=QUIET, linewidth=1, linestyle=(0, (2, 2)))
-    axis.set_xticks(places, [f"{math.degrees(m):.0f}" for m in middle])
+    axis.set_xticks(places, [f"{math.degrees(m):.0f}" for m in r.middle])
     axis.set(ylim=(0, 1.2 * max(r.level.max(), 1.5)), xlabel="speed of the command [deg/s], fifths of the time")
     axis.set_title("Joint residual [× floor]")
     axis.grid(axis="x", visible=False)

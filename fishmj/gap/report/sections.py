@@ -1,5 +1,6 @@
 """The page, from top to bottom: the answer first, then what it stands on."""
 
+import re
 from html import escape
 
 import numpy as np
@@ -18,7 +19,19 @@ def html(m: Material) -> str:
     """Everything in one text."""
     v = m.inquiry.verdict
     with style():
-        parts = [answer(m), "<main>", gap(m), where(m), seen(m), growth(m), candidates(m), checks(m), invisible(m), records(m)]
+        parts = [
+            answer(m),
+            "<main>",
+            gap(m),
+            where(m),
+            seen(m),
+            growth(m),
+            candidates(m),
+            forces(m),
+            checks(m),
+            invisible(m),
+            records(m),
+        ]
     tone = f"<style>{SHEET}:root{{--tone:{ANSWERS[v.answer]}}}</style>"
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(headline(v))}</title>{tone}'
     body = "\n".join(part for part in parts if part)
@@ -42,7 +55,7 @@ def answer(m: Material) -> str:
     )
     return (
         f'<header><div><span class="mark">{v.answer}</span><h1>{escape(headline(v))}</h1>{value}'
-        f'<p class="lead">{escape(meaning(m))}</p><p class="next"><b>Next</b>{escape(next_step(m))}</p>'
+        f'<p class="lead">{told(meaning(m))}</p><p class="next"><b>Next</b>{told(next_step(m))}</p>'
         f'<div class="figures">{"".join(figures(m))}</div><div class="contract">{chips}</div></div></header>'
     )
 
@@ -100,7 +113,7 @@ def where(m: Material) -> str:
     """Localisation."""
     p = m.place
     if nothing(p):
-        return section("Where it is", "", f'<p class="place">{escape(p.text)}</p>')
+        return section("Where it is", "", f'<p class="place">{told(p.text)}</p>')
     drawn = f"<figure>{pictures.heat(p)}</figure>"
     detail = pictures.details(p, m.comparison.changed)
     about = "What the residual of the model looks like, before anything is named."
@@ -109,7 +122,7 @@ def where(m: Material) -> str:
         " Grey in the left panel: lags within which a servo's tolerance lies.</p>"
     )
     more = f"<figure>{detail}</figure>" if detail else ""
-    return section("Where it is", about, f'<p class="place">{escape(p.text)}</p>{drawn}{more}{keys}')
+    return section("Where it is", about, f'<p class="place">{told(p.text)}</p>{drawn}{more}{keys}')
 
 
 def seen(m: Material) -> str:
@@ -143,6 +156,29 @@ def candidates(m: Material) -> str:
     )
     blocks = [ranked(r, i, len(m.rounds)) for i, r in enumerate(m.rounds)]
     return section("What came closest" if v.answer == "AGREES" else "What it could be", about, "".join(blocks) + rounds(m))
+
+
+def forces(m: Material) -> str:
+    """What the gap looks like as a force, where no effect explains it."""
+    if not m.inquiry.verdict.terms:
+        return ""
+    rows = []
+    for t in m.inquiry.verdict.terms:
+        mark = "firm" if t["firm"] else "weak"
+        tag = f'<span class="tag {"passed" if t["firm"] else "not"}">{mark}</span>'
+        alike = f'<br><span class="small">or {escape(", ".join(t["alike"][:3]))}</span>' if t["alike"] else ""
+        size = f"{t['coefficient']:.3g} {escape(t['unit'])}"
+        name = f"<td><b>{escape(t['name'])}</b>{alike}</td>"
+        numbers = (
+            f'<td class="n">{size}</td><td class="n">{percent(t["closure"])}</td><td class="n">{percent(t["stability"])}</td>'
+        )
+        rows.append(f"<tr>{name}{numbers}<td>{tag}</td></tr>")
+    heads = '<tr><th>term</th><th class="n">coefficient</th><th class="n">closes</th><th class="n">chosen in</th><th></th></tr>'
+    about = (
+        "Forces and torques written as products of what the robot does, best first: a description of what is missing, not a name."
+        " Chosen in: share of half-samples of the records in which a term is among the first two. Firm: it passes every doubt."
+    )
+    return section("As a force", about, f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>")
 
 
 def ranked(r: Round, number: int, count: int) -> str:
@@ -221,6 +257,12 @@ def records(m: Material) -> str:
         '<tr><th>record</th><th>experiment</th><th class="n">length</th><th>use</th><th class="n">mean square, × floor</th></tr>'
     )
     return section("The records", "", f"<table><thead>{heads}</thead><tbody>{body}</tbody></table>")
+
+
+def told(text: str) -> str:
+    """Escaped, `code` as code, and no unit at the start of a line."""
+    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
+    return re.sub(r"(\d) (%|ms|s|deg|mm|W)\b", "\\1\u00a0\\2", text).replace(" %", "\u00a0%")
 
 
 def section(name: str, about: str, inside: str) -> str:

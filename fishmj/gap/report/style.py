@@ -58,6 +58,6 @@ ul.plain{margin:6px 0;padding-left:20px}
 ul.columns{columns:3;column-gap:32px;font-size:14px}
 code{font:13.5px ui-monospace,SFMono-Regular,Menlo,Consolas,monospace;background:var(--soft);padding:1px 5px;border-radius:3px}
 footer{border-top:1px solid var(--line);margin-top:44px;padding-top:14px;font-size:13px;color:var(--quiet)}
-@media(max-width:820px){.two,.contract,.figures{grid-template-columns:1fr}ul.columns{columns:1}h1{font-size:30px}}
+@media(max-width:820px){table{display:block;overflow-x:auto}.two,.contract,.figures{grid-template-columns:1fr}ul.columns{columns:1}h1{font-size:30px}}
 @media print{header{background:#fff}section{break-inside:avoid}}
 """

@@ -102,6 +102,9 @@ def next_step(m: Material) -> str:
             if said:
                 return said
         return "Ask fishmj gap next for the experiment that tells them apart."
+    if v.answer == "UNEXPLAINED" and v.terms and v.terms[0]["firm"]:
+        first = v.terms[0]
+        return f"Look for what makes a force like this: {first['name']} (below). It would close {percent(first['closure'])}."
     if v.answer == "UNEXPLAINED":
         return "Look at where the residual lies (below), and repeat the most telling record to make sure that it repeats."
     if v.answer == "NOT_REPEATABLE":
