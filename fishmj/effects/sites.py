@@ -72,6 +72,8 @@ class Body(NamedTuple):
     my: Any  # kg
     mn: Any  # kg m2
     added: Any  # 1, share of the base model's added mass that comes on top of it
+    bend: Any = 0.0  # rad, the tail's angle to the head
+    swing: Any = 0.0  # rad/s, its rate
 
 
 class Water(NamedTuple):

@@ -51,7 +51,7 @@ def investigate(
 
     Args:
         null: how null runs are drawn.
-        further: after CLASS, look for the experiment that decides.
+        further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared.
     """
@@ -75,6 +75,11 @@ def investigate(
 
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null)
+    if further and verdict.answer == "UNEXPLAINED":
+        from fishmj.gap.fallback import described
+
+        say("which force would it be?")
+        verdict = replace(verdict, terms=described(plant, e, null, seed))
     if unseen.any():
         last = [r for r, u in zip(records, unseen, strict=True) if u]
         apart = evidence_of(plant, last, null)

@@ -79,6 +79,7 @@ class Effects:
         b = Body(
             k.u[0], k.w[0], k.omega[0], q[2], q[0], q[1], self.session.time, tail, sway * self.wet, drag, self.wet, *(STILL,) * 7
         )
+        b = b._replace(bend=sum(q[3:], 0.0), swing=k.omega[-1] - k.omega[0])
         b = self.session.body(b, ch.dt)
         for i, (force, mass) in enumerate(((b.fx, b.mx), (b.fy, b.my), (b.n, b.mn))):
             rhs[i], m[i][i] = rhs[i] + force, m[i][i] + mass

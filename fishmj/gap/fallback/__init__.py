@@ -1,0 +1,29 @@
+"""What a gap looks like when no effect of the catalogue explains it: forces and torques written as products of what the fish does.
+
+    terms_of(plant, records, null) -> (Term, ...)     best first
+
+Every term is a provisional effect with one coefficient, put into the plant and whitened by the null like any other (library.py,
+judge.py). A term is a description in the units of a force, never a name.
+"""
+
+from dataclasses import asdict
+
+from fishmj.gap.fallback.judge import Term, terms_of
+
+
+def described(plant, e, null, seed: int = 0) -> tuple[dict, ...]:
+    """The terms of an inquiry as plain dictionaries; none for a plant that is no swimming fish.
+
+    Args:
+        e: Evidence of the records. null: how its null runs are drawn.
+    """
+    from fishmj.gap.fallback.plant import termed
+    from fishmj.gap.plants.fish import Fish
+
+    if not isinstance(plant, Fish):
+        return ()
+    residuals = null.residuals(plant, e.records, e.layout)
+    return tuple(asdict(t) | {"firm": t.firm} for t in terms_of(termed(plant.robot), e.records, residuals, seed))
+
+
+__all__ = ["Term", "described", "terms_of"]
