@@ -14,7 +14,7 @@ from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log import Trial
 from fishmj.log.dataset import read_dataset
 from fishmj.mjcf.description import load_robot
-from fishmj.store import sha256, write_json, write_text
+from fishmj.store import sha256, write_json
 from fishmj.store.manifest import MANIFEST
 
 
@@ -83,7 +83,7 @@ def context_of(inquiry: Inquiry, args) -> dict:
 
 
 def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list[str]:
-    """verdict.json and report.html; with the context of the search also the patched (or the rejected) model."""
+    """verdict.json, report.html and report.json; with the context of the search also the patched (or the rejected) model."""
     folder.mkdir(parents=True, exist_ok=True)
     verdict = inquiry.verdict.plain()
     if context is None:
@@ -95,7 +95,6 @@ def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list
         done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
         patched = done.path.name if done.path and done.accepted else ""
         write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
-    from fishmj.gap.report import page
+    from fishmj.gap import report
 
-    write_text(folder / "report.html", page(inquiry))
-    return ["verdict.json", "report.html", *([done.path.name] if context is not None and done.path else [])]
+    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if context is not None and done.path else [])]

@@ -105,7 +105,7 @@ def frame(p) -> str:
     if f is None or p.share[p.channels.index("position")].sum() < LITTLE or f.points == "neither":
         return ""
     vector, sd = (f.world, f.world_sd) if f.points == "world" else (f.body, f.body_sd)
-    if np.hypot(*vector) < 3 * np.hypot(*sd):
+    if np.hypot(*vector) < 2 * np.hypot(*sd):
         return ""
     size, angle = 1e3 * np.hypot(*vector), math.degrees(math.atan2(vector[1], vector[0]))
     if f.points == "world":

@@ -154,15 +154,11 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
 
 
 def values(plant, c: Candidate, name: str) -> dict:
-    """Parameters of the effects in `name`."""
-    shown = name.split("+")
-    place = lambda effect, p: float(c.row[plant.index(effect.name, p.name)])  # noqa: E731
-    return {
-        p.name if len(shown) == 1 else f"{effect.name}.{p.name}": (place(effect, p), p.unit)
-        for effect in plant.active.effects
-        if effect.name in shown
-        for p in effect.parameters
-    }
+    """Parameters of the effects in `name`; with the effect's name where two share one."""
+    mine = [(e, p) for e in plant.active.effects if e.name in name.split("+") for p in e.parameters]
+    names = [p.name for _, p in mine]
+    key = lambda e, p: p.name if names.count(p.name) == 1 else f"{e.name}.{p.name}"  # noqa: E731
+    return {key(e, p): (float(c.row[plant.index(e.name, p.name)]), p.unit) for e, p in mine}
 
 
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[Blind, ...]:

@@ -8,7 +8,7 @@ from fishmj.gap.growth import Curve
 from fishmj.gap.localise import Localisation
 from fishmj.gap.report.drawing import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
 from fishmj.gap.report.material import Part, Round
-from fishmj.gap.report.words import level, title
+from fishmj.gap.report.words import LETTERS, level
 
 ANGLE = {"rad": (math.degrees(1.0), "deg"), "m": (1e3, "mm")}
 
@@ -171,7 +171,7 @@ def _rates(axis, p: Localisation, changed: bool) -> None:
         axis.text(x, height, f"{_short(height)}\n", ha="center", va="center", fontsize=8.8, color=INK)
     axis.axhline(1.0, color=QUIET, linewidth=1, linestyle=(0, (2, 2)))
     axis.set_xticks(places, [f"{math.degrees(m):.0f}" for m in r.middle])
-    axis.set(ylim=(0, 1.2 * max(r.level.max(), 1.5)), xlabel="speed of the command [deg/s], fifths of the time")
+    axis.set(ylim=(0, 1.2 * float(np.nanmax(r.level, initial=1.5))), xlabel="speed of the command [deg/s], fifths of the time")
     axis.set_title("Joint residual [× floor]")
     axis.grid(axis="x", visible=False)
 
@@ -180,9 +180,8 @@ def confusion(r: Round) -> str:
     """Cosine between what each pair of finalists changes."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    names = [title(row.name) for row in r.table]
-    n = len(names)
-    figure, axes = canvas(1, 1, (0.74 * n + 2.2, 0.5 * n + 1.5))
+    n = len(r.table)
+    figure, axes = canvas(1, 1, (0.72 * n + 0.3, 0.46 * n + 0.3))
     axis = axes[0, 0]
     colours = LinearSegmentedColormap.from_list("alike", ["#F7F9FB", "#F3C9A8", "#D55E00", "#7A3200"])
     size = np.abs(r.alike)
@@ -191,9 +190,9 @@ def confusion(r: Round) -> str:
         for j in range(n):
             text = f"{r.alike[i, j]:.2f}"
             axis.text(j, i, text, ha="center", va="center", fontsize=9.5, color="white" if size[i, j] > 0.6 else INK)
-    axis.set_xticks(range(n), names, rotation=35, ha="left", rotation_mode="anchor")
+    axis.set_xticks(range(n), LETTERS[:n], color=INK)
     axis.xaxis.tick_top()
-    axis.set_yticks(range(n), names, color=INK)
+    axis.set_yticks(range(n), LETTERS[:n], color=INK)
     axis.tick_params(length=0, labelsize=9)
     axis.grid(visible=False)
     for side in axis.spines.values():

@@ -12,7 +12,8 @@ from fishmj.gap.report.drawing import style
 from fishmj.gap.report.material import Material, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
 from fishmj.gap.report.traces import traces
-from fishmj.gap.report.words import CONTRACT, gates, headline, level, meaning, next_step, quantity, title
+from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, level, meaning, next_step, quantity, title
+from fishmj.gap.verdict import Named
 
 
 def html(m: Material) -> str:
@@ -41,15 +42,12 @@ def html(m: Material) -> str:
 def answer(m: Material) -> str:
     """The answer, its value, what it means, what to do next, the figures that carry it."""
     v = m.inquiry.verdict
-    sizes = [
-        f"{escape(title(name) + ' ' if len(effect.parameters) > 1 else '')}{escape(quantity(p.value, p.unit, p.low, p.high))}"
-        for effect in v.effects
-        for name, p in effect.parameters.items()
-    ]
-    value = f'<p class="value">{" · ".join(sizes)} <span class="small">90 % interval</span></p>' if sizes else ""
-    if sizes and v.answer in ("UNEXPLAINED",):
-        tried = " and ".join(title(e.name) for e in v.effects)
-        value = f'<p class="small">tentative: {escape(tried)}, {" · ".join(sizes)}</p>'
+    value = ""
+    if v.effects:
+        shown = " · ".join(escape(sizes(n, alone=len(v.effects) == 1)) for n in v.effects)
+        tentative = v.answer == "UNEXPLAINED"
+        shown = f"tentative: {shown}" if tentative else f'{shown} <span class="small">90&nbsp;% interval</span>'
+        value = f'<p class="{"small" if tentative else "value"}">{shown}</p>'
     chips = "".join(
         f'<div class="{"on" if name == v.answer else ""}"><b>{name}</b>{escape(text)}</div>' for name, text in CONTRACT.items()
     )
@@ -58,6 +56,13 @@ def answer(m: Material) -> str:
         f'<p class="lead">{told(meaning(m))}</p><p class="next"><b>Next</b>{told(next_step(m))}</p>'
         f'<div class="figures">{"".join(figures(m))}</div><div class="contract">{chips}</div></div></header>'
     )
+
+
+def sizes(effect: Named, alone: bool) -> str:
+    """What an effect came out at."""
+    many = len(effect.parameters) > 1
+    values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in effect.parameters.items()]
+    return ", ".join(values) if alone and not many else f"{'' if alone else title(effect.name) + ' '}{', '.join(values)}"
 
 
 def figures(m: Material) -> list[str]:
@@ -101,10 +106,10 @@ def warnings(m: Material) -> str:
     """Why to be careful, before anything else is read."""
     notes, quiet = list(m.inquiry.verdict.warnings), ""
     for n in m.inquiry.verdict.tentative:
-        notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
+        notes.append(f"{n.name} helped a little too, but could be something else: it is counted in, not named")
     if not m.inquiry.unseen.any():
         quiet = "No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw."
-    return "".join(f'<p class="warn">{escape(n[:1].upper() + n[1:].rstrip("."))}.</p>' for n in notes) + (
+    return "".join(f'<p class="warn">{told(n.rstrip("."))}.</p>' for n in notes) + (
         f'<p class="about">{quiet}</p>' if quiet else ""
     )
 
@@ -151,8 +156,8 @@ def candidates(m: Material) -> str:
         return ""
     about = (
         "The finalists, fitted to all records that decide. P(best): share of bootstrap draws over records that an effect wins."
-        " The map is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell"
-        " them apart."
+        " Behind: how much less it takes away, as share of what the best does. The map is the cosine between what two of them"
+        " change, seen through the floor: near 1 these records can hardly tell them apart."
     )
     blocks = [ranked(r, i, len(m.rounds)) for i, r in enumerate(m.rounds)]
     return section("What came closest" if v.answer == "AGREES" else "What it could be", about, "".join(blocks) + rounds(m))
@@ -184,18 +189,18 @@ def forces(m: Material) -> str:
 def ranked(r: Round, number: int, count: int) -> str:
     """One round."""
     rows = []
-    for row in r.table:
-        values = "<br>".join(f"{escape(title(k))} {escape(quantity(*x))}" for k, x in row.values.items())
+    for letter, row in zip(LETTERS, r.table, strict=False):
+        values = "<br>".join(f"{escape(title(k))} {nobreak(quantity(*x))}" for k, x in row.values.items())
         share = '<span class="small">on a bound: no rival</span>' if row.p_best is None else _bar(row.p_best)
         mark = ' <span class="tag failed">rival</span>' if row.rival else ""
         behind = "best" if row.behind == 0 else f"{100 * row.behind:.1f} %"
-        name = f'<td class="name">{escape(title(row.name))}{mark}</td>'
-        rows.append(f'<tr>{name}<td class="keep">{values}</td><td class="keep">{share}</td><td class="n">{behind}</td></tr>')
-    heads = '<tr><th>effect</th><th>comes out at</th><th>P(best)</th><th class="n">behind, of the gain</th></tr>'
+        name = f'<td class="name"><span class="letter">{letter}</span>{escape(title(row.name))}{mark}</td>'
+        rows.append(f'<tr>{name}<td>{values}</td><td class="keep">{share}</td><td class="n">{behind}</td></tr>')
+    heads = '<tr><th>effect</th><th>comes out at</th><th>P(best)</th><th class="n">behind</th></tr>'
     head = f"<h3>Effect {number + 1}</h3>" if count > 1 else ""
     table = f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>"
     drawn = f"<figure>{pictures.confusion(r)}</figure>" if len(r.table) > 1 else ""
-    return f'{head}<div class="two"><div>{table}</div><div>{drawn}</div></div>'
+    return f'{head}<div class="rank"><div>{table}</div><div>{drawn}</div></div>'
 
 
 def rounds(m: Material) -> str:
@@ -261,8 +266,14 @@ def records(m: Material) -> str:
 
 def told(text: str) -> str:
     """Escaped, `code` as code, and no unit at the start of a line."""
+    text = re.sub(r"(\d)%", r"\1 %", text)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
     return re.sub(r"(\d) (%|ms|s|deg|mm|W)\b", "\\1\u00a0\\2", text).replace(" %", "\u00a0%")
+
+
+def nobreak(text: str) -> str:
+    """Escaped, on one line."""
+    return escape(text).replace(" ", "\u00a0")
 
 
 def section(name: str, about: str, inside: str) -> str:

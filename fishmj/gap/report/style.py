@@ -39,12 +39,15 @@ margin:12px 0 18px;max-width:none}
 figure{margin:14px 0 8px}
 svg{height:auto;display:block}
 svg text{font-family:system-ui,-apple-system,"Segoe UI","Helvetica Neue",Arial,sans-serif!important}
+.rank{display:grid;grid-template-columns:minmax(0,1.75fr) minmax(0,1fr);gap:36px;align-items:start}
+.rank td.name{min-width:11em;white-space:normal}
 .two{display:grid;grid-template-columns:minmax(0,1.15fr) minmax(0,1fr);gap:36px;align-items:start}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums;font-size:14.5px;margin:8px 0}
 th,td{padding:7px 12px 7px 0;border-bottom:1px solid var(--line);text-align:left;vertical-align:top}
 th{font-weight:600;color:var(--quiet);font-size:13px;border-bottom:1.5px solid #c5ced8;white-space:nowrap}
 td.n,th.n{text-align:right;white-space:nowrap;padding-right:18px}
 td.keep{white-space:nowrap}
+.letter{display:inline-block;width:1.5em;color:var(--quiet);font-weight:400}
 td.name{font-weight:600;white-space:nowrap}
 .bar{display:inline-block;vertical-align:middle;height:9px;background:var(--line);border-radius:5px;width:64px;
 margin-right:8px;overflow:hidden}
@@ -58,6 +61,7 @@ ul.plain{margin:6px 0;padding-left:20px}
 ul.columns{columns:3;column-gap:32px;font-size:14px}
 code{font:13.5px ui-monospace,SFMono-Regular,Menlo,Consolas,monospace;background:var(--soft);padding:1px 5px;border-radius:3px}
 footer{border-top:1px solid var(--line);margin-top:44px;padding-top:14px;font-size:13px;color:var(--quiet)}
-@media(max-width:820px){table{display:block;overflow-x:auto}.two,.contract,.figures{grid-template-columns:1fr}ul.columns{columns:1}h1{font-size:30px}}
+@media(max-width:820px){table{display:block;overflow-x:auto}
+.two,.rank,.contract,.figures{grid-template-columns:1fr}ul.columns{columns:1}h1{font-size:30px}}
 @media print{header{background:#fff}section{break-inside:avoid}}
 """

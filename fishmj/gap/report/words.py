@@ -16,6 +16,7 @@ SCALES = {
     "m": (1e3, "mm"),
     "m/s": (1e3, "mm/s"),
 }
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
 CONTRACT = {
     "AGREES": "Nothing differs beyond what the model leaves open.",
     "NAMED": "One effect explains it, on records that it was not fitted to.",
