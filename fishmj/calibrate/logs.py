@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fishmj.errors import LogError
-from fishmj.gap.records import Record, record_of
+from fishmj.gap.records import Record, Sensor, record_of
 from fishmj.log import Trial
 from fishmj.log.dataset import read_dataset
 
@@ -41,6 +41,13 @@ class Logs(NamedTuple):
                 " Record each in air and in water, three times (meta: excitation, medium)"
             )
         return names
+
+
+def angles(record: Record) -> Sensor:
+    """The measured joint angles. Raises LogError where there are none."""
+    if record.joint is None:
+        raise LogError(f"trial {record.name}: no table joint; a servo is calibrated by its angles")
+    return record.joint
 
 
 def read(folder: "str | Path") -> Logs:

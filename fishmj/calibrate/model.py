@@ -68,7 +68,12 @@ def put(text: str, table: str, values: dict[str, float], name: str = "") -> str:
 
 def _number(old: str, value: float) -> str:
     """The new number; of a list, the first entry."""
-    return re.sub(r"\[\s*[^,\]]+", f"[{value:.6g}", old, count=1) if old.startswith("[") else f"{value:.6g}"
+    return re.sub(r"\[\s*[^,\]]+", f"[{value:.9g}", old, count=1) if old.startswith("[") else f"{value:.9g}"
+
+
+def short(value: float) -> float:
+    """Six digits: more were not measured."""
+    return float(f"{value:.6g}")
 
 
 def recorded(text: str, verb: str, estimates: dict[str, Estimate], source: str) -> str:

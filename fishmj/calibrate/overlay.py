@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console
-from fishmj.calibrate.logs import MEDIA, SIGNALS
+from fishmj.calibrate.logs import MEDIA, SIGNALS, angles
 from fishmj.calibrate.servo import Found
 from fishmj.errors import MissingExtra
 from fishmj.evaluate.report import STYLE as PAGE
@@ -60,11 +60,13 @@ def _panel(axis, found: Found, repeats: list[Record], span: tuple[float, float])
     sent = np.arange(len(record.commands)) * record.dt
     axis.plot(t, np.degrees(np.interp(t, sent, record.commands[:, JOINT])), color=DESIRED, lw=1.2, ls="--", label="desired")
     for k, each in enumerate(repeats):
-        now = (each.joint.t >= span[0]) & (each.joint.t <= span[1])
-        angle = np.degrees(each.joint.values[now, JOINT])
-        axis.plot(each.joint.t[now], angle, ".", ms=2.5, color=MEASURED, label="measured" if k == 0 else None)
+        seen = angles(each)
+        now = (seen.t >= span[0]) & (seen.t <= span[1])
+        axis.plot(
+            seen.t[now], np.degrees(seen.values[now, JOINT]), ".", ms=2.5, color=MEASURED, label="measured" if k == 0 else None
+        )
     fine = record._replace(
-        joint=Sensor(t, np.zeros((len(t), record.commands.shape[1])), record.joint.sigma), pose=None, power=None
+        joint=Sensor(t, np.zeros((len(t), record.commands.shape[1])), angles(record).sigma), pose=None, power=None
     )
     simulated = found.plant.predict([fine], found.row)[0]["joint"][0, :, JOINT]
     axis.plot(t, np.degrees(simulated), color=SIMULATED, lw=1.3, label="simulated")
@@ -73,7 +75,7 @@ def _panel(axis, found: Found, repeats: list[Record], span: tuple[float, float])
 def rms(found: Found, records: list[Record]) -> float:
     """Of all joints over whole trials, deg."""
     predicted = found.plant.predict(records, found.row)
-    squares = [np.mean((r.joint.values - p["joint"][0]) ** 2) for r, p in zip(records, predicted, strict=True)]
+    squares = [np.mean((angles(r).values - p["joint"][0]) ** 2) for r, p in zip(records, predicted, strict=True)]
     return float(np.degrees(np.sqrt(np.mean(squares))))
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, fit
-from fishmj.calibrate.logs import MEDIA, Logs
+from fishmj.calibrate.logs import MEDIA, Logs, angles
 from fishmj.gap.plants.bench import CONSTANTS, Bench
 from fishmj.gap.records import Record
 
@@ -72,14 +72,14 @@ def fitted(plant: Bench, records: list[Record]) -> Fit:
     """The fit on some records."""
     blocks, size = [], 0
     for record in records:
-        for _ in range(record.joint.values.shape[1]):
-            where = slice(size, size + len(record.joint.t))
+        for _ in range(angles(record).values.shape[1]):
+            where = slice(size, size + len(angles(record).t))
             blocks.append(Block(record.name, f"{record.excitation} {record.medium}", where))
             size = where.stop
 
     def residual(thetas: np.ndarray) -> np.ndarray:
         predicted = plant.predict(records, np.array([row_of(plant, theta) for theta in thetas]))
-        parts = [(r.joint.values - p["joint"]).transpose(0, 2, 1) for r, p in zip(records, predicted, strict=True)]
+        parts = [(angles(r).values - p["joint"]).transpose(0, 2, 1) for r, p in zip(records, predicted, strict=True)]
         return np.concatenate([part.reshape(len(thetas), -1) for part in parts], 1)
 
     return fit(parameters(plant), residual, blocks)

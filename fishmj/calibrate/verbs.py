@@ -49,8 +49,9 @@ def run_servo(args) -> Answer:
     if args.out:
         text, s = model.start(args.out, args.model), plant.robot.servo
         kp, kd = estimates["kp"].value, estimates["kd"].value
-        text = model.put(text, "servo", {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)})
-        text = model.put(text, "timing", {"command_latency": estimates["command_latency"].value})
+        values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
+        text = model.put(text, "servo", {key: model.short(value) for key, value in values.items()})
+        text = model.put(text, "timing", {"command_latency": model.short(estimates["command_latency"].value)})
         model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, str(args.data))
     return {"estimates": plain(estimates), "alone": apart, "left": left, "report": page, "overlay": picture}
 
@@ -68,7 +69,7 @@ def run_latency(args) -> Answer:
     tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
     page = overlay.report(args.report, "Latency calibration", tables, None, said(logs))
     if args.out:
-        values = {name: e.value for name, e in estimates.items()}
+        values = {name: model.short(e.value) for name, e in estimates.items()}
         text = model.put(model.start(args.out, args.model), "timing", values)
         model.write(args.out, text, "latency", estimates, {}, str(args.data))
     return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page}
@@ -123,8 +124,8 @@ def run_mass(args) -> Answer:
     if args.out:
         text = model.start(args.out, args.model)
         for name, (m, c) in found.links.items():
-            text = model.put(text, "link", {"mass": m, "com": c}, name)
-        text = model.put(text, "body", {"mass_total": round(sum(float(f"{m:.6g}") for m, _ in found.links.values()), 9)})
+            text = model.put(text, "link", {"mass": model.short(m), "com": model.short(c)}, name)
+        text = model.put(text, "body", {"mass_total": sum(model.short(m) for m, _ in found.links.values())})
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
         model.write(args.out, text, "mass", found.estimates, beyond, str(args.data))

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from fishmj.virtual_robot.motion import Recording
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import weather
 
-CARRY = 0.5  # s that a carriage takes the fish along before it lets go: the water near the hull moves as it would
+CARRY = 1.5  # s that a carriage takes the fish along before it lets go: after them the drag stays within a tenth
 WIDTH, PASSES = 3, 2  # of the immersed boundary
 
 
@@ -74,7 +75,7 @@ class HiddenRun(Run):
         super().__init__(coupled, made.robot, latency=0.0, follow=edge)
         if any(what.push):
             self._carry(start)
-        self.wire.place(coupled.body)
+        self.wire.place(_hidden(coupled))
         self.begin()
 
     @property
@@ -99,7 +100,7 @@ class HiddenRun(Run):
         before = carriage(start, push, CARRY)
         for i in range(steps):
             after = carriage(start, push, CARRY - (i + 1) * dt)
-            self.coupled.body.push(np.zeros(3), np.zeros(3))
+            _hidden(self.coupled).push(np.zeros(3), np.zeros(3))
             self.coupled.step(np.ones(6), np.array([*(after - before) / dt, 0.0, 0.0, 0.0]))
             if self.follow is not None:
                 self.follow(self.coupled)
@@ -110,7 +111,7 @@ class HiddenRun(Run):
     def _steps(self, factor: int, stop: bool = True) -> Generator[None, None, "tuple | None"]:
         """As `Run._steps`, the joints' torque from the wire; a joint that friction holds is prescribed not to move."""
         coupled = self.coupled if factor == 1 else self._finer[factor]
-        body, dt, corners = coupled.body, coupled.body.dt, coupled.boundary.corners
+        body, dt, corners = _hidden(coupled), coupled.body.dt, coupled.boundary.corners
         self.wire.begin_tick(self.ticks)
         self.wire.place(body)
         self.fastest, count, motions = 0.0, self.steps * factor, []
@@ -135,6 +136,10 @@ class HiddenRun(Run):
         coupled.join()
         self.fastest = fastest(motions)
         return 0.0, *coupled.take_wrench(count * dt)
+
+
+def _hidden(coupled: Coupled) -> HiddenBody:
+    return cast(HiddenBody, coupled.body)
 
 
 def carriage(start: np.ndarray, push, before: float) -> np.ndarray:

@@ -36,7 +36,8 @@ class Wire:
         self.difference = Difference(made, gust)
         self.law, self.held = np.zeros((3, 5)), np.zeros(3, bool)
         self.rows: list[np.ndarray] = []  # one array (n, LOG) a step
-        self._work, self._kept, self._tick, self._next = workspace(), None, -1, 0.0
+        self._work, self._tick, self._next = workspace(), -1, 0.0
+        self._kept: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
 
     def begin_tick(self, tick: int) -> None:
         """Called at the start of every attempt at a tick: a second one starts from where the first did."""
@@ -51,12 +52,11 @@ class Wire:
 
     def drive(self, body: HiddenBody, time: float) -> None:
         """Set the joints' law, and what effects add, for the step of the water that begins at `time` s."""
+        extra = np.zeros(3)
         if self.difference.acts:
             force, mass = self.difference(self.state, body.dt)
             body.applied[:3], body.more = force[:3], mass
             extra = force[3:]
-        else:
-            extra = 0.0
         if time >= self._next - 1e-9:  # steps finer than the servos' share a law
             self._ahead(max(1, round(body.dt / H)))
         seconds = max(body.dt, H)

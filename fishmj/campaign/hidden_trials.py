@@ -1,8 +1,8 @@
 """Calibration trials of a robot whose numbers nobody wrote down, and the sealed file that holds them.
 
-    python -m fishmj.campaign.hidden_trials --swims second                     seconds; the swims are the second robot's, too
-    python -m fishmj.campaign.hidden_trials --swims lbm --domain laptop --repeats-swims 1 --seconds 8 --device cpu     minutes
-    python -m fishmj.campaign.hidden_trials --swims lbm --domain paper --device cuda --tanks 9      all three repeats, on a GPU
+    python -m fishmj.campaign.hidden_trials --water second                     seconds; all water is the second robot's
+    python -m fishmj.campaign.hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
+    python -m fishmj.campaign.hidden_trials --water lbm --domain paper --device cuda --tanks 12      a GPU: all water trials
 
 Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
 weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be
@@ -35,6 +35,9 @@ REPEATS = 3
 BENCH = ("sine", "square", "impulse")  # the paper's signals
 SWIMS = ("gait", "gait_slow", "tow_ahead")  # 1 Hz and 30 deg, another beat rate, coasting
 SECOND, SOLVER = "fishmj.virtual_robot", "fishmj.campaign.hidden"
+GENERATORS = {"second": (SECOND, SECOND), "swims": (SOLVER, SECOND), "lbm": (SOLVER, SOLVER)}  # --water: swims, bench in water
+MEDIA = ("air", "water")
+FIRST_SWIM = 100  # number of the first swim among the streams of noise
 ROUGHEST = 0.05  # 1 - s, of the roughest hull that is drawn; small ones are likelier
 
 
@@ -103,7 +106,7 @@ def _balance(made: Plant) -> dict[str, float]:
 
 def bench(repeats: int = REPEATS) -> Iterator[tuple[str, Excitation, str, int]]:
     """(name, experiment, medium, repeat) of every trial of the servos."""
-    for medium in ("air", "water"):
+    for medium in MEDIA:
         for id_ in BENCH:
             for repeat in range(repeats):
                 yield f"{medium}_{id_}_{repeat + 1}", excitation.get(id_), medium, repeat
@@ -116,54 +119,60 @@ def swims(repeats: int = REPEATS, seconds: float | None = None) -> list[tuple[st
     return [(f"swim_{id_}_{r + 1}", cut(excitation.get(id_)), r) for id_ in SWIMS for r in range(repeats)]
 
 
-def trials(seed: int, noise: float = 1.0, repeats: int = REPEATS) -> dict[str, Trial]:
-    """The servos' trials of the robot of `seed`, every repeat placed and measured anew."""
-    robots = {medium: hidden(seed, medium) for medium in ("air", "water")}
+def trials(seed: int, noise: float = 1.0, repeats: int = REPEATS, media: tuple[str, ...] = MEDIA) -> dict[str, Trial]:
+    """The servos' trials of the robot of `seed`, every repeat placed and measured anew; water is the second robot's."""
+    robots = {medium: hidden(seed, medium) for medium in media}
     made = {}
     for index, (name, what, medium, repeat) in enumerate(bench(repeats)):
-        first = f"{name[:-1]}1" if repeat else ""
-        made[name] = trial_of(robots[medium], what, seed, index, noise, name, first, (0.0, 0.0))
-        if medium == "air":
+        if medium in media:
+            made[name] = trial_of(robots[medium], what, seed, index, noise, name, first_of(name, repeat), (0.0, 0.0))
+        if medium in media and medium == "air":
             made[name].meta["bench"] = "hung on a thread of 1 m at the reference point"
     return made
+
+
+def first_of(name: str, repeat: int) -> str:
+    """The trial that this one repeats; "" for the first."""
+    return f"{name[:-1]}1" if repeat else ""
 
 
 def second_swims(seed: int, repeats: int = REPEATS, seconds: float | None = None) -> dict[str, Trial]:
     """Swims in the second robot's own water."""
     made, out = hidden(seed), {}
-    for index, (name, what, repeat) in enumerate(swims(repeats, seconds), 100):
-        out[name] = trial_of(made, what, seed, index, 1.0, name, f"{name[:-1]}1" if repeat else "", (0.0, 0.0))
+    for index, (name, what, repeat) in enumerate(swims(repeats, seconds), FIRST_SWIM):
+        out[name] = trial_of(made, what, seed, index, 1.0, name, first_of(name, repeat), (0.0, 0.0))
     return out
 
 
-def solver_swims(
-    seed: int, domain: str, device: str, tanks: int = 1, repeats: int = REPEATS, seconds: float | None = None
-) -> dict[str, Trial]:
-    """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed."""
+def solver_trials(seed: int, args) -> dict[str, Trial]:
+    """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed; with `--water lbm` the bench, too."""
     from fishmj.campaign.hidden import swum
     from fishmj.campaign.hidden import trial_of as seen
     from fishmj.campaign.hidden_run import Job
     from fishmj.lbm_oracle.domain import preset
 
-    made, slip, waiting = hidden(seed), slip_of(seed), []
-    for index, (name, what, repeat) in enumerate(swims(repeats, seconds), 100):
-        first = f"{name[:-1]}1" if repeat else ""
-        job = Job(made=made, what=what, seed=seed, index=index, name=name, replicate_of=first, slip=slip, domain=preset(domain))
-        waiting.append(job)
+    made, slip, box = hidden(seed), slip_of(seed), preset(args.domain)
+    asked = [(i, *row) for i, row in enumerate(swims(args.repeats_swims, args.seconds), FIRST_SWIM)]
+    if args.water == "lbm":
+        asked += [(i, name, what, repeat) for i, (name, what, medium, repeat) in enumerate(bench()) if medium == "water"]
+    waiting = [
+        Job(made=made, what=what, seed=seed, index=i, name=name, replicate_of=first_of(name, repeat), slip=slip, domain=box)
+        for i, name, what, repeat in asked
+    ]
     out = {}
-    for run in swum(waiting, device, tanks):
+    for run in swum(waiting, args.device, args.tanks):
         out[run.job.name] = seen(run)
         console.say(f"{run.job.name}: {out[run.job.name].span[1]:.1f} s")
     return out
 
 
-def write(out: str | Path, seed: int, swum: dict[str, Trial], *, overwrite: bool = False, slip: bool = False) -> Path:
+def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[str, str], *, overwrite: bool = False) -> Path:
     """Trials, weighings, seal, manifest. Returns the manifest's path."""
-    out, made = Path(out), hidden(seed)
-    write_dataset(out, trials(seed) | swum, overwrite=overwrite)
-    write_text(out / MEASUREMENTS, dumps(weighings(made, truth(made), draws.stream(seed, "weighing"))))
-    values = truth(made) | ({"slip": slip_of(seed)} if slip else {})
-    return seal(out, seed, values, {"bench": SECOND, "weighing": SECOND, "swim": SOLVER if slip else SECOND})
+    out, robot = Path(out), hidden(seed)
+    write_dataset(out, made, overwrite=overwrite)
+    write_text(out / MEASUREMENTS, dumps(weighings(robot, truth(robot), draws.stream(seed, "weighing"))))
+    values = truth(robot) | ({"slip": slip_of(seed)} if SOLVER in generators.values() else {})
+    return seal(out, seed, values, generators)
 
 
 def seal(out: Path, seed: int, values: dict[str, float], generators: dict[str, str]) -> Path:
@@ -180,9 +189,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("campaign hidden_trials", "Calibration trials of a robot drawn anew, its numbers sealed.")
     add = parser.add_argument
     add("--out", type=Path, default=OUT)
-    add(
-        "--swims", choices=("second", "lbm"), default="second", help="water of the swims: the second robot's or the flow solver's"
-    )
+    add("--water", choices=GENERATORS, default="second", help="whose water: the second robot's, the solver's for swims, for all")
     add("--repeats-swims", type=int, default=REPEATS, metavar="N")
     add("--seconds", type=float, help="cut the swims to this length")
     add("--domain", default="paper", help="box of the flow solver")
@@ -192,12 +199,12 @@ def main(argv: list[str]) -> int:
     add("--overwrite", action="store_true")
     args = parser.parse_args(argv)
     seed = secrets.randbits(48) if args.seed is None else args.seed
-    if args.swims == "lbm":
-        swum = solver_swims(seed, args.domain, args.device, args.tanks, args.repeats_swims, args.seconds)
-    else:
-        swum = second_swims(seed, args.repeats_swims, args.seconds)
-    write(args.out, seed, swum, overwrite=args.overwrite, slip=args.swims == "lbm")
-    console.say(f"{args.out}: {len(trials(seed)) + len(swum)} synthetic trials; the robot's numbers are sealed in {SEALED}")
+    swimming, wet = GENERATORS[args.water]
+    made = second_swims(seed, args.repeats_swims, args.seconds) if swimming == SECOND else solver_trials(seed, args)
+    made |= trials(seed, media=MEDIA if wet == SECOND else ("air",))
+    generators = {"air": SECOND, "water": wet, "swim": swimming, "weighing": SECOND}
+    write(args.out, seed, made, generators, overwrite=args.overwrite)
+    console.say(f"{args.out}: {len(made)} synthetic trials; the robot's numbers are sealed in {SEALED}")
     return console.OK
 
 

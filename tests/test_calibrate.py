@@ -1,0 +1,240 @@
+"""Calibration: numbers of a robot that are known come back, intervals hold, the seal stays shut."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from fishmj.calib import read_toml
+from fishmj.calibrate import latency, mass, model, servo, slip
+from fishmj.calibrate.least_squares import Block, Estimate, Parameter, correlation_length, fit
+from fishmj.calibrate.logs import Logs
+from fishmj.calibrate.systematic import widened
+from fishmj.campaign import hidden_score, hidden_trials
+from fishmj.errors import ConfigError, LogError, StoreError
+from fishmj.gap.plants.bench import Bench
+from fishmj.gap.records import Sensor
+from fishmj.hydro_fit import chain
+from fishmj.log.toml import dumps
+from fishmj.mjcf.description import load_robot
+from fishmj.store import Manifest, read_json, sha256, write_json, write_text
+from fishmj.virtual_robot import draws
+
+ROOT = Path(__file__).resolve().parent.parent
+SHIPPED = ROOT / "data" / "calib" / "trials"
+SEED = 11
+
+
+def red_noise(rng: np.random.Generator, n: int, keep: float) -> np.ndarray:
+    """AR(1) with unit variance."""
+    out, kicks = np.empty(n), rng.standard_normal(n) * np.sqrt(1 - keep**2)
+    out[0] = rng.standard_normal()
+    for i in range(1, n):
+        out[i] = keep * out[i - 1] + kicks[i]
+    return out
+
+
+def test_correlation_length_of_red_noise():
+    rng = np.random.default_rng(0)
+    found = np.mean([correlation_length(red_noise(rng, 4000, 0.9)) for _ in range(20)])
+    assert found == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.2)
+    assert correlation_length(rng.standard_normal(4000)) < 1.5
+
+
+def test_intervals_hold_under_autocorrelated_residuals():
+    """A slope and an offset in red noise: the 90 % interval covers about as often as it says; a naive one does not."""
+    rng, t, inside, naive = np.random.default_rng(1), np.linspace(0, 1, 300), 0, 0
+    blocks = [Block(f"t{i}", f"g{i % 3}", slice(300 * i, 300 * (i + 1))) for i in range(6)]
+    line = lambda thetas: (thetas[:, :1] + thetas[:, 1:] * np.tile(t, 6)[None]) * 1.0  # noqa: E731
+    start = [Parameter("a", "1", 0.5, 0.1), Parameter("b", "1", 0.0, 0.1)]
+    for _ in range(60):
+        data = 1.0 + 2.0 * np.tile(t, 6) + 0.3 * np.concatenate([red_noise(rng, 300, 0.95) for _ in blocks])
+        found = fit(start, lambda thetas, data=data: data - line(thetas), blocks)
+        slope = found.estimates["b"]
+        inside += slope.low <= 2.0 <= slope.high
+        sd = 0.3 / np.sqrt(np.sum((np.tile(t, 6) - 0.5) ** 2))
+        naive += abs(slope.value - 2.0) < 1.645 * sd
+    assert inside >= 50, f"{inside} of 60"
+    assert naive < 30, f"the naive interval holds {naive} times: this test proves nothing"
+
+
+def test_a_bound_and_a_prior_are_kept():
+    blocks = [Block("t", "g", slice(0, 50))]
+    target = np.full(50, -1.0)
+    bounded = fit([Parameter("a", "1", 0.5, 0.1, low=0.0)], lambda thetas: target - thetas, blocks)
+    assert bounded.theta[0] == 0.0 and bounded.estimates["a"].low == 0.0
+    held = fit([Parameter("a", "1", 0.5, 0.1, sigma=1e-6)], lambda thetas: target - thetas, blocks)
+    assert held.theta[0] == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def robot() -> tuple[dict, Logs]:
+    """Truth and bench trials of one robot, one repeat."""
+    return hidden_trials.truth(hidden_trials.hidden(SEED)), Logs(Path("drawn"), hidden_trials.trials(SEED, repeats=1))
+
+
+@pytest.fixture(scope="module")
+def fitted(robot) -> servo.Found:
+    return servo.calibrate(robot[1], Bench(), alone=False)
+
+
+def test_servo_numbers_come_back_within_their_intervals(robot, fitted):
+    truth, _ = robot
+    for name, e in fitted.estimates.items():
+        wide = widened(e)
+        assert wide.low <= truth[name] <= wide.high, (name, wide, truth[name])
+    assert fitted.estimates["kp"].value == pytest.approx(truth["kp"], rel=0.06)
+    assert fitted.estimates["command_latency"].value == pytest.approx(truth["command_latency"], abs=0.004)
+    assert np.degrees(fitted.whole.after.std()) < 0.4 < np.degrees(fitted.whole.before.std())
+
+
+def test_latencies_come_back(robot, fitted):
+    truth, logs = robot
+    found = latency.calibrate(logs, fitted)
+    for name, e in found.estimates.items():
+        assert e.value == pytest.approx(truth[name], abs=0.012), name
+    assert {row.path for row in found.rows} == {"command", "camera"}
+
+
+def test_without_bench_trials_it_says_what_to_record():
+    with pytest.raises(LogError, match="at least two"):
+        servo.calibrate(Logs(Path("empty"), {}), Bench())
+
+
+def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
+    """One plant for both media: with `wet` 1 the row of the described robot moves as the chain of `hydro_fit` does."""
+    plant, logs = Bench(), robot[1]
+    record = logs.records(plant.dt, logs.of("water", ("square",)))[0]._replace(pose=None, power=None)
+    late, n = round(plant.latency / plant.dt), 300
+    q, v, attached = [*map(float, record.start), 0.0, 0.0, 0.0], [0.0] * 6, 0.5
+    angles = [q[3:]]
+    for k in range(n):
+        target = list(record.commands[max(k - late, 0)])
+        s = chain.step(np, plant.chain, plant.nominal, q, v, attached, target, [(0.0, 0.0)] * 4, (0.0, 0.0))
+        q, v, attached = s.q, s.v, s.attached
+        angles.append(q[3:])
+    t = np.arange(0, n + 1, 5) * plant.dt
+    seen = record._replace(joint=Sensor(t, np.zeros((len(t), 3)), np.ones(3)), joints=np.zeros(3))
+    found = plant.predict([seen], plant.null)[0]["joint"][0]
+    assert np.abs(found - np.array(angles)[::5]).max() < 1e-4 < np.ptp(found, 0).min()
+    hung = plant.predict([seen._replace(medium="air")], plant.null)[0]["joint"][0]
+    assert np.abs(hung - found).max() > 0.02, "air is another medium"
+
+
+def test_slip_is_found_where_the_table_was_read_and_one_swim_says_less():
+    s = 0.985
+    at = {name: (float(v[0]), 3) for name, v in slip.predictions("window", np.array([s])).items()}
+    found = slip.profile(at, "window")
+    assert found.estimate.low < s < found.estimate.high and found.estimate.value == pytest.approx(s, abs=0.003)
+    assert found.cost.min() < 1e-2 < found.cost[0]
+    with pytest.raises(LogError, match="tow_ahead"):
+        slip.profile({"tow_ahead": (1.0, 1)}, "window")
+
+
+def test_speed_and_coast_are_read_from_a_path():
+    t = np.arange(0, 9, 0.02)
+    pose = {"t": t, "x": 0.25 * t, "y": 0 * t, "yaw": 0 * t}
+    assert slip.metric("gait", pose) == pytest.approx(0.25, rel=1e-6)
+    assert slip.metric("tow_ahead", pose) == pytest.approx(1.0, rel=1e-6)
+    assert np.isnan(slip.metric("gait_slow", {k: v[:100] for k, v in pose.items()}))
+
+
+def test_masses_come_back_from_the_weighings(tmp_path: Path):
+    made = hidden_trials.hidden(SEED)
+    truth = hidden_trials.truth(made)
+    page = hidden_trials.weighings(made, truth, draws.stream(SEED, "weighing"))
+    write_text(tmp_path / mass.FILE, dumps(page))
+    found = mass.calibrate(tmp_path, load_robot()).estimates
+    for name in ("mass", "com", "inertia"):
+        assert found[name].value == pytest.approx(truth[name], rel=0.02), name
+    del page["scales"]["tail"]
+    write_text(tmp_path / mass.FILE, dumps(page))
+    with pytest.raises(ConfigError, match=r"\[scales\] tail"):
+        mass.calibrate(tmp_path, load_robot())
+
+
+def test_the_nominal_robot_weighs_what_it_is_described_to():
+    made = hidden_trials.plant({}, 0, nuisance=0.0)
+    truth, described = hidden_trials.truth(made), load_robot()
+    assert truth["mass"] == pytest.approx(described.mass)
+    assert mass._yaw_inertia(described) == pytest.approx(truth["inertia"], rel=1e-6)
+
+
+def test_a_calibrated_fish_is_a_fish_and_remembers_where_from(tmp_path: Path):
+    out = tmp_path / "mine.toml"
+    e = Estimate("kp", "N m/rad", 9.25, 9.0, 9.5, 0.1, "trials")
+    friction = Estimate("friction", "N m", 0.05, 0.04, 0.06, 0.005, "trials")
+    for _ in range(2):  # the second time replaces
+        text = model.put(model.start(out, "fish"), "servo", {"kp": 9.25})
+        model.write(out, text, "servo", {"kp": e}, {"coulomb_friction.torque": friction}, "here")
+    read, table = load_robot(out), read_toml(out)
+    assert read.servo.kp == 9.25 and [f.name for f in read.effects] == ["coulomb_friction"]
+    assert table["calibration"]["servo"]["kp"] == {"value": 9.25, "low": 9.0, "high": 9.5, "unit": "N m/rad"}
+    assert out.read_text().count("[calibration.servo]") == 1 and "# N m/rad" in out.read_text()
+    with pytest.raises(ConfigError, match="no line for kq"):
+        model.put(text, "servo", {"kq": 1.0})
+
+
+def test_shipped_trials_are_whole_synthetic_and_sealed():
+    manifest = Manifest.read(SHIPPED)
+    manifest.verify(SHIPPED)
+    assert hidden_trials.SEALED not in manifest.files
+    assert manifest.meta["sealed"]["sha256"] == sha256(SHIPPED / hidden_trials.SEALED)
+    metas = [read_toml(SHIPPED / name) for name in manifest.files if name.endswith("meta.toml")]
+    assert len(metas) >= 21 and {m["origin"] for m in metas} == {"synthetic"}
+    assert all("seed" not in m and m["source"] in manifest.meta["generators"].values() for m in metas)
+
+
+def test_a_broken_seal_is_noticed(tmp_path: Path):
+    write_json(tmp_path / hidden_trials.SEALED, {"values": {"kp": 8.0}})
+    Manifest({}, {"sealed": {"file": hidden_trials.SEALED, "sha256": "0" * 64}}).write(tmp_path)
+    with pytest.raises(StoreError, match="seal"):
+        hidden_score.opened(tmp_path)
+
+
+def test_what_fits_never_names_the_seal():
+    """Only the command line hands over to the module that opens it."""
+    for room in ("gap", "calibrate"):
+        for path in (ROOT / "fishmj" / room).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            assert "sealed.json" not in text and "SEALED" not in text, path
+            if path.name != "__main__.py":
+                assert "hidden_trials" not in text and "hidden_score" not in text, path
+
+
+WATCH = """
+import json, sys
+opened = []
+sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
+from fishmj.calibrate.__main__ import main
+from fishmj.calibrate.logs import read
+read(sys.argv[1])
+for verb in ("mass", "slip"):
+    main([verb, "--data", sys.argv[1], "--report", sys.argv[2]])
+print(json.dumps({"sealed": [p for p in opened if "sealed" in p], "trials": sum("meta.toml" in p for p in opened)}))
+"""
+
+
+def test_calibration_does_not_open_the_sealed_file(tmp_path: Path):
+    command = [sys.executable, "-c", WATCH, str(SHIPPED), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["sealed"] == [] and found["trials"] > 20
+
+
+def test_score_compares_fitted_with_sealed(tmp_path: Path):
+    folder = tmp_path / "trials"
+    folder.mkdir()
+    hidden_trials.seal(folder, SEED, {"kp": 8.0, "kd": 0.3}, {})
+    out = tmp_path / "fish.toml"
+    e = Estimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
+    model.write(out, model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
+    (row,) = hidden_score.score(folder, str(out))
+    assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"
+    assert read_json(folder / "sealed.json")["values"]["kp"] == 8.0
