@@ -23,6 +23,7 @@ def main(argv: list[str]) -> int:
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
     add("--shard", default="0/1", metavar="I/N", help="every N-th case from the I-th: for several machines")
     add("--out", type=Path, help="folder for rows.jsonl and score.json; the same command continues where it stopped")
+    add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
     args = parser.parse_args(argv)
     kinds = {k: cases.KINDS[k] for k in args.kinds.split(",")} if args.kinds else None
     index, shards = map(int, args.shard.split("/"))
@@ -32,6 +33,10 @@ def main(argv: list[str]) -> int:
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
     console.say(*told(result))
+    if args.baselines:
+        from fishmj.gap.baselines import beside, compared
+
+        console.say(compared(rows, beside(todo, rows, args.out)))
     if args.json:
         flat = {k: v["value"] if isinstance(v, dict) else v for k, v in result.items()}
         console.emit_json(flat | {"detail": result})
