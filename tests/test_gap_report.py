@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from fishmj import effects
+from fishmj import effects, excitation
 from fishmj.gap import growth
 from fishmj.gap.localise import compared, localise
 from fishmj.gap.localise.lags import alike, told
@@ -113,6 +113,14 @@ def test_a_bent_joint_turns_the_robot_to_one_side(plant, offset):
 def test_agreement_has_no_place(plant):
     p = localise(planted(plant, {}))
     assert p.gap < 1.25 and "nothing to place" in p.text and not told(p.lags.joint) and not told(p.lags.heading)
+
+
+def test_a_fast_steady_beat_tells_no_lag(plant):
+    """A delay of a period and none look the same: nothing is claimed rather than something wrong."""
+    steady = excitation.Excitation(id="buzz", commands=excitation.gait(4.5, 0.2, 0.5, seconds=8.0), about="one fast beat")
+    c = planted(plant, {"command_latency": {"delay": 0.04}}, (steady,))
+    found = localise(c).lags.joint
+    assert found is None or abs(found.lag - 0.04) < 0.02
 
 
 def test_regimes_are_told_apart_by_what_was_done(plant):

@@ -52,14 +52,14 @@ def lags(c: Comparison) -> Lags:
 
 
 def between(a: str, earlier, b: str, later, either_sign: bool = False) -> Lag | None:
-    """The lag, or None when it is not found: too short, too weak, too wide an interval."""
+    """The lag, or None when it is not found: too short, too weak, too wide an interval, or another peak as high."""
     if earlier is None or later is None:
         return None
     try:
         lag = lag_between((a, *earlier), (b, *later), reach=REACH, either_sign=either_sign)
     except LogError:
         return None
-    return lag if lag.found else None
+    return lag if lag.found and not lag.ambiguous else None
 
 
 def chain(c: Comparison, channel: str, which) -> tuple[np.ndarray, np.ndarray] | None:
