@@ -23,8 +23,9 @@ SWIMS = {"gait": 1.0, "gait_slow": 0.5}  # excitation -> Hz
 COAST = "tow_ahead"
 COASTING = (0.5, 4.5)  # s
 BEATS = 2
+START = 1.0  # s before a swim has faded in, and one beat to get going
 RISE = 2.71  # of chi square with one degree of freedom, 90 %
-GRID = np.linspace(0.0, 1.0, 401) ** 2  # 1 - s, dense where the speed changes most
+GRID = np.linspace(0.0, 1.0, 1001) ** 2  # 1 - s, dense where the speed changes most
 SHOWN = (0.0, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998, 1.0)
 
 
@@ -77,7 +78,7 @@ def metric(name: str, pose: Table) -> float:
     """Speed over the last two beats, or distance of the coast; NaN where the trial is too short."""
     t = np.asarray(pose["t"], float)
     first, last = COASTING if name == COAST else (t[-1] - 0.05 - BEATS / SWIMS[name], t[-1] - 0.05)
-    if last > t[-1] or first < (0.0 if name == COAST else 1.0 + BEATS / SWIMS[name]):
+    if last > t[-1] or first < (0.0 if name == COAST else START + 1.0 / SWIMS[name]):
         return float("nan")
     near = [np.abs(t - end) <= 0.05 for end in (first, last)]
     ends = np.array([[np.mean(pose[axis][rows]) for axis in ("x", "y")] for rows in near])

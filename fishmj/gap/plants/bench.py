@@ -90,22 +90,16 @@ class Bench(Fish):
         s = chain.step(jnp, self.chain, self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
 
-    def _start(self, record: Record) -> np.ndarray:
-        """The thread hangs at the origin."""
-        state = super()._start(record)
-        if record.medium == "air":
-            state[:3] = 0.0
-        return state
-
     def predict(self, records: list[Record], rows) -> list[dict]:
-        """As `Fish.predict`; `wet` follows each record's medium."""
+        """As `Fish.predict`; `wet` follows each record's medium, and a thread hangs at the origin."""
         rows = np.atleast_2d(np.asarray(rows, float)).copy()
         out: list[dict] = [{} for _ in records]
         for medium, wet in (("air", 0.0), ("water", 1.0)):
             mine = [i for i, record in enumerate(records) if record.medium == medium]
             if mine:
                 rows[:, self.place(WET)] = wet
-                found = super().predict([records[i] for i in mine], rows)
+                placed = [records[i] if wet else records[i]._replace(start=np.zeros(3)) for i in mine]
+                found = super().predict(placed, rows)
                 for i, prediction in zip(mine, found, strict=True):
                     out[i] = prediction
         return out
