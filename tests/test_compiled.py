@@ -82,7 +82,7 @@ def commands_of(batch, seed, ticks=10):
 def worst(a, b):
     """Largest difference over all leaves of two (state, trace)."""
     pairs = zip(jax.tree_util.tree_leaves(a), jax.tree_util.tree_leaves(b), strict=True)
-    return max(float(np.abs(np.asarray(x, float) - np.asarray(y, float)).max()) for x, y in pairs)
+    return max(float(np.abs(np.asarray(x, float) - np.asarray(y, float)).max(initial=0.0)) for x, y in pairs)
 
 
 def swum_apart(fast, reference, turbulence, chunks, dtype):

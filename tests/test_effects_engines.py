@@ -271,6 +271,41 @@ def test_on_a_dry_bench_friction_acts_and_water_does_not():
     np.testing.assert_allclose(null.table("truth")["x"], plain["x"], atol=1e-8)
 
 
+@pytest.fixture(scope="module")
+def fitted_water(tmp_path_factory):
+    """File of a fitted water with a learnt residual of small random weights."""
+    from fishmj.hydro_fit import chain, learned, residual
+    from fishmj.hydro_fit.fit.prior import flat
+    from fishmj.hydro_fit.model import HydroModel, robot_hash
+
+    base, ch = chain.nominal(PLAIN).water, chain.chain_of(PLAIN)
+    net = residual.blank(ch.n, 2, 4, seed=3)
+    net = net._replace(outer=0.3 * np.random.default_rng(3).normal(size=net.outer.shape))
+    learnt = learned.Residual(net, learned.unlimited(ch.n)._replace(spread=np.array(1.0)))
+    members = np.tile(flat(base), (2, 1))
+    made = HydroModel(
+        name="made", robot=PLAIN.name, robot_sha256=robot_hash(PLAIN), dt=ch.dt, slip=1.0, base=base._replace(ke=0.4),
+        members=members, alone=np.tile(members[:1], (3, 1)), learnt=learnt,
+    )  # fmt: skip
+    return made.save(tmp_path_factory.mktemp("water"))
+
+
+def test_a_fitted_water_and_effects_act_together_in_every_simulator(fitted_water):
+    robot = engines.in_water(robot_with("coulomb_friction", "command_gain_error"), fitted_water)
+    alone = engines.in_water(PLAIN, fitted_water)
+    assert alone.water["ke"] == 0.4 and engines.at_rest(alone, np.zeros((1, 3))).memory.shape == (1, 14)
+    sim = Sim(robot_with("coulomb_friction", "command_gain_error"), water=str(fitted_water), flow=FLOW, pose=POSE)
+    truth = sim.run(beat(), TICKS / 50).table("truth")
+    state, trace = advance(batch.Engine(robot, threads=1, evaluator="jax"), robot, 1)
+    np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(state.memory[0], sim.solo.memory, rtol=0, atol=1e-8)
+    assert state.memory.shape == (1, 16) and np.abs(state.memory[0, 2:14]).max() > 1e-3
+    strips = Sim(robot, flow=FLOW, pose=POSE)  # the robot carries its water
+    np.testing.assert_allclose(strips.run(beat(), TICKS / 50).table("truth")["x"], truth["x"], atol=1e-12)
+    with pytest.raises(ConfigError, match="fitted for robot"):
+        engines.in_water(load_robot("tendon_fish"), fitted_water)
+
+
 def test_the_cubic_between_samples_is_exact_for_a_cubic():
     t = np.arange(6) * 0.02
     f, g = (lambda s: (s**3 - s)[:, None]), (lambda s: (3 * s**2 - 1)[:, None])

@@ -137,6 +137,8 @@ class Shoal:
 
 def evaluator_of(robot: Robot, ch: chain.Chain, name: str | None):
     """f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), float64."""
+    if name is None and Added.of(robot).learnt is not None:
+        name = "jax"  # a network as straight-line code takes minutes to compile
     if name != "jax":
         try:
             from fishmj.engines.compiled import Engine as Compiled

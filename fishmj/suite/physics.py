@@ -251,6 +251,9 @@ def evaluator(robot: Robot, ch: chain.Chain):
     """The water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
     rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
     still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
+    added = engines.Added.of(robot)
+    if added.learnt is not None:  # a network as straight-line code takes minutes to compile
+        return lambda *arguments: in_numpy(ch, *arguments, added=added)
     try:
         from fishmj.engines.compiled import Engine as Compiled
 
@@ -258,15 +261,14 @@ def evaluator(robot: Robot, ch: chain.Chain):
         compiled.forces(rest.q, rest.v, rest.attached, params, *still, rest.memory)  # compiles now, not in the first step
         return compiled.forces
     except MissingExtra:
-        added = engines.Added.of(robot)
-        return lambda *arguments: in_numpy(ch, added, *arguments)
+        return lambda *arguments: in_numpy(ch, *arguments, added=added)
 
 
-def in_numpy(ch: chain.Chain, added: engines.Added, q, v, attached, params, target, flow, ambient, memory):
+def in_numpy(ch: chain.Chain, q, v, attached, params, target, flow, ambient, memory, *, added: "engines.Added | None" = None):
     """(applied (1, nv), attached (1,), power (1,), memory (1, M)) of one fish, batch axis of 1 on every argument."""
     one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
     line = lambda a: [float(x) for x in a[0]]  # noqa: E731
-    hooks = added.hooks(np, line(params.effects), line(memory))
+    hooks = None if added is None else added.hooks(np, line(params.effects), line(memory))
     s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient), hooks)
     return np.array([s.applied]), np.array([s.attached]), np.array([s.power]), np.array([s.memory], float).reshape(1, -1)
 
