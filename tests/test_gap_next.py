@@ -1,0 +1,111 @@
+"""The next experiment: planned like a real one, judged by what tells the explanations that are left apart."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from fishmj import effects, excitation  # noqa: E402
+from fishmj.errors import UnknownName  # noqa: E402
+from fishmj.gap import next_experiment  # noqa: E402
+from fishmj.gap.null_runs import Null, repeated  # noqa: E402
+from fishmj.gap.plants.fish import Fish  # noqa: E402
+from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.gap.separation import Prospect, Side, evenly, hinted, planned, prospect, prospects  # noqa: E402
+
+NULL = Null(runs=16)
+SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return Fish(catalogue=[effects.get(name) for name in SOME])
+
+
+@pytest.fixture(scope="module")
+def like(plant):
+    from fishmj.virtual_robot import generate
+
+    return record_of(generate({}, ["idle"], 0)[0], plant.dt)
+
+
+def side(plant, name, value, spread=0.0, weight=1.0):
+    row = plant.null.copy()
+    place = plant.index(name, effects.get(name).parameters[0].name)
+    row[place] = value
+    moves = row[None].copy()
+    moves[0, place] += spread
+    return Side((name,), row, moves, weight)
+
+
+@pytest.mark.parametrize("name", ["gait", "tow_oblique"])
+def test_a_planned_experiment_is_the_one_that_will_be_done(plant, like, name):
+    """To the byte of its commands, so that its null runs are those of the standard experiment."""
+    from fishmj.virtual_robot import generate
+
+    done, plan = (repeated(r) for r in (record_of(generate({}, [name], 3)[0], plant.dt), planned(excitation.get(name), like)))
+    assert plan.commands.tobytes() == done.commands.tobytes()
+    assert (plan.id, plan.start, plan.push) == (done.id, done.start, done.push)
+
+
+def test_alike_explanations_stay_together(plant, like):
+    same = [side(plant, "coulomb_friction", 0.1), side(plant, "coulomb_friction", 0.1)]
+    assert prospect(plant, same, planned(excitation.get("steps"), like), NULL, 0.1).sigma == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_moves_the_fish_sets_apart_what_a_resting_fish_does_not(plant, like):
+    sides = evenly([side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)])
+    found = prospects(plant, sides, like, ("drift_north", "gait_fast"), NULL)
+    assert [p.excitation for p in found] == ["gait_fast", "drift_north"]
+    assert found[0].sigma > 5 > found[1].sigma
+
+
+def test_a_parameter_that_the_data_leave_open_separates_less(plant, like):
+    record = planned(excitation.get("drift_north"), like)
+    known = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
+    unknown = [side(plant, "steady_current", 0.03, spread=0.03), known[1]]
+    assert prospect(plant, unknown, record, NULL, 0.1).sigma < 0.5 * prospect(plant, known, record, NULL, 0.1).sigma
+
+
+def test_hints_begin_with_what_the_catalogue_says(plant):
+    sides = [side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)]
+    said = [r for c in effects.get("command_latency").confusions if c.other == "joint_sensor_delay" for r in c.excitations]
+    assert said and hinted(sides)[: len(said)] == tuple(said)
+    assert len(hinted(sides)) >= 6
+
+
+def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
+    sides = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
+    sides = [s._replace(names=(n,)) for s, n in zip(sides, ("clock_offset", "camera_latency"), strict=True)]
+    said = next_experiment.advice([Prospect("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
+    assert "No experiment tried separates clock_offset from camera_latency" in said and "lamp" in said
+
+
+def test_sides_survive_the_report(plant):
+    there = side(plant, "coulomb_friction", 0.1, spread=0.01)
+    back = next_experiment.read(plant, next_experiment.written(plant, there), 1.0)
+    assert np.allclose(back.row, there.row) and np.allclose(back.moves, there.moves)
+
+
+def test_a_report_is_answered_without_its_data(tmp_path, capsys):
+    ours = {"torque": {"value": 0.1, "low": 0.09, "high": 0.11}}
+    rival = {"name": "viscous_friction", "p_best": 0.3, "values": {"viscous_friction": {"damping": [0.1, 0.09, 0.11]}}}
+    verdict = {"answer": "CLASS", "effects": [{"name": "coulomb_friction", "p_best": 0.7, "parameters": ours}], "rivals": [rival]}
+    (tmp_path / "verdict.json").write_text(json.dumps(verdict))
+    assert next_experiment.main([str(tmp_path), "--runs", "slow_triangle,drift_north", "--null-runs", "16", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["experiments"][0]["excitation"] == "slow_triangle"
+    assert "between coulomb_friction and viscous_friction" in told["advice"]
+
+
+def test_nothing_is_left_to_decide_after_a_name(tmp_path, capsys):
+    (tmp_path / "verdict.json").write_text(json.dumps({"answer": "NAMED", "effects": [], "rivals": []}))
+    assert next_experiment.main([str(tmp_path)]) == 0
+    assert "no experiment has to decide" in capsys.readouterr().out
+
+
+def test_an_unknown_experiment_is_refused(plant):
+    with pytest.raises(UnknownName, match="excitation"):
+        next_experiment._runs("gait,gaite", [])
