@@ -17,7 +17,7 @@ OTHERS = ("score", "check")
 
 
 def main(argv: list[str]) -> int:
-    from fishmj.calibrate.logs import FOLDER
+    from fishmj.calibrate.logs import shipped
     from fishmj.calibrate.verbs import VERBS, default_report
 
     if not argv or argv[0] in ("-h", "--help"):
@@ -34,7 +34,7 @@ def main(argv: list[str]) -> int:
         raise UnknownName("calibration", verb, [*VERBS, *OTHERS])
     parser = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
     add = parser.add_argument
-    add("--data", type=Path, default=FOLDER, help="data set of trials; for mass, the folder of measurements.toml")
+    add("--data", type=Path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
     add("--model", default="fish", help="the fish to start from: shipped name or TOML file")
     add("--out", type=Path, help="fish file to write, or to go on with when it is there")
     add("--report", type=Path, default=default_report(verb), help="folder for report.html and pictures")

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from fishmj.calib import calib_folder
 from fishmj.errors import LogError
 from fishmj.gap.records import Record, Sensor, record_of
 from fishmj.log import Trial
@@ -11,6 +12,11 @@ from fishmj.log.dataset import read_dataset
 SIGNALS = ("sine", "square", "impulse")  # the paper's
 MEDIA = ("air", "water")
 FOLDER = Path("data") / "calib" / "trials"
+
+
+def shipped() -> Path:
+    """The trials of this checkout, or those of the installed package."""
+    return FOLDER if FOLDER.is_dir() else calib_folder() / "trials"
 
 
 class Logs(NamedTuple):

@@ -17,7 +17,7 @@ from fishmj.effects import calibration
 from fishmj.effects.calibration import Fitted, Interval
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
-from fishmj.store import write_text
+from fishmj.store import sha256, write_text
 
 
 def start(out: Path, model: str) -> str:
@@ -25,20 +25,24 @@ def start(out: Path, model: str) -> str:
     return (out if out.is_file() else resolve(model)).read_text(encoding="utf-8")
 
 
-def write(out: Path, text: str, verb: str, estimates: dict[str, Estimate], effects: dict[str, Estimate], source: str) -> Path:
+def write(
+    out: Path, text: str, verb: str, estimates: dict[str, Estimate], effects: dict[str, Estimate], data: "str | Path"
+) -> Path:
     """Record the estimates, write the file, put the effects in, and read the fish back.
 
     Args:
-        effects: {"coulomb_friction.torque": estimate}; one that is already there is replaced.
+        effects: {"coulomb_friction.torque": estimate}; one that is already there is replaced. data: the folder fitted to.
 
     Raises:
         ConfigError: the file would not be a fish.
     """
-    write_text(out, recorded(text, verb, estimates, source))
+    manifest = Path(data) / "manifest.json"
+    source, evidence = Path(data).as_posix(), sha256(manifest) if manifest.is_file() else ""
+    write_text(out, recorded(text, verb, estimates, source, evidence))
     kept = {f.name: f for f in calibration.read(out)}
     for key, e in effects.items():
         name, parameter = key.split(".")
-        kept[name] = Fitted(name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}")
+        kept[name] = Fitted(name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}", evidence)
     calibration.write(out, tuple(kept.values()))
     load_robot(out)
     return out
@@ -76,7 +80,7 @@ def short(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def recorded(text: str, verb: str, estimates: dict[str, Estimate], source: str) -> str:
+def recorded(text: str, verb: str, estimates: dict[str, Estimate], source: str, evidence: str) -> str:
     """The text with a block [calibration.<verb>], in place of an older one."""
     kept, inside = [], False
     for line in text.splitlines():
@@ -84,7 +88,7 @@ def recorded(text: str, verb: str, estimates: dict[str, Estimate], source: str) 
             inside = line.strip() == f"[calibration.{verb}]"
         if not inside:
             kept.append(line)
-    rows = [f"[calibration.{verb}]", f'source = "{source}"']
+    rows = [f"[calibration.{verb}]", f'source = "{source}"', f'manifest_sha256 = "{evidence}"']
     for name, e in estimates.items():
         rows.append(f'{name} = {{ value = {e.value:.6g}, low = {e.low:.6g}, high = {e.high:.6g}, unit = "{e.unit}" }}')
     return "\n".join(kept).rstrip("\n") + "\n\n" + "\n".join(rows) + "\n"

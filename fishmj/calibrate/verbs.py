@@ -52,7 +52,7 @@ def run_servo(args) -> Answer:
         values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
         text = model.put(text, "servo", {key: model.short(value) for key, value in values.items()})
         text = model.put(text, "timing", {"command_latency": model.short(estimates["command_latency"].value)})
-        model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, str(args.data))
+        model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
     return {"estimates": plain(estimates), "alone": apart, "left": left, "report": page, "overlay": picture}
 
 
@@ -71,7 +71,7 @@ def run_latency(args) -> Answer:
     if args.out:
         values = {name: model.short(e.value) for name, e in estimates.items()}
         text = model.put(model.start(args.out, args.model), "timing", values)
-        model.write(args.out, text, "latency", estimates, {}, str(args.data))
+        model.write(args.out, text, "latency", estimates, {}, args.data)
     return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page}
 
 
@@ -95,7 +95,7 @@ def run_slip(args) -> Answer:
     tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
     page = overlay.report(args.report, "Slip calibration", tables, None, said(logs, words))
     if args.out:
-        model.write(args.out, model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, str(args.data))
+        model.write(args.out, model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data)
     return {
         "estimates": plain({"slip": found.estimate}),
         "profile": found.rows(),
@@ -128,7 +128,7 @@ def run_mass(args) -> Answer:
         text = model.put(text, "body", {"mass_total": sum(model.short(m) for m, _ in found.links.values())})
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
-        model.write(args.out, text, "mass", found.estimates, beyond, str(args.data))
+        model.write(args.out, text, "mass", found.estimates, beyond, args.data)
     return {"estimates": plain(found.estimates), "links": links}
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from fishmj import console
-from fishmj.calib import read_toml, resolve
+from fishmj.calib import calib_folder, read_toml, resolve
 from fishmj.campaign import hidden_trials
 from fishmj.errors import ConfigError, StoreError
 from fishmj.store import Manifest, read_json, sha256
@@ -12,7 +12,9 @@ from fishmj.store import Manifest, read_json, sha256
 def main(argv: list[str]) -> int:
     """Compare the [calibration.*] blocks of a fish file with the seal."""
     parser = console.parser("calibrate score", "Fitted numbers against the sealed ones of synthetic trials.")
-    parser.add_argument("--data", type=Path, default=hidden_trials.OUT)
+    parser.add_argument(
+        "--data", type=Path, default=hidden_trials.OUT if hidden_trials.OUT.is_dir() else calib_folder() / "trials"
+    )
     parser.add_argument("--model", default="fish.calibrated.toml", help="fish file with [calibration] blocks")
     args = parser.parse_args(argv)
     rows = score(args.data, args.model)
