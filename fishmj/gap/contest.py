@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fishmj.effects.classes import containing
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, Search, bounds
-from fishmj.gap.search import Evidence, Found, Gates
+from fishmj.gap.search import Evidence, Found, Gates, without
 
 ON_BOUND = 1e-3  # of the typical size
 
@@ -52,7 +53,7 @@ def standing(whole: Search, best: Candidate, name: str, ranked, gain: float, gat
     A set in which a parameter came to rest on a bound is no rival: it is a limiting form that mimics the best.
     """
     tried = (replaced(whole, best, name, c) for c in ranked if name not in c.names)
-    others = [c for c in tried if c is not None]
+    others = list({frozenset(c.names): c for c in (*tried, *alike(whole, best, name)) if c is not None}.values())
     polished = whole.refine([best, *others], 2)
     ours = next(c for c in polished if c.names == best.names)
     free = [c for c in polished if c.names != best.names and not on_bound(whole.plant, c)]
@@ -63,6 +64,13 @@ def standing(whole: Search, best: Candidate, name: str, ranked, gain: float, gat
         if behind < gates.margin or p > 1 - gates.p_best:
             rivals.append(Rival(c.names[-1], float(p), float(behind)))
     return Standing(gain, float(share[0]), tuple(rivals))
+
+
+def alike(whole: Search, best: Candidate, name: str) -> list[Candidate]:
+    """`best` with the effect replaced by those that are known to look the same."""
+    twins = {twin for kind in containing(name) for twin in kind.effects} - {*best.names, name}
+    effects = [x for x in whole.plant.active.effects if x.name in twins]
+    return whole.screen(without(whole, best, name), effects) if effects else []
 
 
 def replaced(whole: Search, best: Candidate, name: str, other: Candidate) -> Candidate | None:

@@ -2,7 +2,7 @@
 
     G1 adequacy     held-out |z|^2 / m is beyond every null run                else AGREES
     G2 gain         held-out drop of |z|^2 that no null run gives away          else UNEXPLAINED
-    G3 closure      most of what is unexpected is gone                          else UNEXPLAINED, the best shown as tentative
+    G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
     G4 rest         what is left lies within the form error of what was found   else UNEXPLAINED, the best shown as tentative
     G5 transfer     no more than a fifth of the held-out records get worse      else UNEXPLAINED
     G6 uniqueness   no rival nearly as good, P(best) high                       else CLASS
@@ -16,13 +16,13 @@ import numpy as np
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import Rival, Standing, standings
+from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Evidence, Found, Gates
 from fishmj.gap.verdict import Named, Value, Verdict
 
 ON_BOUND = 1e-3  # of the typical size
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
-HALF = 1.645  # standard deviations of a 90 % interval
 CHANCE = 10.0  # by which |z|^2 of one record may rise
 MINOR = 0.05  # share of the gain below which an effect brings little
 
@@ -47,6 +47,7 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     spoilt = {n for n in minor if stand[n].rivals or doubts[n] or stand[n].p_best < gates.p_best}
     rest = e.knowing(found.best_fit.row).part(held)
     checks["gain"] = found.held_before - found.held_after
+    checks["after"] = found.held_after / found.held_size
     checks["closure"] = evidence.closure(found.held_before, found.held_after, found.held_size)
     checks["rest"] = float(np.sum(rest.z(found.best_fit.row[None])[0] ** 2)) / found.held_size
     checks["transfer"] = transfer(e, found, held)
@@ -65,7 +66,7 @@ def _rival(name: str, rival: Rival) -> dict:
 
 def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings) -> tuple[str, str]:
     """(answer, reason) once something was found."""
-    if checks["closure"] < gates.closure:
+    if checks["closure"] < gates.closure and checks["after"] > (1.0 + gates.adequacy) / 2:
         return "UNEXPLAINED", f"the catalogue explains {checks['closure']:.0%} of what is unexpected; its best is tentative"
     if checks["rest"] > gates.rest:
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
@@ -89,46 +90,18 @@ def transfer(e: Evidence, found: Found, held: np.ndarray) -> float:
 
 def named(e: Evidence, base: Candidate, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
-    spread = intervals(e, c)
+    value, spread = estimate(e, c)
     out = []
     for name in c.names:
         effect = next(x for x in e.plant.active.effects if x.name == name)
         values = {}
         for p in effect.parameters:
-            place = e.plant.index(name, p.name)
-            value, half = float(c.row[place]), HALF * spread[c.places.index(place)]
-            values[p.name] = Value(value, p.unit, *(float(np.clip(v, p.low, p.high)) for v in (value - half, value + half)))
+            k = c.places.index(e.plant.index(name, p.name))
+            edges = (float(np.clip(value[k] + side * HALF * spread[k], p.low, p.high)) for side in (-1, 1))
+            values[p.name] = Value(float(value[k]), p.unit, *edges)
         share = stand[name].p_best if name in stand else 1.0
         out.append(Named(name, values, share, evidence.closure(base.cost, c.cost, e.layout.size)))
     return tuple(out)
-
-
-def intervals(e: Evidence, c: Candidate) -> np.ndarray:
-    """Standard deviation of each parameter: the larger of curvature and jackknife over records.
-
-    curvature: (J^T J)^-1 of the whitened residual, which knows the autocorrelation. jackknife: one Gauss-Newton step with each
-    record left out, J_l^T z_l taken from the sums; (L - 1)/L times the sum of squares (Efron & Stein 1981).
-    """
-    search = e.part(np.ones(len(e.records), bool))
-    low, high, size = bounds(e.plant)
-    rows, moved = [c.row], []
-    for place in c.places:
-        row = c.row.copy()
-        step = 0.02 * size[place]
-        row[place] += step if row[place] + step <= high[place] else -step
-        moved.append(row[place] - c.row[place])
-        rows.append(row)
-    z = search.z(np.array(rows))
-    jac = (z[1:] - z[0]) / np.array(moved)[:, None]
-    normal = jac @ jac.T + 1e-12 * np.eye(len(jac))
-    curvature = np.sqrt(np.diag(np.linalg.inv(normal)))
-    n = len(e.records)
-    steps = np.empty((n, len(jac)))
-    for record in range(n):
-        others = jac[:, e.layout.record != record]
-        steps[record] = -np.linalg.solve(others @ others.T + 1e-9 * normal, others @ z[0][e.layout.record != record])
-    jackknife = np.sqrt((n - 1) / n * np.sum((steps - steps.mean(0)) ** 2, 0))
-    return np.maximum(curvature, jackknife)
 
 
 def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
@@ -137,9 +110,9 @@ def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
     effect = next(x for x in e.plant.active.effects if x.name == n.name)
     out = []
     for p in effect.parameters:
-        place, value = e.plant.index(n.name, p.name), n.parameters[p.name].value
-        if any(b != p.null and abs(value - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
-            out.append(f"{n.name}.{p.name} = {value:.4g} {p.unit} lies on its bound")
+        place = e.plant.index(n.name, p.name)
+        if any(b != p.null and abs(c.row[place] - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
+            out.append(f"{n.name}.{p.name} = {c.row[place]:.4g} {p.unit} lies on its bound")
     first = effect.parameters[0]
     main = n.parameters[first.name]
     alike = [p for p in effect.parameters if p.unit == first.unit and not p.shape]

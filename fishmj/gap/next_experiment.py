@@ -13,7 +13,7 @@ from fishmj import console, excitation
 from fishmj.errors import LogError, UnknownName
 from fishmj.gap.candidates import Candidate
 from fishmj.gap.contest import replaced
-from fishmj.gap.decide import HALF, intervals
+from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.null_runs import RUNS, Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Evidence, Found
@@ -102,7 +102,7 @@ def sides_of(e: Evidence, found: Found, verdict: Verdict) -> list[Side]:
 def side(e: Evidence, c: Candidate, weight: float) -> Side:
     """A candidate with how far its parameters may be off."""
     moves = np.repeat(c.row[None], len(c.places), 0)
-    for k, (place, spread) in enumerate(zip(c.places, intervals(e, c), strict=True)):
+    for k, (place, spread) in enumerate(zip(c.places, estimate(e, c)[1], strict=True)):
         moves[k, place] += spread
     return Side(c.names, c.row, moves, weight)
 
