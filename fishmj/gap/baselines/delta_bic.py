@@ -1,7 +1,7 @@
 """Add effects one by one while the Bayesian information criterion falls by more than 10.
 
-    BIC = sum_c n_c ln(RSS_c / m_c) + k ln(sum_c n_c)     channels c, m_c values worth n_c = sum n / tau independent ones
-    tau from the autocorrelation of the residual that the model leaves (Schwarz 1978; more than 10: very strong, Kass & Raftery 1995)
+BIC = sum_c n_c ln(RSS_c / m_c) + k ln(sum_c n_c)     channels c, m_c values worth n_c = sum n / tau independent ones
+tau from the autocorrelation of the residual that the model leaves (Schwarz 1978; beyond 10: very strong, Kass & Raftery 1995)
 """
 
 import numpy as np

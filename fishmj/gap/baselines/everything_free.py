@@ -1,7 +1,7 @@
 """Free every parameter of every effect at once, and name the one that moved most.
 
-Least squares of all residuals over noise by `mujoco.minimize.least_squares`, the optimiser of mujoco.sysid, through the same plant
-as the search: mujoco.sysid's own parameters live in an MJCF model, which cannot hold a late camera, a current or a dead band.
+Least squares of all residuals over noise by `mujoco.minimize.least_squares`, the optimiser of mujoco.sysid, through the same
+plant as the search: mujoco.sysid's own parameters live in an MJCF model, which holds no late camera, no current, no dead band.
 The change of an effect is |theta - null| over its typical size; below MOVED nothing is named.
 """
 

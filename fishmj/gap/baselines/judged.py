@@ -28,11 +28,18 @@ def reason_absent(name: str) -> str:
     return ""
 
 
-def judged(plant, case: Case, true_gap: float, names=NAMES) -> dict[str, dict]:
+def rows_of(plant, case: Case, true_gap: float, names=NAMES) -> dict[str, dict]:
     """{baseline: row} of one case, in the form of bench.run. true_gap: as its own row has it."""
     from fishmj.virtual_robot import generate
 
-    row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed, "noise": case.noise, "logs": len(case.logs)}
+    row = {
+        "id": case.id,
+        "kind": case.kind,
+        "truth": case.effects,
+        "seed": case.seed,
+        "noise": case.noise,
+        "logs": len(case.logs),
+    }
     row |= {"true_gap": true_gap, "gap_before": 1.0, "gap_unseen": None, "rivals": []}
     try:
         records = [record_of(t, plant.dt) for t in generate(case.effects, case.logs, case.seed, case.noise)]
@@ -63,7 +70,7 @@ def beside(todo: list[Case], rows: list[dict], out: Path | None) -> dict[str, li
     with console.Progress(len(todo), "baselines", unit="cases") as bar:
         for i, (case, row) in enumerate(zip(todo, rows, strict=True)):
             missing = tuple(n for n in names if case.id not in done[n])
-            for name, found in judged(plant, case, row.get("true_gap", 1.0), missing).items():
+            for name, found in rows_of(plant, case, row.get("true_gap", 1.0), missing).items():
                 done[name][case.id] = console.plain(found)
                 if files:
                     with files[name].open("a", encoding="utf-8") as file:

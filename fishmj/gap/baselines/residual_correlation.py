@@ -41,7 +41,7 @@ def answer(plant, records: list[Record]) -> Answer:
     sums: dict[tuple[str, str], np.ndarray] = {}
     for b in layout.blocks:
         r = residual[b.where]
-        for name, x in inputs(records[b.record], b).items():
+        for name, x in inputs(records[b.record], b, predicted[b.record]).items():
             scale = np.std(r) if name != "one" else 1.0
             if np.std(x) < 1e-9 and name != "one" or scale < 1e-12:
                 continue
@@ -62,16 +62,16 @@ def answer(plant, records: list[Record]) -> Answer:
     return Answer({name: unsized(plant, name)}, True, said)
 
 
-def inputs(record: Record, b: Block) -> dict[str, np.ndarray]:
-    """What one column of one sensor is held against."""
+def inputs(record: Record, b: Block, predicted: dict) -> dict[str, np.ndarray]:
+    """What one column of one sensor is held against. Of the commands it is what the model's joints make of them: in phase."""
     at = np.clip((b.t / record.dt).astype(int), 0, len(record.commands) - 1)
     rate = np.gradient(record.commands, record.dt, axis=0)
     out = {"one": np.ones_like(b.t), "time": b.t}
-    if b.sensor == "joint":
-        smooth = smoothed(rate[:, b.column], record.dt)
-        command = record.commands[at, b.column]
-        out |= {"command": command, "rate of the command": smooth[at], "direction of the command": np.sign(smooth[at])}
-        out["acceleration of the command"] = np.gradient(smooth, record.dt)[at]
+    if b.sensor == "joint" and len(b.t) > 1:
+        angle = np.add.reduceat(predicted["joint"][0][:, b.column], b.first) / b.counts
+        speed = np.gradient(angle, b.t)
+        out |= {"command": angle, "rate of the command": speed, "direction of the command": np.sign(speed)}
+        out["acceleration of the command"] = np.gradient(speed, b.t)
     if b.sensor == "pose" and record.pose is not None:
         pose = np.stack([np.interp(b.t, record.pose.t, column) for column in record.pose.values.T])
         speed = np.gradient(pose, b.t, axis=1) if len(b.t) > 1 else np.zeros_like(pose)

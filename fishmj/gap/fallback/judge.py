@@ -1,13 +1,13 @@
 """Which terms describe a gap: every term fitted alone on the whitened residual, then four doubts about it.
 
-    g_k    = dz/dc_k by a central difference                 signature of term k, (m,)
-    gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l: gain on records it never saw
+g_k    = dz/dc_k by a central difference                 signature of term k, (m,)
+gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l: gain on records it never saw
 
-    null       what the same term gains on null runs, whitened by the others: its 95 % point is subtracted
-    decoys     g_k moved along each record by a random time: same spectrum, same company, no relation to z. p-value of gain_k
-               among all decoys' gains, Benjamini & Hochberg 1995 at 10 %
-    stability  share of half-samples of records and thirds of records in which it is among the first two (Meinshausen & Buehlmann 2010)
-    sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
+null       what the same term gains on null runs, whitened by the others, and the luckiest of all terms: subtracted
+decoys     g_k moved along each record by a random time: same spectrum, same company, no relation to z. p-value of gain_k
+           among all decoys' gains, Benjamini & Hochberg 1995 at 10 %
+stability  share of half-samples of records and thirds of records in which it is among the first two (Meinshausen & Buehlmann 2010)
+sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.effects.effect import Effect
-from fishmj.gap.candidates import Candidate, Search
+from fishmj.gap.candidates import Search
 from fishmj.gap.fallback.library import library, name_of, one_sided
 from fishmj.gap.features import Layout
 from fishmj.gap.null import leftover, whitening
@@ -29,6 +29,7 @@ DECOYS = 40  # draws
 HALVES = 60  # half-samples
 FDR = 0.1
 STABLE = 0.5
+WORTH = 0.1  # share of what is unexpected below which a term describes nothing
 HANDED = 0.9  # a one-sided term's gain counts this much
 ALIKE = 0.95  # |cos| of signatures from which two terms say the same
 
@@ -56,7 +57,7 @@ class Term:
     @property
     def firm(self) -> bool:
         """Whether it passes every doubt."""
-        return self.gain > 0 and self.q <= FDR and self.stability >= STABLE
+        return self.gain > 0 and self.q <= FDR and self.stability >= STABLE and self.closure >= WORTH
 
 
 def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
@@ -99,7 +100,16 @@ def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
     excess = base.cost - size
     closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
     return Term(
-        name_of(effect), effect.name, value, p.unit, closure, float(net[k]), float(q[k]), float(stable[k]), one_sided(effect), alike
+        name_of(effect),
+        effect.name,
+        value,
+        p.unit,
+        closure,
+        float(net[k]),
+        float(q[k]),
+        float(stable[k]),
+        one_sided(effect),
+        alike,
     )
 
 
@@ -139,7 +149,10 @@ def crossed(b: np.ndarray, a: np.ndarray) -> np.ndarray:
 
 
 def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, plant, terms) -> np.ndarray:
-    """(K,) 95 % point of what each term gains on null runs, those of one half whitened by the other half's scatter."""
+    """(K,) what each term may gain on null runs, those of one half whitened by the other half's scatter.
+
+    The 95 % point of its own gain, times what the luckiest of all terms exceeds its own by in 95 % of the runs.
+    """
     whole = np.ones(len(null), bool)
     found = []
     for part in (0, 1):
@@ -151,7 +164,9 @@ def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, plant, terms) -> np
         w = whitening(np.concatenate([mine / np.sqrt(len(mine)), tangents]), d)
         for z in w(null[part::2]):
             found.append(held_out(z, g, e.layout.record))
-    return np.maximum(np.percentile(np.array(found), 95, axis=0), 0.0)
+    each = np.maximum(np.percentile(np.array(found), 95, axis=0), 1e-9)
+    luckiest = np.max(np.array(found) / each, 1)
+    return each * max(1.0, float(np.percentile(luckiest, 95)))
 
 
 def decoy_gains(z: np.ndarray, g: np.ndarray, layout: Layout, rng, draws: int = DECOYS) -> np.ndarray:

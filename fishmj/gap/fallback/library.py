@@ -18,9 +18,29 @@ from functools import cache
 from itertools import combinations_with_replacement
 
 from fishmj.effects.effect import Effect, Parameter
-from fishmj.gap.fallback.factors import AHEAD, ANGLE, BEND, LOAD, MOTION, RATE, SLIP, TAIL, TIME, TIP, Factor, X, Y, product, signed
+from fishmj.gap.fallback.factors import (
+    AHEAD,
+    ANGLE,
+    BEND,
+    LOAD,
+    MOTION,
+    RATE,
+    SLIP,
+    TAIL,
+    TIME,
+    TIP,
+    Factor,
+    X,
+    Y,
+    product,
+    signed,
+)
 
-FORCES = {"surge force": ("fx", 1, 0.05), "sway force": ("fy", -1, 0.1), "yaw moment": ("n", -1, 0.01)}  # field, parity, usual size
+FORCES = {
+    "surge force": ("fx", 1, 0.05),
+    "sway force": ("fy", -1, 0.1),
+    "yaw moment": ("n", -1, 0.01),
+}  # field, parity, usual size
 TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}  # parity, usual size
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
 PULL = 0.01  # N, usual size of a force of the tank

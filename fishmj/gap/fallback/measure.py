@@ -23,7 +23,12 @@ from fishmj.gap.null_runs import Null
 from fishmj.gap.records import record_of
 from fishmj.mjcf.description import load_robot
 
-RATE = ("tail rate squared", "tail rate squared, signed", "tail rate squared, signed x session time", "tail rate squared x session time")
+RATE = (
+    "tail rate squared",
+    "tail rate squared, signed",
+    "tail rate squared, signed x session time",
+    "tail rate squared x session time",
+)
 SLIP = tuple(f.replace("tail rate", "tail speed sideways") for f in RATE)
 THRUST = {"surge force ~ tail rate squared", "force along the tail ~ tail speed sideways squared"}
 RIGHT: dict[str, frozenset[str]] = {
@@ -33,7 +38,8 @@ RIGHT: dict[str, frozenset[str]] = {
     "cubic_joint_spring": frozenset({"joint torque ~ angle cubed"}),
     "tail_resonance": frozenset(THRUST),
     "weed_on_tail": frozenset(
-        [f"{force} ~ {f}" for force in ("sway force", "yaw moment") for f in RATE] + [f"force across the tail ~ {f}" for f in SLIP]
+        [f"{force} ~ {f}" for force in ("sway force", "yaw moment") for f in RATE]
+        + [f"force across the tail ~ {f}" for f in SLIP]
     ),
 }
 FIRST = 2

@@ -1,0 +1,111 @@
+"""Typed terms for what no effect explains: well-formed, the identity at zero, found where they are, silent where nothing is."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from fishmj.effects.sites import Body, Gear, Water  # noqa: E402
+from fishmj.gap.fallback import judge, terms_of  # noqa: E402
+from fishmj.gap.fallback.library import library, one_sided  # noqa: E402
+from fishmj.gap.fallback.measure import RIGHT  # noqa: E402
+from fishmj.gap.fallback.plant import termed  # noqa: E402
+from fishmj.gap.features import Layout  # noqa: E402
+from fishmj.gap.null_runs import Null  # noqa: E402
+from fishmj.gap.plants.fish import Fish  # noqa: E402
+from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.mjcf.description import load_robot  # noqa: E402
+
+RUNS = ("gait_fast", "turn_left", "tow_oblique")
+STILL = dict.fromkeys(Body._fields, 0.0)
+
+
+class One:
+    """The coefficient 1."""
+
+    coefficient = 1.0
+
+
+def generated(planted: dict, seed: int, runs=RUNS):
+    from fishmj.virtual_robot import generate
+
+    return generate(planted, runs, seed)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return termed(load_robot("fish"))
+
+
+def body(u, w, r, bend, swing) -> Body:
+    return Body(**STILL | dict(u=u, w=w, r=r, bend=bend, swing=swing, time=3.0, wet=1.0))
+
+
+def forces(effect, sign: float) -> np.ndarray:
+    """What one term does to a fish, or to its mirror image."""
+    if effect.body:
+        b, _ = effect.body(np, One, body(0.2, 0.1 * sign, 0.5 * sign, 0.3 * sign, 2.0 * sign), (), 0.004)
+        return np.array([b.fx, b.fy, b.n])
+    if effect.gear:
+        g = Gear(0.3 * sign, 0.2 * sign, 1.5 * sign, 0.0, 0.0, 1.0, 0.1, 1.6)
+        g, _ = effect.gear(np, One, g, effect.memory, 0.004)
+        return np.array([g.torque])
+    k = Water([(0.0, 0.0, 0.0)], [0.2], [0.1 * sign], [2.0 * sign], 0.0, 0.0, 3.0, None)
+    return np.array(effect.water(np, One, k, (), 0.004)[0].forces[-1])
+
+
+def test_terms_have_names_of_their_own():
+    names, ids = {e.formula for e in library()}, {e.name for e in library()}
+    assert len(names) == len(ids) == len(library()) > 90
+    assert all(e.name.startswith("X-") and not e.formula.startswith("X-") for e in library())
+    assert all(right <= names or right & names for right in RIGHT.values())
+
+
+def test_a_symmetric_term_does_to_the_mirror_image_the_mirror_image_of_what_it_does():
+    flips = {3: np.array([1.0, -1.0, -1.0]), 1: np.array([-1.0])}
+    for effect in library():
+        if effect.stage == "environment":
+            continue  # a tank has no mirror
+        here, there = forces(effect, 1.0), forces(effect, -1.0)
+        assert np.any(here != 0), effect.formula
+        assert np.allclose(there, flips[len(here)] * here) != one_sided(effect), effect.formula
+
+
+def test_without_coefficients_it_is_the_plain_fish(plant):
+    record = record_of(generated({}, 1, ("gait_fast",))[0], plant.dt)
+    plain = Fish()  # the whole catalogue at its null
+    for sensor, values in plain.predict([record], plain.null)[0].items():
+        assert np.abs(values - plant.predict([record], plant.null)[0][sensor]).max() < 1e-9, sensor
+
+
+def test_the_right_term_is_among_the_first_two(plant):
+    records = [record_of(t, plant.dt) for t in generated({"cubic_joint_spring": {"stiffness": 2.0}}, 61, ("gait", "steps"))]
+    null = Null(runs=32).residuals(plant, records, Layout(records))
+    terms = terms_of(plant, records, null)
+    place = [t.name for t in terms].index("joint torque ~ angle cubed")
+    assert place < 2
+    assert terms[place].coefficient == pytest.approx(-2.0, rel=0.15)
+    assert terms[place].closure > 0.8
+
+
+def test_nothing_is_firm_where_nothing_is(plant):
+    records = [record_of(t, plant.dt) for t in generated({}, 62)]
+    null = Null(runs=32).residuals(plant, records, Layout(records))
+    assert not any(t.firm for t in terms_of(plant, records, null))
+
+
+def test_gain_is_on_records_that_the_coefficient_did_not_see():
+    """A coefficient that two records contradict gains nothing, one that they share gains what it takes away."""
+    g, record = np.ones((1, 40)), np.repeat([0, 1], 20)
+    shared, opposed = np.ones(40), np.where(record == 0, 1.0, -1.0)
+    assert judge.held_out(shared, g, record)[0] == pytest.approx(40.0)
+    assert judge.held_out(opposed, g, record)[0] < -100
+
+
+def test_discoveries_among_decoys_are_rare():
+    rng = np.random.default_rng(0)
+    decoys = rng.chisquare(1, 4000)
+    false = [np.sum(judge.discovery(rng.chisquare(1, 100), decoys) <= 0.1) for _ in range(50)]
+    assert np.mean(np.array(false) > 0) < 0.25
+    q = judge.discovery(np.concatenate([rng.chisquare(1, 95), np.full(5, 40.0)]), decoys)
+    assert (q[-5:] <= 0.1).all()
