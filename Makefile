@@ -1,6 +1,6 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, import order, tests, and the wheel in a fresh environment
-# make test-extras  what needs the extras sb3 and ray
+# make test-extras  what needs the extras sb3, ray and bench
 # make bench        one JSON line a benchmark
 # make lint         style and types only
 # make manifest     state the sha256 of data/calib after a change there
@@ -25,7 +25,7 @@ $(INSTALLED): pyproject.toml
 	@touch $@
 
 $(EXTRAS): $(INSTALLED)
-	@$(STEP) "install extras" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3,ray]"
+	@$(STEP) "install extras" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3,ray,bench]"
 	@touch $@
 
 demo: $(INSTALLED)
@@ -43,6 +43,7 @@ test: lint
 	@$(STEP) "import order" $(PY) -m pytest -q tests/test_architecture.py
 	@$(STEP) "tests" $(PY) -m pytest -q -n $(JOBS) --dist loadfile --durations 15 --ignore tests/test_architecture.py
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick
+	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 20 --seed 1
 	@$(MAKE) --no-print-directory wheel
 
 wheel: $(INSTALLED)
@@ -51,6 +52,7 @@ wheel: $(INSTALLED)
 test-extras: $(EXTRAS)
 	@$(STEP) "sb3" $(PY) -m pytest -q -m sb3 --durations 5
 	@$(STEP) "ray" $(PY) -m pytest -q -m ray --durations 5
+	@$(STEP) "baselines" $(PY) -m pytest -q tests/test_gap_baselines.py
 
 manifest: $(INSTALLED)
 	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"

@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
 
 
 def advised(e: Evidence, found: Found, verdict: Verdict, null: Null) -> Verdict:
-    """A CLASS verdict with the next experiment of a quick look, and with its rivals' values, so that a longer look needs no data."""
+    """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
     sides = evenly(sides_of(e, found, verdict))
     if verdict.answer not in OPEN or len(sides) < 2:
         return verdict

@@ -1,7 +1,7 @@
 """How far an experiment that nobody has done yet would set two explanations apart.
 
     z     = S^-1/2 (y_i - y_j)        predictions of both, on planned stamps
-    S     = null of that experiment + sum_k s_k^2 t_k t_k^T (parameters k of both, as far as the data leave them open) + form error
+    S     = null of that experiment + sum_k s_k^2 t_k t_k^T (parameters k of both, as far as data leave them open) + form error
     sigma = |z|
 
 What the constants of the fish or another value of either explanation could make up for does not count, so |z| is the expected

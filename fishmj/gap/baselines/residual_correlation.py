@@ -1,4 +1,4 @@
-"""Which input does the residual go with? The residual test of classical identification (Ljung 1999, ch. 16), with a name for each input.
+"""Which input does the residual go with? The residual test of classical identification (Ljung 1999, ch. 16), inputs named.
 
     rho(channel, input) = corr(residual, input), each record and column taken at the averages of features.py
     bound               2.58 / sqrt(sum n / tau)         99 %, autocorrelation corrected

@@ -1,4 +1,4 @@
-"""What a gap looks like when no effect of the catalogue explains it: forces and torques written as products of what the fish does.
+"""What a gap looks like when no effect of the catalogue explains it: forces as products of what the fish does.
 
     terms_of(plant, records, null) -> (Term, ...)     best first
 

@@ -6,7 +6,7 @@ gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without 
 null       what the same term gains on null runs, whitened by the others, and the luckiest of all terms: subtracted
 decoys     g_k moved along each record by a random time: same spectrum, same company, no relation to z. p-value of gain_k
            among all decoys' gains, Benjamini & Hochberg 1995 at 10 %
-stability  share of half-samples of records and thirds of records in which it is among the first two (Meinshausen & Buehlmann 2010)
+stability  share of half-samples of thirds of records in which it is one of the first two (Meinshausen & Buehlmann 2010)
 sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
 """
 

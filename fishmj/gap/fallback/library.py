@@ -9,8 +9,8 @@ Admissible are
     static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
-A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they say
-that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (judge.py).
+A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they
+say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (judge.py).
 """
 
 import hashlib
