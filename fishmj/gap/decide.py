@@ -37,7 +37,7 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
-        tentative = named(e, found.base, first.ranked[0], {})
+        tentative = named(e, found.base, first.ranked[0], {}) if first.gain > 0 else ()
         why = f"there is a gap, but the best candidate gains {first.gain:.0f} on held-out records, less than {gates.gain:.0f}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(e, found, gates)

@@ -26,7 +26,8 @@ UNSEEN = 9  # records from which on a quarter is set aside for the last figure o
 class Inquiry:
     """Everything that one search leaves behind, for the report.
 
-    held, unseen: (L,) bool over `records`; `unseen` ones took no part in any decision.
+    unseen: (L,) bool over `records`, those that took no part in any decision; `apart` is their evidence. held: bool over the
+    others, which are those of `evidence`. synthetic: a trial says that it was simulated.
     """
 
     verdict: Verdict
@@ -35,6 +36,8 @@ class Inquiry:
     records: list[Record]
     held: np.ndarray
     unseen: np.ndarray
+    apart: Evidence | None = None
+    synthetic: bool = False
 
 
 def investigate(
@@ -80,12 +83,16 @@ def investigate(
 
         say("which force would it be?")
         verdict = replace(verdict, terms=described(plant, e, null, seed))
+    apart = None
     if unseen.any():
-        last = [r for r, u in zip(records, unseen, strict=True) if u]
-        apart = evidence_of(plant, last, null)
+        apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null)
         before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
-    return Inquiry(verdict, e, found, records, held, unseen)
+        if after > before and verdict.answer in ("NAMED", "CLASS"):
+            why = f"the gap grows from {before:.2f} to {after:.2f} on records that no decision saw; the best is tentative"
+            verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
+    synthetic = any(t.value("origin") == "synthetic" for t in trials)
+    return Inquiry(verdict, e, found, records, held, unseen, apart, synthetic)
 
 
 def evidence_of(plant, records: list[Record], null: Null) -> Evidence:

@@ -1,6 +1,6 @@
 """Every figure that the page shows, computed from an inquiry: what is drawn and what is written as JSON are the same numbers."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -109,7 +109,11 @@ def parts(inquiry: Inquiry) -> tuple[Part, ...]:
         out.append(Part(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
     if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
         what = "no decision ever saw these"
-        out.append(Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, v.gap_after_unseen))
+        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, v.gap_after_unseen)
+        if inquiry.apart is not None:
+            before, after = (inquiry.apart.gap(c.row)[1] for c in (found.base, found.best))
+            last = replace(last, by_channel={name: (before[name], after[name]) for name in before})
+        out.append(last)
     return tuple(out)
 
 

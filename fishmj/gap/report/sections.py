@@ -51,8 +51,9 @@ def answer(m: Material) -> str:
     chips = "".join(
         f'<div class="{"on" if name == v.answer else ""}"><b>{name}</b>{escape(text)}</div>' for name, text in CONTRACT.items()
     )
+    origin = "<span> synthetic data</span>" if m.inquiry.synthetic else ""
     return (
-        f'<header><div><span class="mark">{v.answer}</span><h1>{escape(headline(v))}</h1>{value}'
+        f'<header><div><span class="mark">{v.answer}</span>{origin}<h1>{escape(headline(v))}</h1>{value}'
         f'<p class="lead">{told(meaning(m))}</p><p class="next"><b>Next</b>{told(next_step(m))}</p>'
         f'<div class="figures">{"".join(figures(m))}</div><div class="contract">{chips}</div></div></header>'
     )
