@@ -50,7 +50,7 @@ class Fish:
         self.joints = self.robot.n_joints
         chosen = effects.catalogue().values() if catalogue is None else catalogue
         self.active = effects.Active([e for e in chosen if not e.stochastic], self.joints)
-        self.constants = CONSTANTS
+        self.constants: tuple[Constant, ...] = CONSTANTS
         self.chain = chain.chain_of(self.robot)
         self.nominal = chain.nominal(self.robot)
         self.latency = self.robot.timing.command_latency
@@ -58,9 +58,22 @@ class Fish:
         self.states = 2 * (self.joints + 3) + 2 + len(self.active.memory)  # q, v, attachment, energy, memory
 
     @property
-    def null(self) -> np.ndarray:
-        """(P,) the calibrated fish."""
+    def nothing(self) -> np.ndarray:
+        """(P,) the fish without any effect."""
         return np.array([1.0] * len(self.constants) + self.active.null)
+
+    @property
+    def null(self) -> np.ndarray:
+        """(P,) the model as it is: with the effects that its description lists."""
+        return self.row(self.robot)
+
+    def row(self, robot: Robot) -> np.ndarray:
+        """(P,) another description's effects on this fish; those that are not in this plant's catalogue are left out."""
+        row, mine = self.nothing, {effect.name for effect in self.active.effects}
+        for fitted in robot.effects:
+            for name, interval in fitted.parameters.items() if fitted.name in mine else ():
+                row[self.index(fitted.name, name)] = interval.value
+        return row
 
     def index(self, effect: str, parameter: str) -> int:
         """Place of an effect's parameter in a row."""
@@ -68,7 +81,7 @@ class Fish:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Changes with anything that changes the null row's predictions."""
+        """Changes with anything that changes the predictions of the row `nothing`."""
         return hashlib.sha256(repr((self.robot, self.camera, self.latency)).encode()).hexdigest()[:16]
 
     @cached_property
@@ -124,21 +137,33 @@ class Fish:
         late = self.active.delay(np, list(effect_rows.T), "command") * np.ones(len(rows))
         delay = np.tile((late + self.latency) / self.dt, len(records))
         whole = np.concatenate([np.tile(rows, (len(records), 1)), flow[which]], 1)
-        start = np.repeat(np.stack([self._start(r) for r in records]), len(rows), 0)
+        start = np.concatenate([self._starts(r, effect_rows) for r in records])
         out = self.kernel(which, inputs, lengths, whole, start, delay, STRIDE, longest // STRIDE + 2)
         out = out.reshape(len(records), len(rows), *out.shape[1:])
         return [self._sense(record, mine, effect_rows) for record, mine in zip(records, out, strict=True)]
 
-    def _start(self, record: Record) -> np.ndarray:
-        """The state at the start of a record: at rest, or with the push it was given."""
-        nv = self.joints + 3
-        state = np.zeros(self.states)
-        state[:3], state[3:nv], state[2 * nv] = record.start, record.joints, 0.5
-        c, s = np.cos(record.start[2]), np.sin(record.start[2])
+    def _starts(self, record: Record, effect_rows) -> np.ndarray:
+        """(R, S) states that the sensors would have shown as the record's start: at rest, or with the push it was given.
+
+        What a camera or encoder adds is taken off what they showed, by fixed point: true = shown - (seen(true) - true).
+        """
+        nv, rows = self.joints + 3, len(effect_rows)
+        parameters = [column[:, None] for column in effect_rows.T]
+        shown = np.tile(np.concatenate([record.start, record.joints]), (rows, 1))
+        true, at = shown.copy(), np.zeros((rows, 1))
+        for _ in range(2):
+            x, y, yaw = (true[:, i : i + 1] for i in range(3))
+            seen = self.active.measure(np, parameters, Seen(t=at, x=x, y=y, yaw=yaw, joint=true[:, None, 3:], power=at))
+            joint = np.broadcast_to(seen.joint, (rows, 1, self.joints))[:, 0]
+            seen = np.concatenate([np.broadcast_to(v, (rows, 1)) for v in (seen.x, seen.y, seen.yaw)] + [joint], 1)
+            true = true + (shown - seen)
+        state = np.zeros((rows, self.states))
+        state[:, :nv], state[:, 2 * nv] = true, 0.5
+        c, s = np.cos(true[:, 2]), np.sin(true[:, 2])
         u, w, r = record.push
-        state[nv : nv + 3] = c * u - s * w, s * u + c * w, r
-        state[2 * nv + 2 :] = self.active.memory
-        state[2 * nv + 3] = record.session
+        state[:, nv : nv + 3] = np.stack([c * u - s * w, s * u + c * w, np.full(rows, r)], 1)
+        state[:, 2 * nv + 2 :] = self.active.memory
+        state[:, 2 * nv + 3] = record.session
         return state
 
     def _sense(self, record: Record, out, effect_rows) -> dict:
