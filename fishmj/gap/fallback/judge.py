@@ -15,18 +15,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.effects.effect import Effect
-from fishmj.gap.candidates import Search
+from fishmj.gap.candidates import Candidate, Search, bounds
 from fishmj.gap.fallback.library import library, name_of, one_sided
 from fishmj.gap.features import Layout
 from fishmj.gap.null import leftover, whitening
 from fishmj.gap.records import Record
 from fishmj.gap.search import Evidence
 
-PROBE = 0.3  # of the usual coefficient
-FINALISTS = 8  # polished with the whole model
+PROBE = 0.1  # of the usual coefficient
+PROBES = (0.5, -0.5, 2.0, -2.0)
+WILD = 1e5
+UNIT = 4.0  # of |z|^2: what one free coefficient gains by chance
+FINALISTS = 6  # of each list, polished with the whole model
 LISTED = 5
 DECOYS = 40  # draws
 HALVES = 60  # half-samples
+MANY = 4  # records from which on one is left out as a whole
+PIECES = 3  # parts of a record, where there are fewer
 FDR = 0.1
 STABLE = 0.5
 WORTH = 0.1  # share of what is unexpected below which a term describes nothing
@@ -70,24 +75,42 @@ def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     whole = e.part(np.ones(len(records), bool))
     terms = [x for x in plant.active.effects if x in library()]
     base = whole.base()
-    g = signatures(whole, terms)
-    record = e.layout.record
-    gains = held_out(base.z, g, record)
-    floor = null_gains(e, null, g, plant, terms)
-    net = (gains - floor) * np.where([one_sided(t) for t in terms], HANDED, 1.0)
+    g, probed = signatures(whole, terms)
+    onto = groups(e.layout, 1 if len(records) >= MANY else PIECES)
+    gains = held_out(base.z, g, onto)
+    floor = null_gains(e, null, g, onto)
+    sided = np.where([one_sided(t) for t in terms], HANDED, 1.0)
+    net = (gains - floor) * sided
     rng = np.random.default_rng(seed)
-    q = discovery(gains, decoy_gains(base.z, g, e.layout, rng))
-    stable = stability(base.z, g, record, e.layout, net / np.maximum(gains, 1e-9), rng)
-    order = np.argsort(-net)[:FINALISTS]
+    q = discovery(gains, decoy_gains(base.z, g, e.layout, onto, rng))
+    stable = stability(base.z, g, groups(e.layout, PIECES), net / np.maximum(gains, 1e-9), rng)
+    order = shortlist(net, probed)
     polished = {c.names[-1]: c for c in whole.refine(whole.screen(base, [terms[k] for k in order]), 3)}
-    ranked = sorted(order, key=lambda k: -_score(base, polished[terms[k].name], terms[k], net[k]))[:LISTED]
+    for k, gain in zip(order, crossed_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
+        net[k] = (gain - floor[k]) * sided[k]
+    ranked = sorted(order, key=lambda k: -net[k])[:LISTED]
     return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, plant) for k in ranked)
 
 
-def _score(base, c, term: Effect, net: float) -> float:
-    """What a polished term takes off |z|^2, as far as it does so on records it never saw."""
-    gain = (base.cost - c.cost) * (HANDED if one_sided(term) else 1.0)
-    return gain if net > 0 else gain - base.cost
+def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
+    """Terms to polish: the best to first order, and the best at a finite size: a fish that drifts far off is no straight line."""
+    return list(dict.fromkeys([*np.argsort(-net)[:FINALISTS], *np.argsort(probed)[:FINALISTS]]))
+
+
+def crossed_at(whole: Search, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
+    """(F,) gain of fitted terms on records left out: about each optimum c, c(-l) = c - sum_k g_k z_k / sum_k g_k^2, k not l."""
+    _, _, size = bounds(whole.plant)
+    rows, steps = [], []
+    for c in fitted:
+        row, place = c.row.copy(), c.places[-1]
+        steps.append(0.02 * size[place])
+        row[place] += steps[-1]
+        rows.append(row)
+    at = np.array([c.z for c in fitted])
+    g = (whole.z(np.array(rows)) - at) / np.array(steps)[:, None]
+    b, a = sums(at, g, onto)
+    change = -(b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
+    return np.sum(base.z**2) - np.sum(at**2, 1) - np.sum(2 * change * b + change**2 * a, 1)
 
 
 def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
@@ -113,33 +136,38 @@ def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
     )
 
 
-def signatures(whole: Search, terms: list[Effect]) -> np.ndarray:
-    """(K, m) change of z for the usual coefficient of each term, to first order."""
-    plant, rows, steps = whole.plant, [], []
-    for term in terms:
+def signatures(whole: Search, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
+    """(K, m) change of z for the usual coefficient of each term, to first order; (K,) least |z|^2 at a few finite ones."""
+    plant, sizes = whole.plant, (PROBE, -PROBE, *PROBES)
+    rows = np.tile(plant.null, (len(terms), len(sizes), 1))
+    for k, term in enumerate(terms):
         p = term.parameters[0]
-        step = PROBE * p.typical[1]
-        for sign in (1.0, -1.0):
-            row = plant.null.copy()
-            row[plant.index(term.name, p.name)] = sign * step
-            rows.append(row)
-        steps.append(step / p.typical[1])
-    z = whole.z(np.array(rows))
-    g = (z[0::2] - z[1::2]) / (2 * np.array(steps))[:, None]
-    wild = np.abs(z).max(1).reshape(-1, 2).max(1) > 1e5  # a rollout that left the finite numbers says nothing
-    g[wild] = 0.0
-    return g
+        rows[k, :, plant.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
+    with np.errstate(over="ignore", invalid="ignore"):  # a fish may leave the finite numbers: search makes it a huge cost
+        z = whole.z(rows.reshape(-1, rows.shape[-1]))
+    z = z.reshape(len(terms), len(sizes), -1)
+    g = (z[:, 0] - z[:, 1]) / (2 * PROBE)
+    g[np.abs(z[:, :2]).max((1, 2)) > WILD] = 0.0  # a rollout that left the finite numbers says nothing
+    return g, np.einsum("kpm,kpm->kp", z, z).min(1)
 
 
-def sums(z: np.ndarray, g: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(g_k . z, g_k . g_k) by group of the entries, (K, L) each."""
-    edges = np.flatnonzero(np.diff(group, prepend=-1))
-    return np.add.reduceat(g * z, edges, axis=1), np.add.reduceat(g * g, edges, axis=1)
+def groups(layout: Layout, pieces: int) -> np.ndarray:
+    """(m, L pieces) which entries belong to which record, or to which of its equal parts in time."""
+    onto = np.zeros((layout.size, pieces * len(layout.records)))
+    for b in layout.blocks:
+        n = b.where.stop - b.where.start
+        onto[np.arange(b.where.start, b.where.stop), pieces * b.record + pieces * np.arange(n) // max(n, 1)] = 1.0
+    return onto
 
 
-def held_out(z: np.ndarray, g: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """(K,) gain of each term on records it was not fitted to; group cross-validation, a record at a time."""
-    return crossed(*sums(z, g, record))
+def sums(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(g_k . z, g_k . g_k) by group, (K, G) each."""
+    return (g * z) @ onto, (g * g) @ onto
+
+
+def held_out(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """(K,) gain of each term on groups it was not fitted to, one at a time."""
+    return crossed(*sums(z, g, onto))
 
 
 def crossed(b: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -148,7 +176,7 @@ def crossed(b: np.ndarray, a: np.ndarray) -> np.ndarray:
     return np.sum(2 * c * b - c * c * a, 1)
 
 
-def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, plant, terms) -> np.ndarray:
+def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """(K,) what each term may gain on null runs, those of one half whitened by the other half's scatter.
 
     The 95 % point of its own gain, times what the luckiest of all terms exceeds its own by in 95 % of the runs.
@@ -163,13 +191,13 @@ def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, plant, terms) -> np
         d = leftover(mine, tangents, e.layout)
         w = whitening(np.concatenate([mine / np.sqrt(len(mine)), tangents]), d)
         for z in w(null[part::2]):
-            found.append(held_out(z, g, e.layout.record))
-    each = np.maximum(np.percentile(np.array(found), 95, axis=0), 1e-9)
+            found.append(held_out(z, g, onto))
+    each = np.maximum(np.percentile(np.array(found), 95, axis=0), UNIT)
     luckiest = np.max(np.array(found) / each, 1)
     return each * max(1.0, float(np.percentile(luckiest, 95)))
 
 
-def decoy_gains(z: np.ndarray, g: np.ndarray, layout: Layout, rng, draws: int = DECOYS) -> np.ndarray:
+def decoy_gains(z: np.ndarray, g: np.ndarray, layout: Layout, onto: np.ndarray, rng, draws: int = DECOYS) -> np.ndarray:
     """(draws K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
     out = []
     for _ in range(draws):
@@ -178,7 +206,7 @@ def decoy_gains(z: np.ndarray, g: np.ndarray, layout: Layout, rng, draws: int = 
         for b in layout.blocks:
             n = b.where.stop - b.where.start
             moved[:, b.where] = np.roll(g[:, b.where], int(shift[b.record] * n), axis=1)
-        out.append(held_out(z, moved, layout.record))
+        out.append(held_out(z, moved, onto))
     return np.concatenate(out)
 
 
@@ -193,20 +221,13 @@ def discovery(gains: np.ndarray, decoys: np.ndarray) -> np.ndarray:
     return out
 
 
-def stability(z, g, record, layout: Layout, share, rng, draws: int = HALVES) -> np.ndarray:
-    """(K,) how often each term is among the first two when only half of the pieces, thirds of a record, are looked at.
+def stability(z, g, onto: np.ndarray, share, rng, draws: int = HALVES) -> np.ndarray:
+    """(K,) how often each term is among the first two when only half of the groups are looked at.
 
     share: (K,) what of each term's gain is left once null runs and sides are counted.
     """
-    piece = np.empty(layout.size, int)
-    for b in layout.blocks:
-        n = b.where.stop - b.where.start
-        piece[b.where] = 3 * b.record + np.minimum(3 * np.arange(n) // max(n, 1), 2)
-    count = 3 * len(layout.records)
-    onto = np.zeros((layout.size, count))
-    onto[np.arange(layout.size), piece] = 1.0
-    b, a = (g * z) @ onto, (g * g) @ onto
-    hits = np.zeros(len(g))
+    b, a = sums(z, g, onto)
+    count, hits = onto.shape[1], np.zeros(len(g))
     for _ in range(draws):
         half = rng.permutation(count)[: max(2, count // 2)]
         gain = b[:, half].sum(1) ** 2 / (a[:, half].sum(1) + 1e-12) * np.clip(share, 0.0, 1.0)
