@@ -131,7 +131,7 @@ def split(records: list[Record], seed: int = 0) -> np.ndarray:
 
 def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=None) -> Found:
     """Add effects while records that no parameter saw get better."""
-    effects = e.plant.active.effects if effects is None else effects
+    effects = [x for x in effects or e.plant.active.effects if absent(e.plant, x)]
     rest = e.part(held)
     base = e.part(np.ones(len(held), bool)).base()
     best = fitted = base
@@ -147,6 +147,12 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
             break
         best, fitted = step.ranked[0], step.fitted[step.ranked[0].names]
     return Found(base, best, fitted, tuple(steps), before, _cost(rest, fitted.row), rest.layout.size)
+
+
+def absent(plant, effect) -> bool:
+    """Whether the model that is questioned does not have the effect yet."""
+    places = [plant.index(effect.name, p.name) for p in effect.parameters]
+    return tuple(plant.null[places]) == effect.null
 
 
 def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gates, gained: float) -> Step:
