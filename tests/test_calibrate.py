@@ -190,6 +190,17 @@ def test_shipped_trials_are_whole_synthetic_and_sealed():
     assert all("seed" not in m and m["source"] in manifest.meta["generators"].values() for m in metas)
 
 
+def test_another_robot_takes_the_place_of_the_first(tmp_path: Path):
+    make = ["--out", str(tmp_path / "t"), "--water", "second", "--seconds", "6", "--seed"]
+    assert hidden_trials.main([*make, "3"]) == 0
+    first = hidden_score.opened(tmp_path / "t")
+    assert len(list((tmp_path / "t").glob("*/meta.toml"))) == 27 and "slip" not in first
+    assert hidden_trials.main([*make, "4", "--repeats-swims", "1", "--overwrite"]) == 0
+    assert len(list((tmp_path / "t").glob("*/meta.toml"))) == 21
+    assert hidden_score.opened(tmp_path / "t")["kp"] != first["kp"]
+    Manifest.read(tmp_path / "t").verify(tmp_path / "t")
+
+
 def test_a_broken_seal_is_noticed(tmp_path: Path):
     write_json(tmp_path / hidden_trials.SEALED, {"values": {"kp": 8.0}})
     Manifest({}, {"sealed": {"file": hidden_trials.SEALED, "sha256": "0" * 64}}).write(tmp_path)

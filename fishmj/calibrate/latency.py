@@ -4,7 +4,8 @@
     model's lag  = mechanism                 same commands, same stamps, same estimator, the fitted servo
     latency      = nominal + mean over trials (measured - model's)
 
-`command` is taken between commands and joints, `camera` between the first joint and the heading that recoils against it.
+`command` is taken between commands and joints on every trial, `camera` between the first joint and the heading that recoils
+against it, on abrupt signals only.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from fishmj.calibrate.least_squares import Estimate
-from fishmj.calibrate.logs import SIGNALS, Logs
+from fishmj.calibrate.logs import Logs
 from fishmj.calibrate.servo import Found
 from fishmj.errors import LogError
 from fishmj.gap.records import Record
@@ -21,6 +22,7 @@ from fishmj.log.lag import lag_between
 from fishmj.log.timebase import Audit, audit
 
 SWIMS = ("gait", "gait_slow", "gait_fast", "turn_left")
+ABRUPT = ("square", "impulse")  # the heading of a steady beat lags by the water's phase, which is the model's to get wrong
 
 
 class Row(NamedTuple):
@@ -71,7 +73,7 @@ def _rows(record: Record, predicted: dict) -> list[Row]:
     if joint is not None:
         now = (joint.values, predicted["joint"][0])
         pairs.append(("command", [((sent, record.commands), (joint.t, values)) for values in now], False))
-        if pose is not None and record.excitation in (*SIGNALS, *SWIMS):
+        if pose is not None and record.excitation in ABRUPT:
             seen = (pose.values[:, 2:], predicted["pose"][0, :, 2:])
             ends = zip(now, seen, strict=True)
             pairs.append(("camera", [((joint.t, j[:, :1]), (pose.t, yaw)) for j, yaw in ends], True))

@@ -86,9 +86,14 @@ def metric(name: str, pose: Table) -> float:
     return far if name == COAST else far / (last - first)
 
 
-def least_slip(grid: str) -> float:
-    """Roughest hull in the table of a grid; beyond it nothing is known."""
-    return min((min(entry["slip"]) for entry in table()["solver"] if entry["grid"] == grid), default=0.0)
+def least_slip(grid: str, metrics: Iterable[str]) -> float:
+    """Roughest hull for which the table of a grid has all of the metrics that it has; beyond it nothing is known."""
+    least = 0.0
+    for entry in table()["solver"]:
+        for name in metrics if entry["grid"] == grid else ():
+            known = [s for s, value in zip(entry["slip"], entry.get(name, ()), strict=False) if np.isfinite(value)]
+            least = max([least, *([min(known)] if known else [])])
+    return least
 
 
 def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
@@ -116,7 +121,7 @@ def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
 def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
     """The likelihood of the slip ratio, thrust left free within its tolerance."""
     tolerance, s = table()["slip"], 1.0 - GRID[::-1]
-    s = s[s >= least_slip(grid) - 1e-9]
+    s = s[s >= least_slip(grid, found) - 1e-9]
     predicted = {name: values for name, values in predictions(grid, s).items() if name in found}
     if not predicted:
         raise LogError(f"slip: the table of grid {grid!r} has none of {', '.join(found)}; remake it with --recompute")

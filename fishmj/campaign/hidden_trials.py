@@ -11,6 +11,7 @@ stands in the manifest; `hidden_score` opens it.
 """
 
 import secrets
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -167,8 +168,11 @@ def solver_trials(seed: int, args) -> dict[str, Trial]:
 
 
 def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[str, str], *, overwrite: bool = False) -> Path:
-    """Trials, weighings, seal, manifest. Returns the manifest's path."""
+    """Trials, weighings, seal, manifest; with `overwrite`, trials of an earlier robot go. Returns the manifest's path."""
     out, robot = Path(out), hidden(seed)
+    for old in sorted(out.glob("*/meta.toml")) if overwrite else ():
+        if old.parent.name not in made:
+            shutil.rmtree(old.parent)
     write_dataset(out, made, overwrite=overwrite)
     write_text(out / MEASUREMENTS, dumps(weighings(robot, truth(robot), draws.stream(seed, "weighing"))))
     values = truth(robot) | ({"slip": slip_of(seed)} if SOLVER in generators.values() else {})
