@@ -21,7 +21,8 @@ from fishmj.hydro_fit.model import HydroModel
 from fishmj.mjcf.geometry import geometry_of
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
-QUICK = Settings(steps=220, rehearsals=0, swim=100.0)
+SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
+QUICK = Settings(steps=80, swim=40.0)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def records():
     """Training, validation and test parts of one small campaign."""
     parts = {}
     for seed, split in enumerate(("train", "val", "test")):
-        parts[split] = hidden.campaign(0.5, seed=seed, split=split, seconds=8.0)
+        parts[split] = hidden.campaign(seed=seed, split=split, **SMALL)
     return parts
 
 
@@ -51,7 +52,7 @@ def test_forces_of_the_strips_give_their_coefficients_back():
     """No hidden water, no noise: what is left is the 50 Hz of the record."""
     known = replace_stall(hidden.TRUE)
     robot = replace(ROBOT, water={**ROBOT.water, "stall_angle_deg": np.degrees(known.stall_angle), "stall_lag": known.stall_lag})
-    made = hidden.campaign(0.5, seconds=8.0, hidden=0.0, noise=0.0, water=known)
+    made = hidden.campaign(hidden=0.0, noise=0.0, water=known, **SMALL)
     done = linear.fit_linear(robot, CHAIN, rows_of(CHAIN, made), TICK, stall=False)
     for name, bound in (("k", 0.08), ("cn", 0.10)):
         np.testing.assert_allclose(getattr(done.water, name), getattr(known, name), rtol=bound)
@@ -149,47 +150,59 @@ def test_a_miss_is_exit_1(fitted, records, monkeypatch):
     assert found["repeatability"]["speed_error_mean"] == 0.0
 
 
-@pytest.fixture(scope="module")
-def seen():
-    """Four swims of 20 s in the hidden water."""
-    return hidden.swim(hidden.gaits(4, 20.0, 31), seed=31)
+FRESH = range(101, 106)  # seeds of swims that no threshold of the correction was tuned on
 
 
-def corrected(made, ch, water, own):
-    """Mean distance after 10 s of free run, before and after correction with 0.2 s of wrenches every 2 s of the first 20."""
-    waters = [flat(water)] * len(made)
-    rows = rows_of(ch, made)
-    attached = attachment(rows, ch.strips, water, TICK)
-    for r, span in zip(made, rows.spans(), strict=True):
-        state, (q, v) = correct.fresh(), r.before
-        for k in [k for k in range(len(r.q)) if k % 100 < 10]:
-            given = (q[k], v[k], r.q[k], r.v[k], r.flow[k], r.wrench[k], attached[span][k], np.zeros((3, 4)), TICK)
-            idle = 1.8 if k % 100 == 0 else 0.0
-            state = correct.update(state, ch.strips, water, correct.rows_between(ch, *given), own=own, tick=TICK, idle=idle)
+def pairs(seed):
+    """Two fish, four swims of 5 s each, in the hidden water."""
+    made = hidden.swim(hidden.gaits(8, SMALL["seconds"], seed), seed=seed)
+    return [made[:4], made[4:]]
+
+
+def corrected(ch, water, own, seed):
+    """Mean distance after 5 s of free run, before and after correction with 0.2 s of wrenches every 2 s of 20."""
+    waters, made = [], pairs(seed)
+    for pair in made:
+        state, rows = correct.fresh(), rows_of(ch, pair)
+        attached = attachment(rows, ch.strips, water, TICK)
+        for r, span in zip(pair, rows.spans(), strict=True):
+            q, v = r.before
+            for k in [k for k in range(len(r.q)) if k % 100 < 10]:
+                given = (q[k], v[k], r.q[k], r.v[k], r.flow[k], r.wrench[k], attached[span][k], np.zeros((3, 4)), TICK)
+                idle = 1.8 if k % 100 == 0 else 0.0
+                state = correct.update(state, ch.strips, water, correct.rows_between(ch, *given), own=own, tick=TICK, idle=idle)
         waters.append(flat(correct.applied(water, state)))
-    fleet = rollout.fleet_of(ch, ROBOT, made, seconds=10.0)
-    fleet = rollout.some(fleet, [i for i, (_, first) in enumerate(fleet.source) if first == 0])
+    fleet = rollout.fleet_of(ch, ROBOT, [r for part in made for r in part])
     twice = rollout.repeated(fleet, 2)
-    track = rollout.Swim(ch, chain.nominal(ROBOT)).run(twice, np.array(waters))
+    track = rollout.Swim(ch, chain.nominal(ROBOT)).run(twice, np.array([flat(water)] * 8 + [w for w in waters for _ in range(4)]))
     far = np.linalg.norm(track.q[:, -1, :2] - twice.q[:, -1, :2], axis=-1)
-    return far[: len(made)].mean(), far[len(made) :].mean()
+    return far[:8].mean(), far[8:].mean()
 
 
-def test_a_wrong_surrogate_is_corrected_within_20_s(fitted, seen):
-    """Tail a tenth shorter, three times the friction: the free-run error falls by half with wrenches in 10 % of the time."""
+def test_a_wrong_surrogate_is_corrected_within_20_s(fitted):
+    """Tail a tenth shorter, three times the friction: most fresh pairs of fish are off by half as much or less."""
     model = fitted[1].base_only
+    wrong = model.base._replace(cf=3 * model.base.cf)
+    found = [corrected(SHORT, wrong, model.scores["own_alone"], seed) for seed in FRESH]
+    assert sum(after <= 0.5 * before for before, after in found) >= 4, found
+
+
+def short_tail():
+    """The chain of a fish whose tail is a tenth shorter."""
     tail = ROBOT.links[-1]
     short = replace(tail, length=0.9 * tail.length, sections=tuple((0.9 * s, h, w) for s, h, w in tail.sections))
     strips = chain.chain_of(ROBOT, geometry_of(replace(ROBOT, links=(*ROBOT.links[:-1], short)))).strips
-    wrong = model.base._replace(cf=3 * model.base.cf)
-    before, after = corrected(seen, CHAIN._replace(strips=strips), wrong, model.scores["own_alone"])
-    assert after < 0.5 * before
+    return CHAIN._replace(strips=strips)
 
 
-def test_a_right_surrogate_is_left_alone(fitted, seen):
+SHORT = short_tail()
+
+
+def test_a_right_surrogate_is_left_alone(fitted):
+    """On most fresh pairs of fish it gets no worse by more than 5 %."""
     model = fitted[1].base_only
-    before, after = corrected(seen, CHAIN, model.base, model.scores["own_alone"])
-    assert after <= 1.05 * before
+    found = [corrected(CHAIN, model.base, model.scores["own_alone"], seed) for seed in FRESH]
+    assert sum(after <= 1.05 * before for before, after in found) >= 4, found
 
 
 def test_without_rows_no_factor_moves():

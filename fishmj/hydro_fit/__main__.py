@@ -2,9 +2,12 @@
 
 python -m fishmj.hydro_fit                        all four, for the shipped fish
 python -m fishmj.hydro_fit collect|fit|check|report|ablate
+python -m fishmj.hydro_fit hybrid                 a surrogate corrected by the solver while it swims
+python -m fishmj.hydro_fit correct POLICY         rounds of the policy's own states, solved and refitted
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console
@@ -14,7 +17,7 @@ from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 
-VERBS = ("collect", "fit", "check", "report", "ablate")
+VERBS = ("collect", "fit", "check", "report", "ablate", "hybrid", "correct")
 DATA = Path(__file__).resolve().parents[2] / "data" / "hydro"
 
 
@@ -26,6 +29,14 @@ def main(argv: list[str]) -> int | None:
     rest = argv[1:] if verb != "all" else argv
     if verb == "collect":
         return collect(rest)
+    if verb == "hybrid":
+        from fishmj.campaign import hybrid_trial
+
+        return hybrid_trial.main(rest)
+    if verb == "correct":
+        from fishmj.campaign import rounds
+
+        return rounds.main(rest)
     args = options(verb).parse_args(rest)
     robot = load_robot(args.fish)
     folder = Path(args.data or DATA / robot.name)
@@ -55,9 +66,11 @@ def options(verb: str) -> argparse.ArgumentParser:
     made.add_argument("--data", help="data set; default data/hydro/<robot>")
     made.add_argument("--model", help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     made.add_argument("--out", help="folder of models and reports; default data/water")
+    made.add_argument("--name", help="of the model that is fitted; default the robot's")
     made.add_argument("--slip", type=float, default=1.0, help="slip ratio of the records")
     made.add_argument("--seed", type=int, default=0)
     made.add_argument("--base", action="store_true", help="the strip model alone, without the learnt residual")
+    made.add_argument("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
     if verb == "all":
         made.add_argument("--device", default="auto", help="of the flow solver: auto, cpu, cuda")
         made.add_argument("--budget", type=float, help="s of wall clock for collecting")
@@ -108,10 +121,10 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:
         told = lambda stage, share, figures: bar.update(share, stage=stage, **figures)  # noqa: E731
-        work = folder.parent / f".fit-{robot.name}-{args.slip:g}"
+        work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{args.slip:g}"
         settings = Settings(seed=args.seed, residual=not args.base)
         done = Fit(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
-        model = done.run()
+        model = replace(done.run(), name=args.name or robot.name)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
     for row in doubtful:
         trade = f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
@@ -126,6 +139,10 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 
 def chosen(robot: Robot, args) -> HydroModel:
     """The model that is judged."""
+    if args.prior:
+        from fishmj.hydro_fit.ablation import unfitted
+
+        return unfitted(robot)
     place = Path(args.out or FOLDERS[0]) / f"{robot.name}.toml"
     if not args.model and not place.is_file():
         raise StoreError(

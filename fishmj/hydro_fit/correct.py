@@ -24,7 +24,7 @@ SPREAD = np.array([0.15, 0.5, 1.0, 0.7, 0.5])  # standard deviation of each fact
 MEMORY = 30.0  # s of rows, after which they count for 1/e
 HANG = 15.0  # rows that one error lasts, as in the fit
 CALM, ALARM = 0.7, 1.1  # uncorrected mean square error over the surrogate's own
-FAINT = np.array([0.05, 0.05, 0.005])  # N, N, N m: errors that nobody needs corrected, as of a fish at rest
+FAINT = np.array([2e-3, 2e-3, 2e-4])  # N, N, N m: a tenth of the drags of a gentle swim; nobody needs such errors corrected
 
 
 class Correction(NamedTuple):

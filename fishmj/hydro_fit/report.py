@@ -30,7 +30,7 @@ def write(
     forces, runs = regimes.by_regime(model, robot, records), free_runs(swum)
     points = regimes.static_map(model, robot, records)
     pictures = [("Means of free swims, with the 90 % band", figures.against(swum, model.band))]
-    pictures.append((f"Free runs from {check.SETTLED:g} s on, {found['freerun_s']:g} s", figures.freeruns(swum)))
+    pictures.append((f"Free runs from {swum.began:g} s on, {found['freerun_s']:g} s", figures.freeruns(swum)))
     if points:
         pictures.append(("Held fish: mean force by the second, in head axes", figures.force_map(points)))
     grid, turns = gait_rows(swum)

@@ -1,14 +1,13 @@
-"""The residual, learnt: forces tick by tick first, then short free swims.
+"""The residual, learnt: forces tick by tick.
 
-    L = mean_rows,members b |dF / size|^2 + thrust b |mean dF_t / size|^2 + decay |W|^2 + swims rho |dv / scale|^2
+    L = mean_rows,members b |dF / size|^2 + thrust b |mean dF_t / size|^2 + decay |W|^2
 
 b are bootstrap weights, drawn by episode: each member sees another sample of the episodes. Features get noise, so that
 small differences are no information. Adam with a cosine schedule; one seed gives one result on one machine.
 """
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,15 +15,13 @@ import numpy as np
 import optax
 from jax import lax
 
-from fishmj.hydro_fit import chain, learned, residual
+from fishmj.hydro_fit import chain, residual
 from fishmj.hydro_fit.fit.lessons import Lessons, taken
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim
 
 NOISE = 0.01  # of the features
-THRUST, DECAY, SWIMS = 3.0, 1e-4, 1.0
+THRUST, DECAY = 3.0, 1e-4
 RATE, BATCH = 4e-3, 40  # pieces a step
 THIN = 2  # forces are looked at in every second row, from a random one on
-SCALE = (0.05, 0.05, 0.5, 0.5)  # m/s, m/s, rad/s, rad/s (joints): what an error of a swim is measured in
 
 
 class Schooling(NamedTuple):
@@ -116,50 +113,4 @@ def learn(
             losses.append(float(value))
             if report is not None:
                 report(k + 1, steps, losses[-1])
-    return Schooling(jax.tree.map(np.asarray, net), np.array(losses))
-
-
-def swim_loss(net: residual.Net, swim: Swim, fleet: Any, memory, reach: learned.Range, water):
-    """Squared error of short swims against the record, in `SCALE`, with the wake that the record had filled."""
-    learnt = learned.Residual(net, reach)
-    attached = 0.5 * jnp.ones(len(fleet.q))
-    given = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient, water, attached, memory, learnt)
-    (q, v, _), _ = swim.trace(*given)
-    joints = v.shape[-1] - 3
-    scale = np.array([*SCALE[:3], *[SCALE[3]] * joints], np.float32)
-    return jnp.mean(jnp.clip((v - fleet.v[:, 1:]) / scale, -5, 5) ** 2 * fleet.mask[..., None])
-
-
-def rehearse(
-    ch: chain.Chain, swim: Swim, fleet: Fleet, lessons: Lessons, net: residual.Net, water: np.ndarray, *,
-    memory: np.ndarray, steps: int = 40, batch: int = 32, seed: int = 0, report: Callable | None = None,
-) -> Schooling:  # fmt: skip
-    """Teach short free swims on top of forces: the pieces of `fleet` with the wake at their starts, (B, 3 N + 2)."""
-    p, rho, reach = residual.panels(ch), ch.strips.rho, learned.unlimited(ch.n)
-    b = bootstrap(lessons.episode, net.members, seed)
-    optimiser = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(optax.cosine_decay_schedule(RATE / 8, steps, 0.1)))
-    single = partial(jax.tree.map, lambda a: jnp.asarray(a, jnp.float32))
-    net, water, reach = single(net), single(water), single(reach)
-    state, rng, losses = optimiser.init(net), np.random.default_rng([47, seed]), []
-
-    def total(net, part, weights, pieces, wake):
-        rows = jnp.broadcast_to(water, (len(pieces.q), water.shape[-1]))
-        swum = swim_loss(net, swim, pieces, wake, reach, rows)
-        return loss(net, part, weights, p, rho) + SWIMS * swum, swum
-
-    @jax.jit
-    def step(net, state, part, weights, pieces, wake):
-        (_, value), slope = jax.value_and_grad(total, has_aux=True)(net, part, weights, pieces, wake)
-        slope = jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), slope)
-        change, state = optimiser.update(slope, state)
-        return optax.apply_updates(net, change), state, value
-
-    for k in range(steps):
-        at = rng.choice(len(lessons.episode), min(BATCH, len(lessons.episode)), replace=False)
-        who = rng.choice(len(fleet.q), min(batch, len(fleet.q)), replace=False)
-        pieces = single(Fleet._make([*(a[who] for a in fleet[:-1]), ()]))
-        net, state, value = step(net, state, taken(lessons, at), b[:, at], pieces, single(memory[who]))
-        losses.append(float(value))
-        if report is not None:
-            report(k + 1, steps, losses[-1])
     return Schooling(jax.tree.map(np.asarray, net), np.array(losses))

@@ -1,8 +1,8 @@
 """The whole fit, stage by stage: each is kept when done, so an interrupted fit goes on where it was.
 
     linear     least squares on wrenches                               rollout   factors by free swims
-    residual   forces that are left over                               rehearse  short free swims with the residual
-    retune     the factors again, with the residual in place           finish    members, range and error bar
+    residual   forces that are left over                               retune    the factors again, with the residual in place
+    finish     members, range and error bar
 A stage that makes the validation swims worse is not taken; the notes say so. The test part is never looked at.
 """
 
@@ -28,22 +28,17 @@ from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 
-STAGES = ("linear", "rollout", "residual", "rehearse", "retune", "finish")
+STAGES = ("linear", "rollout", "residual", "retune", "finish")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a fit may be told. steps of learning; `swim` seconds of free swimming at most in each Gauss-Newton batch.
-
-    rehearsals: steps of each length of swim; none by default, because the gradient through the physics takes minutes to compile
-    on a CPU and `retune` already decides speed.
-    """
+    """What a fit may be told. steps of learning; `swim` seconds of free swimming at most in each Gauss-Newton batch."""
 
     seed: int = 0
     members: int = 5
     hidden: int = 16
     steps: int = 700
-    rehearsals: int = 0
     swim: float = 600.0
     residual: bool = True
     memory: bool = True
@@ -153,27 +148,6 @@ class Fit:
         before, after = self.score(state["water"], None), self.score(state["water"], learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
         return packed(learnt)
-
-    def _rehearse(self, state) -> dict:
-        s, learnt = self.settings, unpacked(state)
-        if learnt is None or not s.rehearsals:
-            return {}
-        c, net = unflat(state["water"].tolist()), learnt.net
-        taught = self._lessons(state["water"])
-        before = self.score(state["water"], learnt)
-        memory = begin.walk(self.chain, rows_of(self.chain, self.train), c, learnt, self.tick).memory
-        starts = np.cumsum([0, *(len(r.q) for r in self.train)])
-        for part, (seconds, steps) in enumerate(((0.2, s.rehearsals), (1.0, s.rehearsals))):
-            fleet = rollout.fleet_of(self.chain, self.robot, self.train, seconds=seconds, least=seconds)
-            at = np.array([starts[n] + a for n, a in fleet.source])
-            told = lambda k, n, cost, part=part: self._tell("rehearse", (part + k / n) / 2, loss=cost)  # noqa: E731
-            given = dict(memory=memory[at], steps=steps, seed=s.seed, report=told)
-            net = learning.rehearse(self.chain, self.swim, fleet, taught, net, state["water"], **given).net
-        after = self.score(state["water"], learnt._replace(net=net))
-        if after > before:
-            self.notes.append(f"rehearse: not taken, validation {before:.4g} -> {after:.4g}")
-            return {}
-        return packed(learnt._replace(net=net))
 
     def _retune(self, state) -> dict:
         learnt = unpacked(state)

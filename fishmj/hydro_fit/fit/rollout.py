@@ -24,6 +24,9 @@ from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
 WINDOW = 2.0  # s, over which velocities are averaged
+LEAST = (
+    128  # fish that are swum at once, the last one repeated: a step of the batch costs as much as one of ten, a compilation 5 s
+)
 
 
 class Fleet(NamedTuple):
@@ -151,9 +154,11 @@ class Swim:
         attached = np.full(batch, 0.5) if attached is None else attached
         memory = np.zeros((batch, 3 * self.chain.n + 2)) if memory is None else memory
         given = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient, water, attached, memory)
+        size = max(LEAST, 1 << (batch - 1).bit_length())  # few sizes, so that few are compiled
+        wide = [np.concatenate([a, np.repeat(a[-1:], size - batch, 0)]) for a in map(np.asarray, given)]
         single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)  # noqa: E731
-        out = self._run(*single(given), None if learnt is None else single(learnt))
-        return Track(*(np.asarray(a, float) for a in out))
+        out = self._run(*single(wide), None if learnt is None else single(learnt))
+        return Track(*(np.asarray(a[:batch], float) for a in out))
 
     @partial(jax.jit, static_argnums=0)
     def _run(self, q, v, target, flow, ambient, water, attached, memory, learnt):
@@ -161,7 +166,7 @@ class Swim:
         return (*track, memory[-1] / (target.shape[1] * target.shape[2]))
 
     def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
-        """The swim as JAX code: ((q, v, power) (B, T, ..), state at the end); differentiable."""
+        """The swim as JAX code: ((q, v, power) (B, T, ..), state at the end)."""
         ch, n = self.chain, self.chain.n
         sw = self.swimmer._replace(water=unflat([water[:, i] for i in range(water.shape[1])]))
         split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731

@@ -1,0 +1,161 @@
+"""A surrogate is corrected by stretches of a better water, and by rounds of what a policy does. That water is made up here."""
+
+import numpy as np
+import pytest
+
+from fishmj.campaign import hybrid_trial, plan, rounds
+from fishmj.campaign.hybrid import Hybrid, Stretch, Surrogate
+from fishmj.campaign.tank import Finished, Setup
+from fishmj.errors import ConfigError, MissingExtra
+from fishmj.hydro_fit import chain, correct
+from fishmj.hydro_fit.ablation import unfitted
+from fishmj.lbm_oracle.domain import preset
+from fishmj.mjcf import load_robot
+
+ROBOT = load_robot("fish")
+CHAIN, TRUE = chain.chain_of(ROBOT), chain.nominal(ROBOT).water
+WRONG = TRUE._replace(cf=3 * TRUE.cf, cn=[*TRUE.cn[:3], 0.5 * TRUE.cn[3]])
+COMMANDS = [0.4 * min(1.0, k * 0.02) * np.sin(2 * np.pi * 0.02 * k - 1.0 * np.arange(3)) for k in range(300)]
+
+
+class Made:
+    """An oracle: the strip water with the true coefficients, wrenches as a solver gives them."""
+
+    def __init__(self):
+        self.asked = []
+
+    def stretch(self, q, v, past, commands):
+        fish = Surrogate(ROBOT, CHAIN, TRUE)
+        fish.q, fish.v, fish.commands, fish.ticks = np.array(q), np.array(v), [np.array(c) for c in past], len(past) - 1
+        states, wrench = [(fish.q, fish.v)], []
+        for command in commands:
+            fish.tick(command)
+            states.append((fish.q, fish.v))
+            wrench.append(self.wrench(*states[-2], *states[-1], fish.attached))
+        self.asked.append(len(commands))
+        return Stretch(*(np.array(column) for column in zip(*states, strict=True)), np.array(wrench))
+
+    def wrench(self, q, v, q_new, v_new, attached):
+        none = np.zeros((4, 3))
+        row = correct.rows_between(CHAIN, q, v, q_new, v_new, np.zeros((4, 2)), none, attached, none.T, 0.02)
+        ft, fn, moment = correct.parts(CHAIN.strips, TRUE, row).sum(0)
+        turn = (q[2] + q_new[2]) / 2 + np.cumsum([0.0, *(q[3:] + q_new[3:]) / 2])
+        return np.stack([np.cos(turn) * ft - np.sin(turn) * fn, np.sin(turn) * ft + np.cos(turn) * fn, moment], -1)
+
+
+def swum(water, commands=COMMANDS):
+    fish = Surrogate(ROBOT, CHAIN, water)
+    for command in commands:
+        fish.tick(command)
+    return fish.q
+
+
+def run(oracle, **options):
+    hybrid = Hybrid(Surrogate(ROBOT, CHAIN, WRONG), oracle, (0.0, 0.0, 0.0), every=1.0, lead=0.0, span=0.1, **options)
+    for command in COMMANDS:
+        hybrid.tick(command)
+    return hybrid
+
+
+def test_stretches_of_a_better_water_halve_the_error_of_a_wrong_one():
+    """Three times the friction, half the tail's cross-flow drag; a tenth of 6 s in the better water."""
+    oracle = Made()
+    hybrid = run(oracle)
+    found = hybrid.episode()
+    truth = swum(TRUE)[:2]
+    before, after = (np.linalg.norm(swum(water)[:2] - truth) for water in (WRONG, hybrid.surrogate.water))
+    assert found["covered"] <= 0.1 and oracle.asked == [5] * 5 and not found["off"]
+    assert before > 0.05 and after < 0.5 * before, (before, after, found["factors"])
+
+
+def test_the_swim_itself_has_no_jumps():
+    steps = np.linalg.norm(np.diff(np.array(run(Made()).path)[:, :2], axis=0), axis=-1)
+    assert steps.max() < 0.02 * 1.0  # 1 m/s
+
+
+def test_a_solver_that_is_missing_or_fails_is_switched_off_and_the_fish_swims_on(capsys):
+    class Gone:
+        def stretch(self, *_):
+            raise MissingExtra("warp-lang", "oracle", "the flow solver")
+
+    for oracle, why in ((None, "there is no solver"), (Gone(), "the flow solver needs warp-lang")):
+        hybrid = run(oracle)
+        assert why in hybrid.off and capsys.readouterr().err.count("goes on by itself") == 1
+        np.testing.assert_array_equal(hybrid.surrogate.q, swum(WRONG))
+
+
+def test_a_solver_that_is_too_slow_is_switched_off_and_what_was_learnt_stays():
+    oracle = Made()
+    hybrid = run(oracle, patience=1e-9)
+    assert "a stretch took" in hybrid.off and len(oracle.asked) == 2  # the first one sets it up
+    assert hybrid.surrogate.water != WRONG
+    with pytest.raises(ConfigError, match="within"):
+        Hybrid(Surrogate(ROBOT, CHAIN, WRONG), oracle, (0.0, 0.0, 0.0), every=0.1, lead=0.1, span=0.1)
+
+
+def test_the_shorter_tail_is_another_water_on_the_same_body():
+    short = hybrid_trial.shorter_tail(ROBOT)
+    assert short._replace(strips=CHAIN.strips) == CHAIN and short.strips.mu[-1][0] < 0.95 * CHAIN.strips.mu[-1][0]
+    assert short.strips.mu[:-1] == CHAIN.strips.mu[:-1]
+
+
+def model_in(water):
+    from dataclasses import replace
+
+    return replace(unfitted(ROBOT), base=water)
+
+
+class Tanks:
+    """A pool: every segment is run in the strip water with the true coefficients."""
+
+    def __init__(self):
+        self.starts = {}
+
+    def run(self, waiting, setup, go_on):
+        for segment in waiting:
+            self.starts[segment.id] = segment
+            q, v = rounds.roll(ROBOT, model_in(TRUE), segment)
+            names = ("id", "block", "episode", "split", "replicate_of")
+            meta = {name: getattr(segment, name) for name in names} | setup.about | {"segment": segment.table()}
+            meta["grid"] = meta["grid"] | {"slip": segment.slip}
+            meta |= {"start": {"q": q[0].tolist(), "v": v[0].tolist()}, "tick": 0.02, "seconds": len(q) * 0.02, "stopped": ""}
+            none = np.zeros((len(q), 4, 3))
+            arrays = {"q": q, "v": v, "command": q[:, 3:], "wrench": none, "raw": none, "flow": none[..., :2]}
+            yield Finished(segment, meta, arrays | {"power": np.ones(len(q))})
+
+
+def test_rounds_end_when_the_returns_agree(tmp_path):
+    """Ten times the friction: the first round disagrees, the refit is used, the second agrees; the data grow by both."""
+    pool, asked = Tanks(), []
+
+    def refit():
+        asked.append(len(list((tmp_path / "data" / "segments").glob("*.npz"))))
+        return model_in(TRUE)
+
+    slow = model_in(TRUE._replace(cf=30 * TRUE.cf, ke=0.1 * TRUE.ke))
+    setup = Setup(domain=preset("laptop"), device="cpu")
+    given = dict(refit=refit, episodes=1, seconds=6.0, pool=pool)
+    found = rounds.correct("dob", ROBOT, slow, tmp_path / "data", setup, **given)
+    assert found["agreed"] and len(found["rounds"]) == 2 and asked == [2]
+    assert found["rounds"][0]["gap"] > rounds.AGREED > 1e-3 > found["rounds"][1]["gap"]
+    whole, part = (pool.starts[name] for name in list(pool.starts)[:2])
+    half = rounds.roll(ROBOT, slow, whole)
+    np.testing.assert_allclose(part.velocity, half.v[len(half.v) // 2])
+    assert part.pose != whole.pose and part.seconds == rounds.SHORT
+
+
+def test_rounds_that_never_agree_say_so(tmp_path):
+    slow = model_in(TRUE._replace(cf=30 * TRUE.cf, ke=0.1 * TRUE.ke))
+    setup = Setup(domain=preset("laptop"), device="cpu")
+    given = dict(refit=lambda: slow, episodes=1, seconds=6.0, rounds=1, pool=Tanks())
+    found = rounds.correct("dob", ROBOT, slow, tmp_path, setup, **given)
+    assert not found["agreed"] and len(found["rounds"]) == 1 and found["model"] is slow
+
+
+def test_the_return_is_that_of_the_task():
+    """At the target at rest: the whole of wG; further off or with moving joints: less."""
+    segment = plan.on_policy(ROBOT, "dob", episodes=1, seconds=2.0, seed=3).segments[0]
+    q, v = np.zeros((20, 6)), np.zeros((20, 6))
+    q[:, :2] = segment.drive["target"]
+    best = rounds.returned(ROBOT, segment, q, v)
+    assert best > rounds.returned(ROBOT, segment, q + 0.1, v) and best > rounds.returned(ROBOT, segment, q, v + 1.0)
