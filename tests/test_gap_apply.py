@@ -184,7 +184,7 @@ def test_what_cannot_be_planted_is_refused(data, tmp_path, capsys):
     for argv, word in (
         (["coulomb_friction=0.1", "--generator", "log", "--from", data], "before the sensors"),
         (["camera_scale=9", "--generator", "log", "--from", data], "expected -0.2 to 0.2"),
-        (["camera_scale=0.1", "--generator", "log"], "--from"), (["tether", "--generator", "lbm"], "servos"),
+        (["camera_scale=0.1", "--generator", "log"], "--from"), (["tether", "--generator", "lbm", "--domain", "pond"], "laptop"),
         (["tether", "--generator", "lb"], "lbm"),
     ):  # fmt: skip
         code, _, err = command(capsys, "plant", *argv, "--out", tmp_path / "no")

@@ -31,11 +31,14 @@ def main(argv: list[str]) -> int:
     add("--out", type=Path, required=True, metavar="DATA", help="data set folder")
     add("--generator", default="independent", help=", ".join(GENERATORS))
     add("--from", dest="source", type=Path, metavar="DATA", help="data set that --generator log works on")
-    add("--logs", type=int, default=12, help="trials of --generator independent")
+    add("--logs", type=int, default=12, help="trials to make")
     add("--excitations", default="designed", metavar="LIST", help="designed, casual, dry, all, or ids with commas")
     add("--seed", type=int, default=0)
     add("--noise", type=float, default=1.0, help="factor on every sensor's noise")
     add("--nuisance", type=float, default=0.1, help="relative half width of constants that nobody measured")
+    add("--domain", default="laptop", help="--generator lbm: box of water; paper, window, laptop (a preview)")
+    add("--device", default="cpu", help="--generator lbm: auto, cpu, cuda")
+    add("--tanks", type=int, default=1, help="--generator lbm: trials side by side")
     add("--drop", type=float, default=0.0, help="--generator log: share of sensor rows that are lost")
     add("--truth", type=Path, metavar="FILE", help="what was hidden; default DATA.truth.json, beside the data set")
     add("--overwrite", action="store_true")
@@ -58,9 +61,7 @@ def independent(texts: list[str], args) -> tuple[dict, list[Trial], dict]:
     """(hidden, trials, facts) of the second robot."""
     from fishmj.virtual_robot import dataset, generate
 
-    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
-    listed = shelf.get(args.excitations, args.excitations.split(","))
-    hidden, runs = dataset.parse(texts, args.seed), [excitation.get(n).id for n in islice(cycle(listed), args.logs)]
+    hidden, runs = dataset.parse(texts, args.seed), experiments(args)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs}
     return hidden, generate(hidden, runs, args.seed, args.noise, args.nuisance), facts
 
@@ -77,11 +78,21 @@ def logged(texts: list[str], args) -> tuple[dict, list[Trial], dict]:
 
 
 def solver(texts: list[str], args) -> tuple[dict, list[Trial], dict]:
-    """Not here yet."""
-    raise ConfigError(
-        "gap plant: --generator lbm needs the solver's fish behind the virtual robot's servos, network and camera; this build"
-        " couples the solver to MuJoCo's servos only (fishmj.lbm_oracle.run). Use --generator independent"
-    )
+    """(hidden, trials, facts) of the flow solver's fish on the second robot's servos, network and camera."""
+    from fishmj.campaign.hidden import generate_lbm
+    from fishmj.virtual_robot import dataset
+
+    hidden, runs = dataset.parse(texts, args.seed), experiments(args)
+    numbers = (args.seed, args.noise, args.nuisance, args.domain, args.device)
+    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "domain": args.domain}
+    return hidden, generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=console.say), facts
+
+
+def experiments(args) -> list[str]:
+    """Ids of the trials to make, the list again where it is too short."""
+    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
+    listed = shelf.get(args.excitations, args.excitations.split(","))
+    return [excitation.get(n).id for n in islice(cycle(listed), args.logs)]
 
 
 def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
