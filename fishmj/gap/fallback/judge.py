@@ -1,7 +1,10 @@
 """Which terms describe a gap: every term fitted alone on the whitened residual, then four doubts about it.
 
 g_k    = dz/dc_k by a central difference                 signature of term k, (m,)
-gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l: gain on records it never saw
+gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l (of few: a third of one)
+
+The best to first order and the best at finite coefficients are fitted with the whole model, and ranked by the same gain taken
+about each one's optimum.
 
 null       what the same term gains on null runs, whitened by the others, and the luckiest of all terms: subtracted
 decoys     g_k moved along each record by a random time: same spectrum, same company, no relation to z. p-value of gain_k
@@ -65,6 +68,7 @@ class Term:
         return self.gain > 0 and self.q <= FDR and self.stability >= STABLE and self.closure >= WORTH
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
     """The terms that describe what `records` show beyond the model, best first.
 
@@ -143,9 +147,7 @@ def signatures(whole: Search, terms: list[Effect]) -> tuple[np.ndarray, np.ndarr
     for k, term in enumerate(terms):
         p = term.parameters[0]
         rows[k, :, plant.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
-    with np.errstate(over="ignore", invalid="ignore"):  # a fish may leave the finite numbers: search makes it a huge cost
-        z = whole.z(rows.reshape(-1, rows.shape[-1]))
-    z = z.reshape(len(terms), len(sizes), -1)
+    z = whole.z(rows.reshape(-1, rows.shape[-1])).reshape(len(terms), len(sizes), -1)
     g = (z[:, 0] - z[:, 1]) / (2 * PROBE)
     g[np.abs(z[:, :2]).max((1, 2)) > WILD] = 0.0  # a rollout that left the finite numbers says nothing
     return g, np.einsum("kpm,kpm->kp", z, z).min(1)
