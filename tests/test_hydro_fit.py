@@ -22,7 +22,7 @@ from fishmj.mjcf.geometry import geometry_of
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
 SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
-QUICK = Settings(steps=80, swim=40.0)
+QUICK = Settings(steps=200, swim=40.0)
 
 
 @pytest.fixture(scope="module")
