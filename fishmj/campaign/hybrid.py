@@ -16,7 +16,7 @@ stays. Uniform streams only.
 
 import time
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class Solver:
 
     def __init__(self, robot: Robot, domain, *, flow: Flow | None = None, slip: float = 1.0, device: str = "cpu"):
         self.robot, self.domain, self.flow, self.slip, self.device = robot, domain, flow or Flow(), slip, device
-        self.run: object | None = None
+        self.run: Any = None
 
     def stretch(self, q, v, past, commands) -> Stretch:
         """As `Oracle.stretch`.
@@ -202,7 +202,7 @@ class Hybrid:
             row = correct.rows_between(ch, *states, np.array(fish.stream), wrench, x, np.zeros((3, ch.n)), self.size)
             if fish.learnt is not None:
                 hooks = learned.Learned(np, ch, fish.learnt, memory)
-                force = hooks.advance(s, self.base, chain.Links([], [], row.omega, row.u, row.w, []), self.size)
+                force = hooks.advance(s, self.base, chain.Links([], [], list(row.omega), list(row.u), list(row.w), []), self.size)
                 row, memory = row._replace(extra=np.array(force).T), list(hooks.end(ch, None, None, None))
             x = terms.attachment(np, s, self.base, row.u[-1], row.w[-1], row.omega[-1], x, self.size)
             if k >= lead:
