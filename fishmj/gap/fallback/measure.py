@@ -2,7 +2,7 @@
 
 python -m fishmj.gap.fallback.measure --cases 70 --seed 51 --out runs/fallback
 
-RIGHT says for each family which terms count, written down before the first run. Families whose cause is no force of the library
+RIGHT says for each family which terms count; it is fixed before a seed is run. Families whose cause is no force of the library
 (a draw of the current, a clock, a camera, ballast that slides, one tooth, a neighbour's drive) have none and are left out.
 """
 
