@@ -68,8 +68,8 @@ class Solver:
             run.tick(command)
         _, _, _, pose, joint, rate, _, _, whole = (np.array(column) for column in zip(*run.rows[first:], strict=True))
         after = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
-        states = (np.concatenate([[start], rows]) for start, rows in zip((q, v), after, strict=True))
-        return Stretch(*states, whole[:, :, [0, 1, 5]])
+        places, rates = (np.concatenate([[start], rows]) for start, rows in zip((q, v), after, strict=True))
+        return Stretch(places, rates, whole[:, :, [0, 1, 5]])
 
     def _placed(self, q: np.ndarray, v: np.ndarray):
         """The run with its fish in this state."""

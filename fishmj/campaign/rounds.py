@@ -93,7 +93,7 @@ def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rolled]], n
     segments = []
     for segment, rolled in rolls:
         at = len(rolled.q) // 2
-        start = {"pose": tuple(rolled.q[at, :3].tolist()), "joints": tuple(rolled.q[at, 3:].tolist())}
+        start: dict = {"pose": tuple(rolled.q[at, :3].tolist()), "joints": tuple(rolled.q[at, 3:].tolist())}
         start |= {"velocity": tuple(rolled.v[at].tolist()), "seconds": min(SHORT, segment.seconds), "settle": 0.0}
         segments += [segment, replace(segment, id=f"{segment.id}_mid", **start)]
     return Plan(label=f"round {number} of {policy}", robot=robot, seed=number, segments=tuple(segments))

@@ -1,6 +1,6 @@
 """From what was found to one of the five answers: seven gates, each a reason that a reader can check.
 
-    G1 adequacy     held-out |z|^2 / m is beyond every null run                else AGREES
+    G1 adequacy     |z|^2 / m, held out or over all, is beyond every null run  else AGREES
     G2 gain         held-out drop of |z|^2 that no null run gives away          else UNEXPLAINED
     G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
     G4 rest         what is left lies within the form error of what was found   else UNEXPLAINED, the best shown as tentative
@@ -33,8 +33,10 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     checks: dict = {"adequacy": found.held_before / found.held_size, "gap_by_channel": parts}
     steps = tuple(described(s) for s in found.steps)
     plain: dict = dict(gap_before=before, gap_after=before, gates=checks, steps=steps)
+    checks["adequacy_all"] = found.base.cost / e.layout.size
     first = found.steps[0] if found.steps else None
-    if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
+    quiet = max(checks["adequacy"], checks["adequacy_all"]) <= gates.adequacy
+    if first is None or (not first.accepted and quiet):
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
         tentative = named(e, found.base, first.ranked[0], {}) if first.gain > 0 else ()

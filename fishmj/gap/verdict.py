@@ -30,8 +30,8 @@ class Verdict:
     """What a search found. Gaps are mean squares in units of the floor: agreement is about 1.
 
     effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, and instead of which. tentative: further
-    effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best first
-    (fallback/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision.
+    effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
+    first (fallback/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision.
     """
 
     answer: str
