@@ -37,6 +37,7 @@ def test_the_packages_that_run_this_test_are_right():
     assert {f.name for f in packages.findings() if f.section == "extras"} == {
         "cuda",
         "fast",
+        "logs",
         "sb3",
         "ray",
         "robot",

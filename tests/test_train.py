@@ -170,8 +170,8 @@ def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
 def test_the_flow_is_never_in_what_the_policy_sees_and_always_in_what_the_critic_sees(env):
     state = env.reset(jax.random.key(0), 6)
     other = state._replace(current=state.current._replace(mean=state.current.mean + 0.5, rms=3 * state.current.rms))
-    joint, key = jnp.zeros((6, 3)), jax.random.key(1)
-    np.testing.assert_array_equal(env._look(state, joint, joint, key), env._look(other, joint, joint, key))
+    recent, key = jnp.zeros((6, env.sensors.behind + 1, 2 * env.n_act)), jax.random.key(1)
+    np.testing.assert_array_equal(env._look(state, recent, key), env._look(other, recent, key))
     seen = [env._privileged(s, state.obs) for s in (state, other)]
     differs = np.abs(np.asarray(seen[0] - seen[1])).max(0) > 0.1
     np.testing.assert_array_equal(np.flatnonzero(differs), [11, 12])  # the stream, and nothing else

@@ -1,11 +1,11 @@
 """Calibrate a fish against its logs: servo, latency, slip, mass.
 
-python -m fishmj.calibrate servo   --out fish.calibrated.toml      sine, square and impulse, in air and water
-python -m fishmj.calibrate latency --out fish.calibrated.toml      the same trials: commands, camera
-python -m fishmj.calibrate slip    --out fish.calibrated.toml      swims at two beats and a coast-down; prints the profile over s
-python -m fishmj.calibrate mass    --out fish.calibrated.toml      a page of weighings
-python -m fishmj.calibrate score   --model fish.calibrated.toml    synthetic trials only: fitted against the sealed values
-python -m fishmj.calibrate check   --robots 16                     how far off it is, on robots drawn anew
+fishmj calibrate servo   --out fish.calibrated.toml      sine, square and impulse, in air and water
+fishmj calibrate latency --out fish.calibrated.toml      the same trials: commands, camera
+fishmj calibrate slip    --out fish.calibrated.toml      swims at two beats and a coast-down; prints the profile over s
+fishmj calibrate mass    --out fish.calibrated.toml      a page of weighings
+fishmj calibrate score   --model fish.calibrated.toml    synthetic trials only: fitted against the sealed values
+fishmj calibrate check   --robots 16                     how far off it is, on robots drawn anew
 """
 
 from pathlib import Path
