@@ -9,7 +9,7 @@ pytest.importorskip("numba")
 
 from fishmj import effects, excitation  # noqa: E402
 from fishmj.errors import UnknownName  # noqa: E402
-from fishmj.gap import next_experiment  # noqa: E402
+from fishmj.gap import advice, next_experiment  # noqa: E402
 from fishmj.gap.null_runs import Null, repeated  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
@@ -79,13 +79,13 @@ def test_hints_begin_with_what_the_catalogue_says(plant):
 def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
     sides = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
     sides = [s._replace(names=(n,)) for s, n in zip(sides, ("clock_offset", "camera_latency"), strict=True)]
-    said = next_experiment.advice([Prospect("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
+    said = advice.advice([Prospect("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
     assert "No experiment tried separates clock_offset from camera_latency" in said and "lamp" in said
 
 
 def test_sides_survive_the_report(plant):
     there = side(plant, "coulomb_friction", 0.1, spread=0.01)
-    back = next_experiment.read(plant, next_experiment.written(plant, there), 1.0)
+    back = advice.read(plant, advice.written(plant, there), 1.0)
     assert np.allclose(back.row, there.row) and np.allclose(back.moves, there.moves)
 
 

@@ -78,7 +78,7 @@ def investigate(
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
     if further and verdict.answer == "CLASS":
-        from fishmj.gap.next_experiment import advised
+        from fishmj.gap.advice import advised
 
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null)

@@ -57,7 +57,7 @@ def rows_of(plant, case: Case, true_gap: float, names=NAMES) -> dict[str, dict]:
 
 def beside(todo: list[Case], rows: list[dict], out: Path | None) -> dict[str, list[dict]]:
     """{baseline: rows} of the cases that the search has judged; kept in `out`, one file each. Absent ones say why."""
-    from fishmj.gap.bench.command import kept
+    from fishmj.gap.bench.rows import kept
     from fishmj.gap.plants.fish import Fish
 
     absent = {n: reason_absent(n) for n in NAMES}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.gap.bench import cases
+from fishmj.gap.bench.rows import kept
 from fishmj.gap.bench.run import run
 from fishmj.gap.bench.score import score
 from fishmj.gap.null_runs import Null
@@ -62,19 +63,6 @@ def judged(todo: list[cases.Case], out: Path | None) -> list[dict]:
                         file.write(json.dumps(rows[case.id]) + "\n")
             bar.update(i + 1)
     return [rows[case.id] for case in todo]
-
-
-def kept(path: Path) -> list[dict]:
-    """Whole lines of a file; a line that was cut off is done again."""
-    if not path.is_file():
-        return []
-    out = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            out.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return out
 
 
 def told(result: dict) -> list[str]:

@@ -1,0 +1,17 @@
+"""Rows of a benchmark on disk, one JSON object a line: what is done is never done again."""
+
+import json
+from pathlib import Path
+
+
+def kept(path: Path) -> list[dict]:
+    """Whole lines of a file; a line that was cut off is done again."""
+    if not path.is_file():
+        return []
+    out = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            out.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return out
