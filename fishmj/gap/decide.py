@@ -15,12 +15,11 @@ import numpy as np
 
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, bounds
-from fishmj.gap.contest import Rival, Standing, standings
+from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Evidence, Found, Gates
 from fishmj.gap.verdict import Named, Value, Verdict
 
-ON_BOUND = 1e-3  # of the typical size
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
 CHANCE = 10.0  # by which |z|^2 of one record may rise

@@ -8,7 +8,6 @@ thresholds were frozen on one generator before the others were scored (`data/gap
 
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -182,17 +181,6 @@ def swaps(fit: Search, short: list[Candidate], effects, gates: Gates) -> list[Ca
         tried = fit.screen(shrunk, [x for x in effects if x.name not in kept])[: gates.finalists]
         out += fit.refine(tried, 3)
     return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
-
-
-def pairs(fit: Search, base: Candidate, singles: list[Candidate], gates: Gates) -> list[Candidate]:
-    """All pairs of the finalists, polished together."""
-    out = []
-    for a, b in combinations(singles[: gates.finalists], 2):
-        row = a.row.copy()
-        row[list(b.places)] = b.row[list(b.places)]
-        z = fit.z(row[None])[0]
-        out.append(Candidate((*a.names, *b.names[len(base.names) :]), (*a.places, *b.places), row, float(z @ z), z))
-    return fit.refine(out, 3)
 
 
 def without(search: Search, c: Candidate, name: str) -> Candidate:
