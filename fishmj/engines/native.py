@@ -14,7 +14,7 @@ import re
 import sys
 import tempfile
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 from fishmj.engines import approx, codegen, rows_of, ticks_per
 from fishmj.engines.added import Added
@@ -57,13 +57,6 @@ ADVANCE = void(
 )
 EVALUATE = void(int64, int64, STATE, SWIMMER, given(2), given(2), given(2), several(4, result(2)))
 '''
-
-
-class Row(list):
-    """A list that reads like the last axis of an array, so that code over arrays can be traced as scalars."""
-
-    def __getitem__(self, key):
-        return super().__getitem__(key[-1] if isinstance(key, tuple) else key)
 
 
 def flat(tree) -> list:
@@ -112,7 +105,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
     """
     import jax.numpy as jnp
 
-    from fishmj.engines.planar import link_centres
+    from fishmj.hydro_fit.hooks import centres as centres_of
 
     ch, added = chain.chain_of(robot), Added.of(robot)
     n, names = ch.n, names_of(ch.n, len(added.row), len(added.memory))
@@ -132,8 +125,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
         return [*s.applied, s.attached, s.power, *s.memory]
 
     def centres(a):
-        xp = SimpleNamespace(cos=jnp.cos, sin=jnp.sin, stack=lambda parts, axis: parts)
-        return flat(link_centres(xp, ch, Row(a["q"])))
+        return flat(centres_of(jnp, ch, a["q"]))
 
     fish = ("mass", "kp", "kv", "kb", "zero", "water", "effects")
     whole = ("q", "v", "attached", "memory", "target", "flow", "ambient", *fish, "power")

@@ -14,6 +14,7 @@ from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer
 from fishmj.engines.added import Added, stacked
 from fishmj.flow import Current, sample
 from fishmj.hydro_fit import chain
+from fishmj.hydro_fit.hooks import centres
 from fishmj.mjcf.description import Robot
 
 
@@ -25,16 +26,8 @@ def quantise(xp, robot: Robot, commands):
 
 def link_centres(xp, ch: chain.Chain, q):
     """World positions of the link centres, (B, N, 2) m, from q (B, nv)."""
-    heading = q[..., 2]
-    x, y = q[..., 0], q[..., 1]
-    out = []
-    for i in range(ch.n):
-        if i > 0:
-            x, y = x + ch.d[i - 1] * xp.cos(heading), y + ch.d[i - 1] * xp.sin(heading)
-            heading = heading + q[..., 2 + i]
-        mid = sum(ch.strips.x[i]) / len(ch.strips.x[i])
-        out.append(xp.stack([x + mid * xp.cos(heading), y + mid * xp.sin(heading)], -1))
-    return xp.stack(out, -2)
+    columns = [q[..., i] for i in range(q.shape[-1])]
+    return xp.stack([xp.stack(centre, -1) for centre in centres(xp, ch, columns)], -2)
 
 
 def arrived(xp, buffer, delay, steps: int, ramp: bool):
