@@ -35,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
     parser.add_argument("--fresh-test", type=int, metavar="SEED", help="new test episodes and nothing else")
+    parser.add_argument(
+        "--slip", type=float, action="append", default=[], metavar="S", help="only segments of this slip ratio; may be repeated"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the draws")
     parser.add_argument("--policy", action="append", default=[], metavar="NAME|FILE", help="what steers on-policy episodes")
     parser.add_argument("--domain", help="box of water: window (default), paper, laptop, window_fine, ...")
@@ -92,8 +95,14 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
     """The plan that the options ask for.
 
     Raises:
-        ConfigError: two kinds of plan at once.
+        ConfigError: two kinds of plan at once; a slip ratio that no segment has.
     """
+    plan = _drawn(args, robot)
+    return plan.at(args.slip) if args.slip else plan
+
+
+def _drawn(args: argparse.Namespace, robot: Robot) -> Plan:
+    """The plan at every slip ratio."""
     if args.preview and args.fresh_test is not None:
         raise ConfigError("collect: --preview and --fresh-test are two plans; choose one")
     if args.preview:
@@ -105,7 +114,7 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
 
 def default_folder(plan: Plan) -> Path:
     """data/hydro/<fish> for the whole campaign; everything else apart from it."""
-    suffix = "" if plan.label == "full" else "-" + plan.label.replace(" ", "-")
+    suffix = "" if plan.label == "full" else "-" + plan.label.replace(",", "").replace(" ", "-")
     return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
 
 

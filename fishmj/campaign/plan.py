@@ -88,6 +88,18 @@ class Plan:
         """Seconds of water, in steps of the domain, settling included."""
         return sum(segment.water for segment in self.segments)
 
+    def at(self, slips: Sequence[float]) -> "Plan":
+        """The part of the plan at these slip ratios.
+
+        Raises:
+            ConfigError: no segment is at one of them.
+        """
+        there = sorted({segment.slip for segment in self.segments})
+        if unknown := [slip for slip in slips if slip not in there]:
+            raise ConfigError(f"campaign: slip = {unknown[0]}; expected of this plan's {', '.join(f'{s:g}' for s in there)}")
+        kept = tuple(segment for segment in self.segments if segment.slip in slips)
+        return replace(self, label=f"{self.label}, slip {', '.join(f'{s:g}' for s in sorted(set(slips)))}", segments=kept)
+
     def rows(self) -> list[dict]:
         """Blocks with their segments and seconds by split, for a table."""
         blocks = list(dict.fromkeys(segment.block for segment in self.segments))
