@@ -4,6 +4,7 @@ python -m fishmj.hydro_fit                        all four, for the shipped fish
 python -m fishmj.hydro_fit collect|fit|check|report|ablate
 python -m fishmj.hydro_fit hybrid                 a surrogate corrected by the solver while it swims
 python -m fishmj.hydro_fit correct POLICY         rounds of the policy's own states, solved and refitted
+python -m fishmj.hydro_fit rank                   controllers in the solver and in the fitted water, on the same trials
 """
 
 import argparse
@@ -17,7 +18,7 @@ from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 
-VERBS = ("collect", "fit", "check", "report", "ablate", "hybrid", "correct")
+VERBS = ("collect", "fit", "check", "report", "ablate", "hybrid", "correct", "rank")
 DATA = Path(__file__).resolve().parents[2] / "data" / "hydro"
 
 
@@ -37,6 +38,10 @@ def main(argv: list[str]) -> int | None:
         from fishmj.campaign import rounds
 
         return rounds.main(rest)
+    if verb == "rank":
+        from fishmj.evaluate import rank_command
+
+        return rank_command.main(rest)
     args = options(verb).parse_args(rest)
     robot = load_robot(args.fish)
     folder = Path(args.data or DATA / robot.name)

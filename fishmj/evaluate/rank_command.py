@@ -1,0 +1,164 @@
+"""The verb `python -m fishmj.hydro_fit rank`: are controllers worth the same in a fitted water and in the flow solver?
+
+    python -m fishmj.hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all controllers, both waters
+    python -m fishmj.hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
+    python -m fishmj.hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
+
+Exit code 1 where a tolerance is missed, 3 where too few trials tell the controllers apart.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from fishmj import console, controllers, engines
+from fishmj.campaign.command import ON_GPU, PATIENCE
+from fishmj.errors import ConfigError
+from fishmj.evaluate import protocol, rank, two_waters
+from fishmj.hydro_fit.model import HydroModel, shipped
+from fishmj.lbm_oracle.device import device_of
+from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.mjcf.description import load_robot
+from fishmj.store import write_json
+
+DEFAULT = ("dob", "pi", "pd", "adrc-c1", "paper-sac", "paper", "drift")
+MEANING = {"paper-sac": "SAC", "paper": "PPO", "dob": "flow observer", "pi": "vector PI", "adrc-c1": "PNL + ADRC-C1", "pd": "PD"}
+SAID = {True: "yes", False: "NO", None: "cannot be told"}
+
+
+def options(argv: list[str]):
+    """Parsed arguments."""
+    parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
+    add = parser.add_argument
+    add("controllers", nargs="*", metavar="CONTROLLER", help=f"default {' '.join(DEFAULT)}; drift is shown and not ranked")
+    add("--fish", default="fish", help="a shipped name or a description (.toml)")
+    add("--model", help="the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one")
+    add("--engine", default="batch", help="of the surrogate: " + ", ".join(engines.NAMES))
+    add("--domain", default="window", help="box of the solver: paper, flow_tank, window, laptop (a preview)")
+    add("--device", default="auto", help="of the solver: auto, cpu, cuda")
+    add("--tanks", type=int, metavar="N", help=f"trials side by side in the solver; {ON_GPU} on a GPU, else 1")
+    add("--trials", type=int, default=24, metavar="N", help="of the decided 72, spread over speeds and directions; default 24")
+    add("--seconds", type=float, help="of a trial; default 60")
+    add("--budget", type=float, help="s of wall clock after which no further trial is begun in the solver")
+    add("--seed", type=int, default=0, help="of the trials")
+    add("--out", type=Path, default=Path("runs") / "rank", metavar="DIR", help="finished trials, rank.json, rank.png")
+    return parser.parse_args(argv)
+
+
+def main(argv: list[str]) -> int:
+    """Run what is missing, judge, print, write.
+
+    Raises:
+        UnknownName, ConfigError: a controller, water, box or number that cannot be.
+    """
+    args = options(argv)
+    robot, model = load_robot(args.fish), HydroModel.load(args.model or default_model(args.fish))
+    names = list(dict.fromkeys(args.controllers)) or list(DEFAULT)
+    brains = [controllers.make(name, robot) for name in names]
+    trials = chosen(args)
+    preset(args.domain)
+    device = str(device_of(args.device))
+    tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
+    total = trials.duration * len(trials) * len(brains)
+    if args.device == "auto" and device == "cpu" and args.budget is None and total > PATIENCE:
+        console.warn(
+            f"rank: {total:.0f} s of water and no accelerator: nothing was run. --budget SECONDS or --device cpu runs it all the"
+            " same; --domain laptop --trials 6 --seconds 10 is a preview"
+        )
+        return console.FAILED_CHECK
+    solver = two_waters.in_solver(robot, args.out, domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
+    surrogate = two_waters.in_surrogate(engines.in_water(robot, args.model or default_model(args.fish)), args.engine)
+    with console.Progress(total, "rank in the solver", unit="sim s") as bar:
+        seen = lambda name, water: bar.update(water, controller=name)  # noqa: E731
+        measured = two_waters.both(brains, trials, solver, surrogate, group=tanks, budget=args.budget, report=seen)
+    found = verdict(measured, model, args)
+    return shown(found, args)
+
+
+def default_model(fish: str) -> str:
+    """The fitted water of this fish, or the one that comes with fishmj.
+
+    Raises:
+        ConfigError: none comes with it.
+    """
+    name, known = load_robot(fish).name, shipped()
+    if not known:
+        raise ConfigError("rank: no fitted water is shipped with this build; fit one: python -m fishmj.hydro_fit fit")
+    return name if name in known else known[0]
+
+
+def chosen(args) -> protocol.Trials:
+    """The first `--trials` of the decided ones, in their spread order.
+
+    Raises:
+        ConfigError: none, or more than there are.
+    """
+    every = two_waters.spread(protocol.trials(seed=args.seed, duration=args.seconds))
+    if not 1 <= args.trials <= len(every):
+        raise ConfigError(f"rank: --trials {args.trials}; expected 1 to {len(every)}")
+    if args.tanks is not None and args.tanks < 1:
+        raise ConfigError(f"rank: --tanks {args.tanks}; expected 1 or more")
+    return replace(every, items=every.items[: args.trials])
+
+
+def verdict(measured: two_waters.Measured, model: HydroModel, args) -> dict:
+    """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told."""
+    judged = {key: rank.judged(key, *measured.of(key)) for key in two_waters.KEYS}
+    passed = list(judged["rmse_after_arrival"]["passed"].values())
+    t = measured.trials
+    return {
+        "ok": False if False in passed else None if None in passed else True,
+        "preview": args.domain in PREVIEWS,
+        "origin": "synthetic",
+        "model": model.name,
+        "model_fitted_on": model.dataset.get("grid", ""),
+        "slip": model.slip,
+        "domain": args.domain,
+        "trials": {"n": len(t), "asked": args.trials, "seconds": t.duration, "turbulence": t.turbulence, "seed": args.seed},
+        "by_trial": {"solver": measured.solver, "surrogate": measured.surrogate},
+        **judged,
+    }
+
+
+def shown(found: dict, args) -> int:
+    """Tables, files and the exit code."""
+    t, judged = found["trials"], found["rmse_after_arrival"]
+    head = f"{t['n']} trials of {t['seconds']:g} s, {found['model']} against the solver on {found['domain']}"
+    head = f"preview, not a judgement: {head}" if found["preview"] else head
+    console.say("", head, "value (95 % bootstrap interval over trials); gap = surrogate - solver, paired", "")
+    for key in two_waters.KEYS:
+        console.say(console.table([row_of(key, row) for row in found[key]["controllers"]]), "")
+    if t["n"] < t["asked"]:
+        console.warn(f"{t['n']} of {t['asked']} trials are finished; the same command goes on with the rest")
+    if found["model_fitted_on"] not in ("", found["domain"]):
+        console.warn(f"{found['model']} was fitted to the solver on {found['model_fitted_on']}, ranked on {found['domain']}")
+    console.say(*verdict_lines(judged))
+    from fishmj.evaluate.rank_plot import picture
+
+    console.say(f"wrote {write_json(args.out / 'rank.json', found)}", f"wrote {picture(judged, args.out / 'rank.png', head)}")
+    if args.json:
+        console.emit_json(found)
+    return {True: console.OK, False: console.FAILED_CHECK, None: console.CANNOT_TELL}[found["ok"]]
+
+
+def row_of(key: str, row: dict) -> dict:
+    """One controller as the terminal shows it."""
+    cell = lambda e, sign="": f"{e['value']:{sign}.3f} ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"  # noqa: E731
+    name = row["controller"]
+    about = {"controller": name, "is": MEANING.get(name, "") if row["ranked"] else "not ranked", "n": row["n"]}
+    about |= {
+        f"{key}, solver [m]": cell(row["solver"]),
+        "surrogate [m]": cell(row["surrogate"]),
+        "gap [m]": cell(row["gap"], "+"),
+    }
+    return about | {f"within {rank.GAP:g} m": SAID[row["within"]] if row["ranked"] else ""}
+
+
+def verdict_lines(judged: dict) -> list[str]:
+    """What passed, in words."""
+    told, passed = judged["told_apart"], judged["passed"]
+    return [
+        f"largest gap {judged['gap_max']:.3f} m, at most {rank.GAP:g}: {SAID[passed['gap_max']]}",
+        f"Kendall tau {judged['tau']:.2f}, at least {rank.TAU:g}: {SAID[passed['tau']]}; {judged['counted']} of {judged['of']}"
+        f" pairs count, told apart in both waters ({told['solver']} in the solver, {told['surrogate']} in the surrogate);"
+        f" over all pairs, counted or not: {judged['tau_all_pairs']:.2f}",
+    ]
