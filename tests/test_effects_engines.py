@@ -237,7 +237,7 @@ def test_a_fitted_water_and_effects_act_together_in_every_simulator(fitted_water
     state, trace = advance(batch.Engine(robot, threads=1, evaluator="jax"), robot, 1)
     np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
     np.testing.assert_allclose(state.memory[0], sim.solo.memory, rtol=0, atol=1e-8)
-    assert state.memory.shape == (1, 16) and np.abs(state.memory[0, 2:14]).max() > 1e-3
+    assert state.memory.shape == (1, 22) and np.abs(state.memory[0, 8:20]).max() > 1e-3  # time, current, friction, wake, ...
     strips = Sim(robot, flow=FLOW, pose=POSE)  # the robot carries its water
     np.testing.assert_allclose(strips.run(beat(), TICKS / 50).table("truth")["x"], truth["x"], atol=1e-12)
     with pytest.raises(ConfigError, match="fitted for robot"):

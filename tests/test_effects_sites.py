@@ -9,6 +9,7 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 from fishmj import effects
 from fishmj.effects import Active
 from fishmj.effects.commands import delivered
+from fishmj.effects.dry_friction import AT_REST, GIVE
 from fishmj.effects.scatter import arrivals, gusts, noise
 from fishmj.effects.sites import Body, Gear, Place, Seen, Servo, Water
 from fishmj.hydro_fit.hooks import Effects
@@ -69,14 +70,32 @@ def test_supply_and_heat_weaken_the_servo_in_proportion():
     assert s.limit == 1.0
 
 
-def test_stribeck_friction_is_gone_at_speed_and_dry_friction_is_not():
-    rate = np.array([0.05, 2.0])
-    brake = {
-        name: effects.get(name).gear(np, SimpleNamespace(torque=0.1, speed=0.1), fields(Gear, rate=rate), (), H)[0].resist * rate
-        for name in ("stribeck", "coulomb_friction")
-    }
-    assert brake["stribeck"][0] > 0.05 and brake["stribeck"][1] < 1e-12
-    assert np.isclose(brake["coulomb_friction"][1], 0.1, rtol=1e-3)
+def rubbed(name, drive, seconds, rate=0.0, inertia=3e-4, **p):
+    """(moved rad, rate rad/s) of one joint that a constant torque drives against dry friction."""
+    gear, memory, moved = effects.get(name).gear, AT_REST, 0.0
+    for _ in range(round(seconds / H)):
+        g, memory = gear(np, SimpleNamespace(**p), fields(Gear, drive=drive, rate=rate), memory, H)
+        rate = (rate + H / inertia * (g.drive + g.torque)) / (1.0 + H / inertia * g.resist)
+        moved += H * rate
+    return moved, rate
+
+
+@pytest.mark.parametrize(
+    "name, p",
+    [("coulomb_friction", {"torque": 0.1}), ("stribeck", {"torque": 0.1, "speed": 0.1}), ("load_friction", {"ratio": 2.0})],
+)
+def test_a_joint_at_rest_stays_where_it_is_until_friction_is_overcome(name, p):
+    moved, rate = rubbed(name, 0.05, 20.0, **p)
+    assert moved <= GIVE and abs(rate) < 1e-6
+
+
+def test_dry_friction_takes_its_torque_off_and_stribeck_friction_is_gone_at_speed():
+    _, rate = rubbed("coulomb_friction", 0.16, 0.2, torque=0.1)
+    assert rate == pytest.approx(0.2 * 0.06 / 3e-4, rel=0.05)
+    _, stopped = rubbed("coulomb_friction", 0.0, 0.5, rate=5.0, torque=0.1)
+    assert abs(stopped) < 1e-6
+    _, fast = rubbed("stribeck", 0.0, 0.2, rate=5.0, torque=0.1, speed=0.1)
+    assert fast == pytest.approx(5.0, rel=1e-9)
 
 
 def test_the_extra_torque_speed_line_ends_at_its_speed():

@@ -71,8 +71,12 @@ def low_pass(value: np.ndarray, step: float, time: float) -> np.ndarray:
 
 
 def metered(meter: Meter, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
-    """Table `power`: battery voltage and current, averaged over a few milliseconds before each stamp t (K,)."""
-    volts, amps = (sum(record.at(t - lag, name)[:, 0] for lag in np.linspace(0.0, meter.average, 5)) / 5.0 for name in ("V", "I"))
+    """Table `power`: battery voltage and current, averaged over the time before each stamp t (K,), a reading every millisecond.
+
+    Single readings would beat with the servos' clock: the mean power would depend on when in a period a command arrives.
+    """
+    lags = np.arange(0.5, 1000.0 * meter.average) / 1000.0
+    volts, amps = np.mean([record.at(t - lag, "V", "I") for lag in lags], 0).T
     amps = amps + meter.offset / volts
     volts = volts + noise * meter.voltage_noise * rng.standard_normal(len(t))
     amps = amps + noise * meter.current_noise * rng.standard_normal(len(t))

@@ -1,13 +1,12 @@
 """Coulomb friction of the gear train."""
 
+from fishmj.effects.dry_friction import AT_REST, rub
 from fishmj.effects.effect import Confusion, Effect, Parameter
-
-CREEP = 0.02  # rad/s, below which friction grows linearly: a hundredth of a beat's fastest rate
 
 
 def gear(xp, p, g, memory, h):
-    """tau = -F_c w / sqrt(w^2 + w_c^2), as its secant F_c / sqrt(w^2 + w_c^2), taken implicitly."""
-    return g._replace(resist=g.resist + p.torque / xp.sqrt(g.rate * g.rate + CREEP * CREEP)), memory
+    """At most F_c, sticking at rest."""
+    return rub(xp, lambda speed: p.torque, g, memory, h)
 
 
 EFFECT = Effect(
@@ -31,5 +30,6 @@ EFFECT = Effect(
             excitations=("staircase", "slow_triangle"),
         ),
     ),
+    memory=AT_REST,
     gear=gear,
 )

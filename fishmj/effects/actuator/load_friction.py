@@ -1,14 +1,13 @@
 """Friction that grows with the load on the teeth."""
 
+from fishmj.effects.dry_friction import AT_REST, rub
 from fishmj.effects.effect import Confusion, Effect, Parameter
-
-CREEP = 0.02  # rad/s, as for coulomb_friction
 
 
 def gear(xp, p, g, memory, h):
-    """tau = -K |tau_m| sign(w), tau_m = drive - k_b w the torque that the motor puts on the teeth; secant, implicit."""
+    """At most K |tau_m|, tau_m = drive - k_b w the torque that the motor puts on the teeth; sticking at rest."""
     load = xp.abs(g.drive - g.kb * g.rate)
-    return g._replace(resist=g.resist + p.ratio * load / xp.sqrt(g.rate * g.rate + CREEP * CREEP)), memory
+    return rub(xp, lambda speed: p.ratio * load, g, memory, h)
 
 
 EFFECT = Effect(
@@ -26,5 +25,6 @@ EFFECT = Effect(
         Confusion(other="voltage_sag", separates="vary the speed at equal load", excitations=("chirp", "steps")),
         Confusion(other="servo_gain", separates="acts on the moving joint only", excitations=("staircase", "chirp")),
     ),
+    memory=AT_REST,
     gear=gear,
 )

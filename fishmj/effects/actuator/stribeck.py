@@ -1,14 +1,12 @@
 """Extra friction at creep speed."""
 
+from fishmj.effects.dry_friction import AT_REST, rub
 from fishmj.effects.effect import Confusion, Effect, Parameter
-
-CREEP = 0.02  # rad/s, below which friction grows linearly, as for coulomb_friction
 
 
 def gear(xp, p, g, memory, h):
-    """tau = -F_s exp(-(w / w_s)^2) sign(w), as a secant, taken implicitly."""
-    slow = g.rate / p.speed
-    return g._replace(resist=g.resist + p.torque * xp.exp(-slow * slow) / xp.sqrt(g.rate * g.rate + CREEP * CREEP)), memory
+    """At most F_s exp(-(w / w_s)^2), sticking at rest."""
+    return rub(xp, lambda speed: p.torque * xp.exp(-((speed / p.speed) ** 2)), g, memory, h)
 
 
 EFFECT = Effect(
@@ -30,5 +28,6 @@ EFFECT = Effect(
         ),
         Confusion(other="servo_deadband", separates="depends on speed at small error", excitations=("slow_triangle",)),
     ),
+    memory=AT_REST,
     gear=gear,
 )
