@@ -84,6 +84,13 @@ def test_a_trial_that_the_solver_lost_is_left_out_of_both_waters():
     assert (row["n"], row["lost"]) == (7, 1) and row["gap"]["value"] == pytest.approx(0)
 
 
+def test_a_controller_without_a_whole_trial_cannot_be_told_unless_another_fails():
+    none = {"pd": np.full(8, np.nan)}
+    found = rank.judged(KEY, water(dob=0.1) | none, water(dob=0.1) | none)
+    assert found["gap_max"] == pytest.approx(0) and found["passed"] == {"gap_max": None, "tau": None}
+    assert rank.judged(KEY, water(dob=0.1) | none, water(dob=0.3) | none)["passed"]["gap_max"] is False
+
+
 def test_every_beginning_of_the_order_is_spread_over_speeds_and_directions():
     plan = trials()
     order = two_waters.spread(plan).items
@@ -171,7 +178,9 @@ def test_the_same_water_twice_has_no_gap(solver, tmp_path):
     brains = [controllers.make(name, ROBOT) for name in ("pd", "paper")]
     plan = two_waters.spread(trials(repeats=1, duration=2.0, speeds=[0.2]))
     solved = two_waters.in_solver(ROBOT, tmp_path, domain="laptop", slip=1.0, device="cpu", tanks=8)
-    found = rank.judged(KEY, *two_waters.both(brains, plan, solved, two_waters.in_surrogate(ROBOT), group=8).of(KEY))
+    _, a = two_waters.solve(brains, plan, solved, group=8)
+    b = two_waters.swim(brains, plan, two_waters.in_surrogate(ROBOT))
+    found = rank.judged(KEY, *({name: figures[KEY] for name, figures in water.items()} for water in (a, b)))
     assert found["gap_max"] == pytest.approx(0, abs=1e-12), "targets, flows, fish, latencies and noise are the same"
 
 

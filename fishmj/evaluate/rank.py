@@ -33,8 +33,8 @@ def judged(key: str, solver: Mapping[str, np.ndarray], surrogate: Mapping[str, n
     ranked = [row["controller"] for row in rows if row["ranked"]]
     pairs = [pair(key, a, b, solver, surrogate) for a, b in combinations(ranked, 2)]
     counted = [row for row in pairs if row["counted"]]
-    gaps = [abs(row["gap"]["value"]) for row in rows if row["ranked"]]
-    tau, gap = kendall(counted), float(max(gaps)) if gaps else np.nan
+    within = [row["within"] for row in rows if row["ranked"]]
+    tau = kendall(counted)
     return {
         "key": key,
         "controllers": rows,
@@ -44,9 +44,9 @@ def judged(key: str, solver: Mapping[str, np.ndarray], surrogate: Mapping[str, n
         "of": len(pairs),
         "told_apart": {water: sum(row[f"{water}_told"] for row in pairs) for water in ("solver", "surrogate")},
         "tau_all_pairs": kendall(pairs),
-        "gap_max": gap,
+        "gap_max": max((abs(row["gap"]["value"]) for row in rows if row["ranked"] and row["n"]), default=np.nan),
         "tolerances": {"gap_max": GAP, "tau": TAU},
-        "passed": {"gap_max": bool(gap <= GAP) if np.isfinite(gap) else None, "tau": bool(tau >= TAU) if counted else None},
+        "passed": {"gap_max": all_of(within), "tau": bool(tau >= TAU) if counted else None},
     }
 
 
@@ -63,8 +63,13 @@ def controller(key: str, name: str, solver, surrogate) -> dict:
         "solver": estimate(key, a)._asdict(),
         "surrogate": estimate(key, b)._asdict(),
         "gap": {"value": gap.value, "low": gap.low, "high": gap.high},
-        "within": bool(abs(gap.value) <= GAP),
+        "within": bool(abs(gap.value) <= GAP) if gap.n else None,
     }
+
+
+def all_of(passed: list[bool | None]) -> bool | None:
+    """False where one fails, else None where one cannot be told or there is none, else True."""
+    return False if False in passed else True if passed and None not in passed else None
 
 
 def pair(key: str, a: str, b: str, solver: Mapping[str, np.ndarray], surrogate: Mapping[str, np.ndarray]) -> dict:

@@ -7,13 +7,17 @@
 Exit code 1 where a tolerance is missed, 3 where too few trials tell the controllers apart.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+
+import numpy as np
 
 from fishmj import console, controllers, engines
 from fishmj.campaign.command import ON_GPU, PATIENCE
-from fishmj.errors import ConfigError
+from fishmj.campaign.solver import solver_sha256
+from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import protocol, rank, two_waters
+from fishmj.evaluate.rank_plot import picture
 from fishmj.hydro_fit.model import HydroModel, shipped
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import PREVIEWS, preset
@@ -51,7 +55,8 @@ def main(argv: list[str]) -> int:
         UnknownName, ConfigError: a controller, water, box or number that cannot be.
     """
     args = options(argv)
-    robot, model = load_robot(args.fish), HydroModel.load(args.model or default_model(args.fish))
+    robot, water = load_robot(args.fish), args.model or default_model(args.fish)
+    model, fitted = HydroModel.load(water), engines.in_water(robot, water)
     names = list(dict.fromkeys(args.controllers)) or list(DEFAULT)
     brains = [controllers.make(name, robot) for name in names]
     trials = chosen(args)
@@ -66,12 +71,13 @@ def main(argv: list[str]) -> int:
         )
         return console.FAILED_CHECK
     solver = two_waters.in_solver(robot, args.out, domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
-    surrogate = two_waters.in_surrogate(engines.in_water(robot, args.model or default_model(args.fish)), args.engine)
+    surrogate = two_waters.in_surrogate(fitted, args.engine)
     with console.Progress(total, "rank in the solver", unit="sim s") as bar:
-        seen = lambda name, water: bar.update(water, controller=name)  # noqa: E731
-        measured = two_waters.both(brains, trials, solver, surrogate, group=tanks, budget=args.budget, report=seen)
-    found = verdict(measured, model, args)
-    return shown(found, args)
+        said = lambda name, water: bar.update(water, controller=name)  # noqa: E731
+        trials, solved = two_waters.solve(brains, trials, solver, group=tanks, budget=args.budget, report=said)
+    with console.Progress(trials.duration * len(trials) * len(brains), "rank in the surrogate", unit="sim s") as bar:
+        swum = two_waters.swim(brains, trials, surrogate, report=lambda name, water: bar.update(water, controller=name))
+    return shown(verdict(trials, solved, swum, model, args), args)
 
 
 def default_model(fish: str) -> str:
@@ -100,21 +106,30 @@ def chosen(args) -> protocol.Trials:
     return replace(every, items=every.items[: args.trials])
 
 
-def verdict(measured: two_waters.Measured, model: HydroModel, args) -> dict:
-    """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told."""
-    judged = {key: rank.judged(key, *measured.of(key)) for key in two_waters.KEYS}
-    passed = list(judged["rmse_after_arrival"]["passed"].values())
-    t = measured.trials
+def verdict(trials: protocol.Trials, solved: dict, swum: dict, model: HydroModel, args) -> dict:
+    """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told.
+
+    Args:
+        solved, swum: controller -> key -> (n,) in solver and surrogate.
+    Returns:
+        among others conditions: (m/s, line of sight in deg, repeat) of each trial, in the order of `by_trial`.
+    """
+    of = lambda found, key: {name: figures[key] for name, figures in found.items()}  # noqa: E731
+    judged = {key: rank.judged(key, of(solved, key), of(swum, key)) for key in two_waters.KEYS}
     return {
-        "ok": False if False in passed else None if None in passed else True,
+        "ok": rank.all_of(list(judged["rmse_after_arrival"]["passed"].values())),
         "preview": args.domain in PREVIEWS,
         "origin": "synthetic",
         "model": model.name,
         "model_fitted_on": model.dataset.get("grid", ""),
+        "model_dataset_sha256": model.dataset.get("sha256", ""),
         "slip": model.slip,
         "domain": args.domain,
-        "trials": {"n": len(t), "asked": args.trials, "seconds": t.duration, "turbulence": t.turbulence, "seed": args.seed},
-        "by_trial": {"solver": measured.solver, "surrogate": measured.surrogate},
+        "solver_sha256": solver_sha256(),
+        "seed": args.seed,
+        "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},
+        "conditions": [[item.speed, round(float(np.degrees(item.los)), 6), item.repeat] for item in trials.items],
+        "by_trial": {"solver": solved, "surrogate": swum},
         **judged,
     }
 
@@ -122,7 +137,7 @@ def verdict(measured: two_waters.Measured, model: HydroModel, args) -> dict:
 def shown(found: dict, args) -> int:
     """Tables, files and the exit code."""
     t, judged = found["trials"], found["rmse_after_arrival"]
-    head = f"{t['n']} trials of {t['seconds']:g} s, {found['model']} against the solver on {found['domain']}"
+    head = f"{t['n']} trials of {t['duration']:g} s, {found['model']} against the solver on {found['domain']}"
     head = f"preview, not a judgement: {head}" if found["preview"] else head
     console.say("", head, "value (95 % bootstrap interval over trials); gap = surrogate - solver, paired", "")
     for key in two_waters.KEYS:
@@ -132,9 +147,11 @@ def shown(found: dict, args) -> int:
     if found["model_fitted_on"] not in ("", found["domain"]):
         console.warn(f"{found['model']} was fitted to the solver on {found['model_fitted_on']}, ranked on {found['domain']}")
     console.say(*verdict_lines(judged))
-    from fishmj.evaluate.rank_plot import picture
-
-    console.say(f"wrote {write_json(args.out / 'rank.json', found)}", f"wrote {picture(judged, args.out / 'rank.png', head)}")
+    console.say(f"wrote {write_json(args.out / 'rank.json', found)}")
+    try:
+        console.say(f"wrote {picture(judged, args.out / 'rank.png', head)}")
+    except MissingExtra as error:
+        console.warn(f"no picture: {error}")
     if args.json:
         console.emit_json(found)
     return {True: console.OK, False: console.FAILED_CHECK, None: console.CANNOT_TELL}[found["ok"]]

@@ -8,7 +8,8 @@ from fishmj.errors import MissingExtra
 from fishmj.evaluate.plots import COLOURS, FAINT, INK, STYLE, canvas, save
 from fishmj.evaluate.rank import GAP
 
-TICKS = [digit * 10.0**power for power in (-2, -1, 0, 1) for digit in (1, 2, 3, 5, 7)]  # m
+TICKS = [digit * 10.0**power for power in (-2, -1, 0, 1) for digit in (1, 2, 5)]  # m
+WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while holding"}
 
 
 def picture(found: dict, path: Path, title: str) -> Path:
@@ -32,7 +33,7 @@ def picture(found: dict, path: Path, title: str) -> Path:
 
 
 def _draw(ax, found: dict) -> None:
-    from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
+    from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 
     rows = [row for row in found["controllers"] if row["n"]]
     ends = [row[water][end] for row in rows for water in ("solver", "surrogate") for end in ("low", "high", "value")]
@@ -46,12 +47,14 @@ def _draw(ax, found: dict) -> None:
         face = colour if row["ranked"] else "white"
         ax.errorbar(x[0], y[0], xerr=error[0], yerr=error[1], fmt="o", ms=6, mfc=face, mec=colour, color=colour, lw=1.2)
         name = row["controller"] if row["ranked"] else f"{row['controller']} (not ranked)"
-        ax.annotate(name, (x[0], y[0]), xytext=(7, -11), textcoords="offset points", color=colour, fontsize=9)
+        side = {"xytext": (7, -12)} if x[0] ** 2 < low * high else {"xytext": (-7, 6), "ha": "right"}
+        ax.annotate(name, (x[0], y[0]), textcoords="offset points", color=colour, fontsize=9, **side)
     ax.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal")
-    ax.set(xlabel=f"{found['key']} in the solver [m]", ylabel=f"{found['key']} in the surrogate [m]")
+    word = WORDS.get(found["key"], found["key"])
+    ax.set(xlabel=f"{word} in the solver [m]", ylabel=f"{word} in the surrogate [m]")
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(FixedLocator([x for x in TICKS if low <= x <= high]))
-        axis.set_major_formatter(ScalarFormatter())
+        axis.set_major_formatter(FormatStrFormatter("%g"))
         axis.set_minor_locator(NullLocator())
     ax.legend(loc="upper left", frameon=False)
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import lcm
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -32,19 +32,12 @@ STRIDE = 3  # between directions that follow each other in the order
 Report = Callable[[int], None]  # control steps done, summed over trials
 Water = Callable[..., Result]  # (controller, trials, report) -> result
 Figures = dict[str, np.ndarray]  # key -> (n,)
+ByController = dict[str, Figures]
+Said = Callable[[str, float], None]  # controller, seconds of water done
 
 
-class Measured(NamedTuple):
-    """What was run: the trials that all controllers have finished, and their figures by water and controller."""
-
-    trials: Trials
-    solver: dict[str, Figures]
-    surrogate: dict[str, Figures]
-
-    def of(self, key: str) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """One figure, controller -> (n,), in solver and surrogate."""
-        solver, surrogate = ({name: found[key] for name, found in water.items()} for water in (self.solver, self.surrogate))
-        return solver, surrogate
+def silent(name: str, seconds: float) -> None:
+    """A report that nobody asked for."""
 
 
 def in_solver(robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int) -> Water:
@@ -64,33 +57,41 @@ def in_surrogate(robot: Robot, engine: str = "batch") -> Water:
     return lambda brain, trials, report: run(brain, robot, trials, body, progress=lambda k: report(k * len(trials)))
 
 
-def both(
-    brains: Sequence, trials: Trials, solver: Water, surrogate: Water, *, group: int = 1, budget: float | None = None,
-    report: Callable[[str, float], None] = lambda name, seconds: None,
-) -> Measured:  # fmt: skip
-    """Run all controllers in both waters.
+def solve(
+    brains: Sequence, trials: Trials, solver: Water, *, group: int = 1, budget: float | None = None, report: Said = silent
+) -> tuple[Trials, ByController]:
+    """All controllers in the solver, trial by trial.
 
     Args:
-        brains: controllers. trials: in the order in which they are run. group: trials that the solver runs side by side.
+        brains: controllers. trials: in the order in which they are run. group: trials that run side by side.
         budget: s of wall clock after which no further group is begun; the first one always is.
-        report: called with a controller's name and the seconds of water done in the solver.
+    Returns:
+        the trials that all controllers have finished, and their figures.
     """
-    began, step = time.monotonic(), constant("timing", "control_dt")
+    began, done, water = time.monotonic(), 0, 0.0
     rows: dict[str, list[Figures]] = {brain.name: [] for brain in brains}
-    done, water = 0, 0.0
     while done < len(trials) and not (done and budget is not None and time.monotonic() - began > budget):
         some = replace(trials, items=trials.items[done : done + group])
         for brain in brains:
-            before = water
-            told = lambda k: report(brain.name, before + k * step)  # noqa: B023, E731  called at once
-            rows[brain.name].append(figures(solver(brain, some, told)))
+            rows[brain.name].append(_one(brain, some, solver, water, report))
             water += len(some) * trials.duration
-            report(brain.name, water)
         done += len(some)
-    finished = replace(trials, items=trials.items[:done])
-    solved = {name: {key: np.concatenate([row[key] for row in found]) for key in KEYS} for name, found in rows.items()}
-    swum = {brain.name: figures(surrogate(brain, finished, lambda k: None)) for brain in brains}
-    return Measured(finished, solved, swum)
+    joined = {name: {key: np.concatenate([row[key] for row in found]) for key in KEYS} for name, found in rows.items()}
+    return replace(trials, items=trials.items[:done]), joined
+
+
+def swim(brains: Sequence, trials: Trials, surrogate: Water, *, report: Said = silent) -> ByController:
+    """All controllers in the surrogate, all trials at once."""
+    each = len(trials) * trials.duration
+    return {brain.name: _one(brain, trials, surrogate, i * each, report) for i, brain in enumerate(brains)}
+
+
+def _one(brain, trials: Trials, water: Water, before: float, report: Said) -> Figures:
+    """One controller; `before` s of water were done when it began."""
+    step = constant("timing", "control_dt")
+    found = figures(water(brain, trials, lambda k: report(brain.name, before + k * step)))
+    report(brain.name, before + len(trials) * trials.duration)
+    return found
 
 
 def figures(r: Result) -> Figures:
