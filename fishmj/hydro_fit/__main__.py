@@ -1,7 +1,8 @@
 """Refit a fish's water to the flow solver: collect what is missing, fit, check on held-out episodes, report.
 
 python -m fishmj.hydro_fit                        all four, for the shipped fish
-python -m fishmj.hydro_fit collect|fit|check|report|ablate
+python -m fishmj.hydro_fit collect|fit|check|report
+python -m fishmj.hydro_fit ablation               what each part of the model is worth: fits without it, same held-out records
 python -m fishmj.hydro_fit hybrid                 a surrogate corrected by the solver while it swims
 python -m fishmj.hydro_fit correct POLICY         rounds of the policy's own states, solved and refitted
 python -m fishmj.hydro_fit rank                   controllers in the solver and in the fitted water, on the same trials
@@ -18,7 +19,7 @@ from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 
-VERBS = ("collect", "fit", "check", "report", "ablate", "hybrid", "correct", "rank")
+VERBS = ("collect", "fit", "check", "report", "ablation", "hybrid", "correct", "rank")
 DATA = Path(__file__).resolve().parents[2] / "data" / "hydro"
 
 
@@ -57,8 +58,8 @@ def main(argv: list[str]) -> int | None:
     if verb in ("report", "all"):
         found["report"] = str(report(robot, folder, args))
         console.say(f"report: {found['report']}")
-    if verb == "ablate":
-        found["ablate"] = ablate(robot, folder, args)
+    if verb == "ablation":
+        found["ablation"] = ablation(robot, folder, args)
     if args.json:
         console.emit_json(found[verb] if verb in found and isinstance(found[verb], dict) else found)
     return code
@@ -76,6 +77,11 @@ def options(verb: str) -> argparse.ArgumentParser:
     made.add_argument("--seed", type=int, default=0)
     made.add_argument("--base", action="store_true", help="the strip model alone, without the learnt residual")
     made.add_argument("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
+    if verb == "ablation":
+        made.add_argument("--rows", type=lambda text: text.split(","), default=[], help="NAME,NAME; default the whole table")
+        made.add_argument(
+            "--seeds", type=lambda text: [int(seed) for seed in text.split(",")], default=[0], help="of learnt rows: 0,1,2"
+        )
     if verb == "all":
         made.add_argument("--device", default="auto", help="of the flow solver: auto, cpu, cuda")
         made.add_argument("--budget", type=float, help="s of wall clock for collecting")
@@ -178,17 +184,23 @@ def check(robot: Robot, folder: Path, args) -> dict:
     return found
 
 
-def ablate(robot: Robot, folder: Path, args) -> dict:
+def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit.ablation import ablate as compared
+    from fishmj.hydro_fit import ablation_table
+    from fishmj.hydro_fit.ablation import table
     from fishmj.hydro_fit.fit.recipe import Settings
 
     data = open_dataset(folder, test=True)
     parts = [records_of(data, robot, split, args.slip) for split in ("train", "val", "test")]
-    said = lambda row: console.say(f"done: {row['variant']}")  # noqa: E731
-    rows = compared(robot, *parts, settings=Settings(seed=args.seed), say=said)
-    console.say(console.table(rows))
-    return {"rows": rows}
+    out = Path(args.out or Path("runs") / "hydro_fit" / f"ablation-{folder.name}-{robot.name}-{args.slip:g}")
+    about = {"sha256": data.sha256, "folder": folder.name, "slip": args.slip}
+    given = {"names": args.rows, "seeds": args.seeds}
+    with console.Progress(1.0, f"ablation {folder.name}") as bar:
+        told = lambda share, what: bar.update(share, at=what)  # noqa: E731
+        rows = table(robot, *parts, settings=Settings(), dataset=about, folder=out, report=told, **given)
+    console.say(console.table(ablation_table.cells(rows)))
+    console.say(*(f"wrote {path}" for path in ablation_table.write(out, rows, about)))
+    return {"about": about, "rows": rows}
 
 
 def report(robot: Robot, folder: Path, args) -> Path:

@@ -1,50 +1,145 @@
-"""Does each part of the model earn its place? The same data fitted without it, judged on the same held-out records."""
+"""Does each part of the model earn its place? The same data fitted without it, judged on the same held-out records.
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+    rows = table(robot, train, val, test, settings=Settings(), folder=Path("runs/ablation"))
+
+One JSON file a row and seed, written when the row is done: an interrupted table goes on there. A row of other data, settings
+or code (of `hydro_fit`) is done again.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.check import judge
+from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.hydro_fit import chain, check
+from fishmj.hydro_fit.ablation_fit import Variant
+from fishmj.hydro_fit.ellipsoid import fit as ellipsoid
+from fishmj.hydro_fit.ellipsoid import force, judged
 from fishmj.hydro_fit.fit.prior import flat
-from fishmj.hydro_fit.fit.recipe import Fit, Settings
+from fishmj.hydro_fit.fit.recipe import Settings
 from fishmj.hydro_fit.model import HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
+from fishmj.store import plain, read_json, write_json
 
-VARIANTS: dict[str, dict] = {
-    "strips by forces alone": {"residual": False, "rollout": False},
-    "strips, rollout fit": {"residual": False},
-    "residual without memory": {"memory": False},
-    "residual with wake, no rollout fit": {"rollout": False},
-    "residual with wake": {},
+SCHEMA = "fishmj.ablation/1"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table. kind: prior, ellipsoid or strips; `changes` of the settings; drawn: another seed, another result."""
+
+    title: str
+    kind: str = "strips"
+    changes: dict = field(default_factory=dict)
+    fitted: bool = True
+    inertia: bool = False
+    retune: bool = True
+    drawn: bool = False
+
+
+BASE, LEARNT = {"residual": False}, {"drawn": True}
+ROWS: dict[str, Row] = {
+    "prior": Row("strips, prior coefficients", "prior"),
+    "ellipsoid-default": Row("MuJoCo's ellipsoids, its own coefficients", "ellipsoid", fitted=False),
+    "ellipsoid": Row("MuJoCo's ellipsoids, fitted", "ellipsoid"),
+    "ellipsoid-inertia": Row("the same with the inertia of the added mass", "ellipsoid", inertia=True),
+    "forces": Row("strips, forces alone", changes=BASE | {"rollout": False}),
+    "base": Row("strips, forces and swims", changes=BASE),
+    "memoryless": Row("and a residual without memory", changes={"memory": False}, **LEARNT),
+    "wake": Row("and a residual with wake states", **LEARNT),
+    "wake-no-retune": Row("the same, factors not fitted again", retune=False, **LEARNT),
+    "wake-no-swims": Row("strips by forces alone, residual with wake", changes={"rollout": False}, **LEARNT),
 }
-SHOWN = (
-    "speed_error_mean",
-    "speed_error_max",
-    "yaw_rate_error_mean",
-    "power_error_mean",
-    "thrust_error",
-    "freerun_position_error",
-)
 
 
-def ablate(
-    robot: Robot, train: Sequence[Record], val: Sequence[Record], test: Sequence[Record], *, settings: Settings, say: Callable
-) -> list[dict]:
-    """One row of figures a variant, the unfitted strips first.
+def table(
+    robot: Robot, train: Sequence[Record], val: Sequence[Record], test: Sequence[Record], *, settings: Settings, dataset: dict,
+    folder: Path, names: Iterable[str] = (), seeds: Iterable[int] = (0,), report: Callable | None = None,
+) -> list[dict]:  # fmt: skip
+    """All rows, or those of these names; drawn ones once a seed.
 
     Args:
-        settings: of the whole model; each variant changes some. say: called with each row when it is there.
+        dataset: what the data are known by, into every row's key. report: called with (done, of, title) before and after a row.
+    Returns:
+        Rows as they are on disk: row, title, seed, figures, n, freerun_s, validation, seconds, notes.
+    Raises:
+        UnknownName: a row. ConfigError: no seed.
     """
-    rows = [{"variant": "strips, prior coefficients"} | _figures(unfitted(robot), robot, test)]
-    say(rows[-1])
-    for name, changes in VARIANTS.items():
-        fit = Fit(robot, train, val, dataset={}, settings=replace(settings, **changes))
-        rows.append({"variant": name} | _figures(fit.run(), robot, test))
-        say(rows[-1])
-    return rows
+    names, seeds = list(names) or list(ROWS), list(seeds)
+    for name in names:
+        if name not in ROWS:
+            raise UnknownName("row of the ablation", name, ROWS)
+    if not seeds:
+        raise ConfigError("ablation: no seed; expected at least one, such as --seeds 0")
+    todo = [(name, seed) for name in ROWS if name in names for seed in (seeds if ROWS[name].drawn else seeds[:1])]
+    made, parts = [], (train, val, test)
+    about = {"robot": robot_hash(robot), "data": dataset, "code": code()}
+    about["records"] = [[r.id for r in part] for part in parts]
+    for k, (name, seed) in enumerate(todo):
+        own = replace(settings, seed=seed, **ROWS[name].changes)
+        key = hashlib.sha256(json.dumps(plain(about | {"row": asdict(ROWS[name]), "settings": asdict(own)})).encode()).hexdigest()
+        place = folder / "rows" / f"{name}-{seed}.json"
+        row = _kept(place, key)
+        if row is None:
+            told = lambda stage, share, _, k=k, name=name: report and report((k + share) / len(todo), f"{name}: {stage}")  # noqa: E731
+            found = _one(robot, parts, ROWS[name], own, about, folder / "stages", told)
+            row = {"schema": SCHEMA, "key": key, "row": name, "title": ROWS[name].title, "seed": seed, **found}
+            write_json(place, row)
+        made.append(row)
+        if report is not None:
+            report((k + 1) / len(todo), name)
+    return made
+
+
+def _kept(place: Path, key: str) -> dict | None:
+    """A row that is there for the same data, settings and code."""
+    if not place.is_file():
+        return None
+    try:
+        row = read_json(place)
+    except StoreError:  # damaged: it is done again
+        return None
+    return row if row.get("schema") == SCHEMA and row.get("key") == key else None
+
+
+def _one(robot: Robot, parts, row: Row, settings: Settings, about: dict, stages: Path, report: Callable) -> dict:
+    train, val, test = parts
+    shared = dict(settings=settings, report=report)
+    if row.kind == "ellipsoid":
+        fit = ellipsoid.Fit(robot, train, val, dataset={}, inertia=row.inertia, **shared)
+        water = fit.solve() if row.fitted else ellipsoid.Fitted(fit.e, force.default(fit.e), row.inertia, {})
+        told = _told(judged.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
+        scores = water.validation | {"judged": fit.score(water.flat, None)}
+        return told | {"validation": scores, "coefficients": water.coefficients}
+    variant = Variant(
+        robot, train, val, dataset=about["data"], folder=stages, code=about["code"], retune=row.retune, **shared
+    )  # fmt: skip
+    model = unfitted(robot) if row.kind == "prior" else variant.solve()
+    scores = variant.scores | {"judged": variant.score(flat(model.base), model.learnt)}
+    told = _told(check.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
+    return told | {"validation": scores, "stages": variant.seconds}
+
+
+def _told(found: dict, *, seconds: float = 0.0, notes: str = "") -> dict:
+    figures = {key: value for key, value in found["figures"].items() if not isinstance(value, dict)}
+    counts = {key: found["n"][key] for key in figures}
+    return {"figures": figures, "n": counts, "freerun_s": found["freerun_s"], "seconds": seconds, "notes": notes}
+
+
+def code() -> str:
+    """sha256 over everything that a row is computed by."""
+    here = Path(__file__).parent
+    files = [*here.glob("*.py"), *here.glob("fit/*.py"), *here.glob("ellipsoid/*.py")]
+    quiet = {"__main__.py", "ablation.py", "ablation_table.py", "report.py", "figures.py", "correct.py"}
+    digest = hashlib.sha256()
+    for path in sorted(path for path in files if path.name not in quiet):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def unfitted(robot: Robot) -> HydroModel:
@@ -61,8 +156,3 @@ def unfitted(robot: Robot) -> HydroModel:
         members=members,
         alone=np.concatenate([members[:1], members]),
     )
-
-
-def _figures(model: HydroModel, robot: Robot, test: Sequence[Record]) -> dict:
-    found = judge(model, robot, test)["figures"]
-    return {key: found[key] for key in SHOWN}

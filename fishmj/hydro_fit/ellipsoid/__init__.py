@@ -1,0 +1,5 @@
+"""MuJoCo's own fluid, fitted: the water that a MuJoCo user would try first, as a competitor of the strips.
+
+force     its force on a link, term by term           swim     free swims of a batch of fish in it
+fit       its coefficients by forces, then by swims   judged   the figures of the check
+"""
