@@ -42,18 +42,18 @@ class Row:
     drawn: bool = False
 
 
-BASE, LEARNT = {"residual": False}, {"drawn": True}
+BASE = {"residual": False}
 ROWS: dict[str, Row] = {
-    "prior": Row("strips, prior coefficients", "prior"),
-    "ellipsoid-default": Row("MuJoCo's ellipsoids, its own coefficients", "ellipsoid", fitted=False),
-    "ellipsoid": Row("MuJoCo's ellipsoids, fitted", "ellipsoid"),
-    "ellipsoid-inertia": Row("the same with the inertia of the added mass", "ellipsoid", inertia=True),
-    "forces": Row("strips, forces alone", changes=BASE | {"rollout": False}),
-    "base": Row("strips, forces and swims", changes=BASE),
-    "memoryless": Row("and a residual without memory", changes={"memory": False}, **LEARNT),
-    "wake": Row("and a residual with wake states", **LEARNT),
-    "wake-no-retune": Row("the same, factors not fitted again", retune=False, **LEARNT),
-    "wake-no-swims": Row("strips by forces alone, residual with wake", changes={"rollout": False}, **LEARNT),
+    "prior": Row("strips: prior", "prior"),
+    "ellipsoid-default": Row("MuJoCo's ellipsoids: its coefficients", "ellipsoid", fitted=False),
+    "ellipsoid": Row("MuJoCo's ellipsoids: fitted", "ellipsoid"),
+    "ellipsoid-inertia": Row("the same with inertia of the added mass: fitted", "ellipsoid", inertia=True),
+    "forces": Row("strips: forces", changes=BASE | {"rollout": False}),
+    "base": Row("strips: forces, swims", changes=BASE),
+    "memoryless": Row("strips: forces, swims, residual without memory", changes={"memory": False}, drawn=True),
+    "wake": Row("strips: forces, swims, residual with wake", drawn=True),
+    "wake-no-retune": Row("the same, factors not tuned again", retune=False, drawn=True),
+    "wake-no-swims": Row("strips: forces, residual with wake", changes={"rollout": False}, drawn=True),
 }
 
 
@@ -88,7 +88,7 @@ def table(
         if row is None:
             told = lambda stage, share, _, k=k, name=name: report and report((k + share) / len(todo), f"{name}: {stage}")  # noqa: E731
             found = _one(robot, parts, ROWS[name], own, about, folder / "stages", told)
-            row = {"schema": SCHEMA, "key": key, "row": name, "title": ROWS[name].title, "seed": seed, **found}
+            row = plain({"schema": SCHEMA, "key": key, "row": name, "title": ROWS[name].title, "seed": seed, **found})
             write_json(place, row)
         made.append(row)
         if report is not None:
@@ -109,16 +109,14 @@ def _kept(place: Path, key: str) -> dict | None:
 
 def _one(robot: Robot, parts, row: Row, settings: Settings, about: dict, stages: Path, report: Callable) -> dict:
     train, val, test = parts
-    shared = dict(settings=settings, report=report)
     if row.kind == "ellipsoid":
-        fit = ellipsoid.Fit(robot, train, val, dataset={}, inertia=row.inertia, **shared)
+        fit = ellipsoid.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
         water = fit.solve() if row.fitted else ellipsoid.Fitted(fit.e, force.default(fit.e), row.inertia, {})
         told = _told(judged.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
         scores = water.validation | {"judged": fit.score(water.flat, None)}
         return told | {"validation": scores, "coefficients": water.coefficients}
-    variant = Variant(
-        robot, train, val, dataset=about["data"], folder=stages, code=about["code"], retune=row.retune, **shared
-    )  # fmt: skip
+    known = {"dataset": about["data"], "code": about["code"], "folder": stages}
+    variant = Variant(robot, train, val, settings=settings, retune=row.retune, report=report, **known)
     model = unfitted(robot) if row.kind == "prior" else variant.solve()
     scores = variant.scores | {"judged": variant.score(flat(model.base), model.learnt)}
     told = _told(check.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)

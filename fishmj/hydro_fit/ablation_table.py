@@ -17,7 +17,7 @@ SHOWN = {  # figure -> (heading, factor, format)
     "thrust_error": ("thrust / tow drag", 100.0, "{:.1f} %"),
     "freerun_position_error": ("place", 1.0, "{:.3f} m"),
 }
-CLOUD = "#20639b"
+CLOUD, ASKED = "#20639b", "#c0502e"
 
 
 def grouped(rows: Sequence[dict]) -> dict[str, list[dict]]:
@@ -76,24 +76,32 @@ def write(folder: Path, rows: Sequence[dict], about: dict) -> list[Path]:
 
 
 def picture(rows: Sequence[dict]) -> bytes:
-    """PNG: one panel a figure, one line a water, one dot a seed, what is asked for as a line."""
+    """PNG: one panel a figure that is known, one line a water, one dot a seed; what is asked for as a line."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     waters = grouped(rows)
-    figure, axes = plt.subplots(2, 3, figsize=(12, 1.6 + 0.5 * len(waters)), layout="constrained", sharey=True)
-    for axis, (key, (heading, factor, text)) in zip(axes.flat, SHOWN.items(), strict=True):
+    known = [key for key in SHOWN if any(row["figures"][key] is not None for row in rows)]
+    size = (3.5 + 1.9 * len(known), 0.9 + 0.28 * len(waters))
+    figure, axes = plt.subplots(1, len(known), figsize=size, layout="constrained", sharey=True, squeeze=False)
+    for axis, key in zip(axes[0], known, strict=True):
+        heading, factor, text = SHOWN[key]
         for place, some in enumerate(waters.values()):
             values = [factor * row["figures"][key] for row in some if row["figures"][key] is not None]
-            axis.plot(values, [place] * len(values), "o", ms=5, color=CLOUD, alpha=0.7)
-        axis.axvline(factor * STATED[key], lw=0.8, color="#c0502e")
+            axis.plot(values, [place] * len(values), "o", ms=4.5, color=CLOUD, alpha=0.7)
+        axis.axvline(factor * STATED[key], lw=0.9, color=ASKED)
         axis.set_xscale("log")
-        axis.grid(axis="x", which="both", lw=0.3)
-        axis.set_title(f"{heading} [{text.rpartition(' ')[2]}]", fontsize=10)
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.tick_params(labelsize=8)
+        axis.grid(lw=0.3)
+        axis.set_title(f"{heading} [{text.rpartition(' ')[2]}]", fontsize=9)
     axes[0, 0].set_yticks(range(len(waters)), [some[0]["title"] for some in waters.values()], fontsize=8)
-    axes[0, 0].invert_yaxis()
+    axes[0, 0].set_ylim(len(waters) - 0.5, -0.5)
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=110)
     plt.close(figure)

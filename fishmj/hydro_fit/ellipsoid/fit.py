@@ -49,6 +49,8 @@ class Fitted:
 class Match(newton.Match):
     """`newton.Match` with the thrust of the ellipsoids on held fish."""
 
+    swim: Swim
+
     def pushed(self, water: np.ndarray) -> np.ndarray:
         if self.held is None:
             return np.zeros(0)
