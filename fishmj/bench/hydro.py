@@ -1,4 +1,17 @@
-"""What the learnt residual costs: physics steps of a batch of fish in JAX with it, and without it as the baseline."""
+"""What a physics step costs on each way by which water gets into the fish, with and without the learnt residual.
+
+| benchmark | way | baseline |
+|---|---|---|
+| hydro_passive | mjcb_passive, NumPy, one fish | bare `mj_step` |
+| hydro_passive_residual | qfrc_applied, NumPy, one fish | hydro_passive |
+| hydro_ellipsoid | MuJoCo's own fluid, C, one fish | bare `mj_step` |
+| hydro_batch, hydro_batch_residual | engine `batch` | bare `mj_step`; hydro_batch |
+| hydro_mjx, hydro_mjx_residual | engine `mjx` | bare `mj_step`; hydro_mjx |
+| hydro_compiled | engine `compiled`: the strips alone | bare `mj_step` |
+| hydro_residual | closed form in JAX, a long swim | the strips alone |
+
+Nominal fish, one gait, still water: `engine_*` measure the same with randomised fish, latency and turbulence.
+"""
 
 import numpy as np
 
@@ -6,6 +19,146 @@ from fishmj.bench import NotHere, Work, benchmark
 from fishmj.errors import FishmjError
 
 MODEL, FISH, SECONDS = "fish-preview", 256, 2.0
+
+
+def _robot(learnt: bool):
+    """The shipped fish in the shipped fitted water, with its residual or without."""
+    from fishmj.engines import in_water
+    from fishmj.mjcf import load_robot
+
+    try:
+        return in_water(load_robot("fish"), MODEL if learnt else f"{MODEL}-base")
+    except FishmjError as error:
+        raise NotHere(f"no fitted water {MODEL}: {error}") from error
+
+
+def _beat(t, joints: int) -> np.ndarray:
+    """A gait of 1 Hz that grows in the first second, (.., J) rad."""
+    t = np.asarray(t, float)[..., None]
+    return np.minimum(t, 1.0) * 0.4 * np.sin(2 * np.pi * t - np.arange(joints))
+
+
+def _finite(run, what: str, amount: float, where: str = "cpu") -> Work:
+    """A warmed-up piece of work, refused where the fish left the finite numbers."""
+    if not np.isfinite(run()).all():
+        raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
+    return Work(run, amount, where)
+
+
+# one fish in MuJoCo
+
+
+def _alone(quick: bool, water: str) -> Work:
+    """One fish by `mj_step`; water: none, ellipsoid, passive (mjcb_passive) or residual (qfrc_applied)."""
+    from contextlib import nullcontext
+
+    import mujoco
+
+    from fishmj import mjcf
+    from fishmj.engines.added import Added
+    from fishmj.engines.solo import Solo
+    from fishmj.hydro_fit import chain
+    from fishmj.hydro_fit.inject import inject
+    from fishmj.hydro_fit.passive import PlanarWater
+
+    robot = _robot(water == "residual")
+    model = mjcf.build(robot, bare=True, ellipsoid=water == "ellipsoid")
+    steps = 200 if quick else 1000
+    beat = _beat(np.arange(steps) * robot.timing.physics_dt, robot.n_joints)
+    swimmer = chain.nominal(robot)
+
+    def run():
+        data = mujoco.MjData(model)
+        solo = Solo(robot, Added.of(robot), swimmer) if water == "residual" else None
+        with inject(model, PlanarWater(robot, swimmer)) if water == "passive" else nullcontext(solo) as fish:
+            for target in beat:
+                data.ctrl[:] = target
+                fish.step(data) if fish else mujoco.mj_step(model, data)
+        return data.qpos.copy()
+
+    return _finite(run, water, steps)
+
+
+def bare_steps(quick: bool) -> Work:
+    """`mj_step` of the fish without water, from Python."""
+    return _alone(quick, "none")
+
+
+@benchmark("hydro_passive", "physics steps/s", baseline=bare_steps)
+def hydro_passive(quick: bool) -> Work:
+    """Strips through mjcb_passive in NumPy, one fish."""
+    return _alone(quick, "passive")
+
+
+@benchmark("hydro_passive_residual", "physics steps/s", baseline=hydro_passive)
+def hydro_passive_residual(quick: bool) -> Work:
+    """Strips and residual in NumPy through qfrc_applied, one fish."""
+    return _alone(quick, "residual")
+
+
+@benchmark("hydro_ellipsoid", "physics steps/s", baseline=bare_steps)
+def hydro_ellipsoid(quick: bool) -> Work:
+    """MuJoCo's own fluid, one fish."""
+    return _alone(quick, "ellipsoid")
+
+
+# engines: many fish
+
+
+def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> Work:
+    """One control step of `fish` fish by an engine, compiled where it can be."""
+    from fishmj import engines
+    from fishmj.flow import Flow, stack
+
+    robot = _robot(learnt)
+    engine = engines.make(name, robot)
+    steps, ticks = engines.ticks_per(robot)
+    fish = fish // 8 if quick else fish
+    beat = _beat(1.0 + np.arange(ticks) * robot.timing.bus_dt, robot.n_joints)
+    state = engines.at_rest(robot, np.zeros((fish, 3)))
+    given = (state, np.tile(beat, (fish, 1, 1)), engines.nominal_params(robot, fish), stack([Flow()] * fish))
+    advance, where = engine.advance, "cpu"
+    if getattr(engine, "jittable", False):
+        import jax
+
+        single = lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a  # noqa: E731
+        given, advance = jax.device_put(jax.tree.map(single, given)), jax.jit(engine.advance)
+        where = jax.devices()[0].device_kind
+    tick = np.zeros(fish, np.int32)
+    return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
+
+
+@benchmark("hydro_batch", "physics steps/s", baseline=bare_steps)
+def hydro_batch(quick: bool) -> Work:
+    """Strips in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
+    return _engine("batch", quick)
+
+
+@benchmark("hydro_batch_residual", "physics steps/s", baseline=hydro_batch)
+def hydro_batch_residual(quick: bool) -> Work:
+    """Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by JAX in double precision."""
+    return _engine("batch", quick, True)
+
+
+@benchmark("hydro_mjx", "physics steps/s", baseline=bare_steps)
+def hydro_mjx(quick: bool) -> Work:
+    """Strips in MJX, a batch."""
+    return _engine("mjx", quick)
+
+
+@benchmark("hydro_mjx_residual", "physics steps/s", baseline=hydro_mjx)
+def hydro_mjx_residual(quick: bool) -> Work:
+    """Strips and residual in MJX, a batch."""
+    return _engine("mjx", quick, True)
+
+
+@benchmark("hydro_compiled", "physics steps/s", baseline=bare_steps)
+def hydro_compiled(quick: bool) -> Work:
+    """Strips in the closed form compiled for the CPU, a batch."""
+    return _engine("compiled", quick)
+
+
+# closed form in JAX, a long swim
 
 
 def _swim(quick: bool, learnt: bool) -> Work:
@@ -25,17 +178,13 @@ def _swim(quick: bool, learnt: bool) -> Work:
         raise NotHere(f"{MODEL} has no residual")
     ch, tick = chain.chain_of(robot), robot.timing.bus_dt
     ticks, steps = round((0.5 if quick else 1.0) * SECONDS / tick), round(tick / ch.dt)
-    t = np.arange(ticks * steps)[:, None] * ch.dt
-    beat = np.minimum(t, 1.0) * 0.4 * np.sin(2 * np.pi * t - np.arange(robot.n_joints))
+    beat = _beat(np.arange(ticks * steps) * ch.dt, robot.n_joints)
     target = np.broadcast_to(beat.reshape(ticks, steps, -1), (FISH, ticks, steps, robot.n_joints))
     state, none = np.zeros((FISH, ticks + 1, ch.n + 2)), np.zeros((FISH, ticks))
     still = np.zeros((FISH, ticks, ch.n, 2))
     fleet = Fleet(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
     swim, water = Swim(ch, chain.nominal(robot)), flat(model.base)
-    run = lambda: swim.run(fleet, water, model.learnt if learnt else None)  # noqa: E731
-    if not np.isfinite(run().q).all():
-        raise NotHere("the fish left the finite numbers: its rate would mean nothing")
-    return Work(run, FISH * ticks * steps)
+    return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
 
 
 def hydro_base(quick: bool) -> Work:
