@@ -135,7 +135,8 @@ def probes(effect: Effect) -> list[tuple[int, float]]:
         if p.shape:
             continue
         signs = (1.0, -1.0) if p.signed else ((1.0,) if p.high > p.null else (-1.0,))
-        values = {float(np.clip(p.null + s * m * _size(p), p.low, p.high)) for s in signs for m in MAGNITUDES}
+        sizes = [*(m * _size(p) for m in MAGNITUDES), min(abs(t - p.null) for t in p.typical)]
+        values = {float(np.clip(p.null + s * size, p.low, p.high)) for s in signs for size in sizes}
         out += [(k, v) for v in sorted(values - {p.null})]
     return out
 

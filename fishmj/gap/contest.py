@@ -1,6 +1,6 @@
 """Who else could it be? Each effect that was found against those that came close in its round, in the company of the others.
 
-gain     what the effect takes off |z|^2 over all records, given those before it
+gain     what the effect takes off |z|^2 over all records, given the others
 behind   (|z|^2 of the set with the rival in its place - |z|^2 of the set) / gain
 p_best   share of Bayesian bootstrap draws over records in which it beats all of them
 """
@@ -12,7 +12,7 @@ import numpy as np
 from fishmj.effects.classes import containing
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, Search, bounds
-from fishmj.gap.search import Evidence, Found, Gates, without
+from fishmj.gap.search import Found, Gates, moved, without
 
 ON_BOUND = 1e-3  # of the typical size
 
@@ -35,23 +35,20 @@ class Standing:
     rivals: tuple[Rival, ...]
 
 
-def standings(e: Evidence, found: Found, gates: Gates) -> dict[str, Standing]:
+def standings(found: Found, gates: Gates) -> dict[str, Standing]:
     """Every effect of what was found."""
-    whole = e.part(np.ones(len(e.records), bool))
-    out, before = {}, found.base.cost
-    rounds = [s for s in found.steps if s.accepted]
-    for name, step in zip(found.best.names, rounds, strict=True):
-        cost = float(whole.base(step.ranked[0].row).cost)
-        out[name] = standing(whole, found.best, name, step.ranked, max(before - cost, 1e-9), gates)
-        before = cost
-    return out
+    whole = found.near.part(np.ones(len(found.near.records), bool))
+    best = moved(whole, found.best)
+    rivals = [c for step in found.steps if step.accepted for c in step.ranked]
+    return {name: standing(whole, best, name, rivals, gates) for name in best.names}
 
 
-def standing(whole: Search, best: Candidate, name: str, ranked, gain: float, gates: Gates) -> Standing:
-    """One effect against the finalists of its round.
+def standing(whole: Search, best: Candidate, name: str, ranked, gates: Gates) -> Standing:
+    """One effect against the finalists of all rounds.
 
     A set in which a parameter came to rest on a bound is no rival: it is a limiting form that mimics the best.
     """
+    gain = max(without(whole, best, name).cost - best.cost, 1e-9)
     tried = (replaced(whole, best, name, c) for c in ranked if name not in c.names)
     others = list({frozenset(c.names): c for c in (*tried, *alike(whole, best, name)) if c is not None}.values())
     polished = whole.refine([best, *others], 2)

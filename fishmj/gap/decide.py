@@ -14,7 +14,7 @@ An effect that brings little and fails G6 or G7 is not named, and does not spoil
 import numpy as np
 
 from fishmj.gap import evidence
-from fishmj.gap.candidates import Candidate, bounds
+from fishmj.gap.candidates import Candidate, Search, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Evidence, Found, Gates
@@ -38,20 +38,21 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     if first is None or (not first.accepted and quiet):
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
-        tentative = named(e, found.base, first.ranked[0], {}) if first.gain > 0 else ()
+        tentative = named(found, first.ranked[0], {}) if first.gain > 0 else ()
         why = f"there is a gap, but the best candidate gains {first.gain:.0f} on held-out records, less than {gates.gain:.0f}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
-    stand = standings(e, found, gates)
-    effects = named(e, found.base, found.best, stand)
+    stand = standings(found, gates)
+    effects = named(found, found.best, stand)
     doubts = {n.name: sanity(e, found.best, n) for n in effects}
     minor = {n for n, s in stand.items() if s.gain < MINOR * sum(x.gain for x in stand.values())}
     spoilt = {n for n in minor if stand[n].rivals or doubts[n] or stand[n].p_best < gates.p_best}
-    rest = e.knowing(found.best_fit.row).part(held)
+    size = found.held_size
+    both = costs_of(found.near.part(held), found)
     checks["gain"] = found.held_before - found.held_after
-    checks["after"] = found.held_after / found.held_size
-    checks["closure"] = evidence.closure(found.held_before, found.held_after, found.held_size)
-    checks["rest"] = float(np.sum(rest.z(found.best_fit.row[None])[0] ** 2)) / found.held_size
-    checks["transfer"] = transfer(e, found, held)
+    checks["after"] = both[1] / size
+    checks["closure"] = evidence.closure(*both, size)
+    checks["rest"] = costs_of(e.knowing(found.best_fit.row).part(held), found)[1] / size
+    checks["transfer"] = transfer(found, held)
     kept = tuple(n for n in effects if n.name not in spoilt)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
@@ -81,17 +82,28 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     return "NAMED", "explains records that it was not fitted to, and nothing else does"
 
 
-def transfer(e: Evidence, found: Found, held: np.ndarray) -> float:
+def costs_of(search: Search, found: Found) -> tuple[float, float]:
+    """|z|^2 of the model as it is and with what was found."""
+    z = search.z(np.stack([found.base.row, found.best_fit.row]))
+    before, after = np.sum(z**2, -1)
+    return float(before), float(after)
+
+
+def transfer(found: Found, held: np.ndarray) -> float:
     """Share of the held-out records whose |z|^2 does not rise by more than chance."""
-    rest = e.part(held)
+    rest = found.near.part(held)
     z = rest.z(np.stack([found.base.row, found.best_fit.row]))
     before, after = evidence.costs(z, rest.layout)
     return float(np.mean(after < before + CHANCE))
 
 
-def named(e: Evidence, base: Candidate, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
+def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
+    e = found.near
     value, spread = estimate(e, c)
+    whole = e.part(np.ones(len(e.records), bool))
+    before, after = (float(np.sum(z**2)) for z in whole.z(np.stack([found.base.row, c.row])))
+    closed = evidence.closure(before, after, e.layout.size)
     out = []
     for name in c.names:
         effect = next(x for x in e.plant.active.effects if x.name == name)
@@ -101,7 +113,7 @@ def named(e: Evidence, base: Candidate, c: Candidate, stand: dict[str, Standing]
             edges = (float(np.clip(value[k] + side * HALF * spread[k], p.low, p.high)) for side in (-1, 1))
             values[p.name] = Value(float(value[k]), p.unit, *edges)
         share = stand[name].p_best if name in stand else 1.0
-        out.append(Named(name, values, share, evidence.closure(base.cost, c.cost, e.layout.size)))
+        out.append(Named(name, values, share, closed))
     return tuple(out)
 
 

@@ -18,6 +18,8 @@ from fishmj.gap.features import Layout
 from fishmj.gap.null import leftover, smooth, whitening
 from fishmj.gap.records import Record
 
+DRAWS = 24  # of the constants, to see what is not linear in them
+SETTLE = 2  # times that the constants' tolerance is carried to where the effects have moved
 CHANCES = 3  # finalists that may show what they gain on held-out records
 
 
@@ -58,6 +60,7 @@ class Evidence:
         tangents = self._tangents()
         self.factors = np.concatenate([null / np.sqrt(len(null)), tangents])
         self.d = leftover(null, tangents, self.layout)
+        self._draws = np.random.default_rng(0).standard_normal((DRAWS, len(plant.constants)))
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
 
     def _tangents(self) -> np.ndarray:
@@ -68,11 +71,30 @@ class Evidence:
         residuals = self.layout.residuals(self.plant.predict(self.records, rows))
         return residuals[1:] - residuals[0]
 
+    def at(self, row: np.ndarray) -> "Evidence":
+        """The same around another row: what the constants' tolerance does to a fish that has the effects of `row`.
+
+        D grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them, and
+        no two fish do it at the same moments.
+        """
+        sigma = np.array([constant.sigma for constant in self.plant.constants])
+        draws = np.concatenate([np.zeros((1, len(sigma))), np.eye(len(sigma)), self._draws])
+        rows = np.tile(row, (len(draws), 1))
+        rows[:, : len(sigma)] += draws * sigma
+        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
+        moved = residuals[1:] - residuals[0]
+        tangents, drawn = moved[: len(sigma)], moved[len(sigma) :]
+        rest = np.nan_to_num(drawn - self._draws @ tangents, nan=0.0, posinf=0.0, neginf=0.0)
+        there = copy(self)
+        there.factors = np.concatenate([self.factors[: -len(sigma)], np.nan_to_num(tangents)])
+        there.d = np.sqrt(self.d**2 + smooth(np.sqrt(np.mean(rest**2, 0)), self.layout) ** 2)
+        return there
+
     def knowing(self, row: np.ndarray) -> "Evidence":
-        """The same, trusting the effects of `row` to within `form` of what they change."""
+        """The same around `row`, trusting its effects to within `form` of what they change."""
         base, signature = self.layout.residuals(self.plant.predict(self.records, np.stack([self.plant.null, row])))
-        known = copy(self)
-        known.d = np.sqrt(self.d**2 + smooth(self.form * (signature - base), self.layout) ** 2)
+        known = self.at(row)
+        known.d = np.sqrt(known.d**2 + smooth(self.form * (signature - base), self.layout) ** 2)
         return known
 
     def part(self, keep: np.ndarray) -> Search:
@@ -108,6 +130,7 @@ class Found:
     best: Candidate  # on all records
     best_fit: Candidate  # fitted without the held-out ones
     steps: tuple[Step, ...]
+    near: Evidence  # around `best`
     held_before: float  # |z|^2 held out
     held_after: float
     held_size: int
@@ -131,11 +154,12 @@ def split(records: list[Record], seed: int = 0) -> np.ndarray:
 def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=None) -> Found:
     """Add effects while records that no parameter saw get better."""
     effects = [x for x in effects or e.plant.active.effects if absent(e.plant, x)]
-    rest = e.part(held)
+    rest, near = e.part(held), e
     base = e.part(np.ones(len(held), bool)).base()
     best = fitted = base
-    steps, before = [], _cost(rest, base.row)
-    while len(best.names) < gates.most:
+    steps, seen = [], set()
+    while len(best.names) < gates.most and frozenset(best.names) not in seen:
+        seen.add(frozenset(best.names))
         known = e.knowing(best.row) if best.names else e
         free = [x for x in effects if x.name not in best.names]
         step = round_of(known, held, fitted, free, gates, sum(s.gain for s in steps))
@@ -144,8 +168,36 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
             progress(step)
         if not step.accepted:
             break
-        best, fitted = step.ranked[0], step.fitted[step.ranked[0].names]
-    return Found(base, best, fitted, tuple(steps), before, _cost(rest, fitted.row), rest.layout.size)
+        near, best, fitted = settled(e, held, step.ranked[0], step.fitted[step.ranked[0].names])
+        near, best, fitted = pruned(e, held, near, best, fitted, gates)
+    before, after = _cost(rest, base.row), _cost(rest, fitted.row)
+    return Found(base, best, fitted, tuple(steps), near, before, after, rest.layout.size)
+
+
+def settled(e: Evidence, held: np.ndarray, best: Candidate, fitted: Candidate) -> tuple[Evidence, Candidate, Candidate]:
+    """Evidence around the best candidate and both fits in it: what the constants may do depends on the effects."""
+    near = e
+    for _ in range(SETTLE):
+        near = e.at(best.row)
+        whole, fit = near.part(np.ones(len(held), bool)), near.part(~held)
+        best, fitted = whole.refine([moved(whole, best)], 3)[0], fit.refine([moved(fit, fitted)], 3)[0]
+    return near, best, fitted
+
+
+def pruned(e: Evidence, held: np.ndarray, near: Evidence, best: Candidate, fitted: Candidate, gates: Gates):
+    """The same without what the others no longer need: an effect that stood in for one that came later."""
+    while len(best.names) > 1:
+        tried = []
+        for name in best.names:
+            less = [without(near.part(keep), c, name) for keep, c in ((np.ones(len(held), bool), best), (~held, fitted))]
+            there, whole, fit = settled(e, held, *less)
+            rest = e.knowing(whole.row).part(held)
+            tried.append((_cost(rest, fit.row) - _cost(rest, fitted.row), there, whole, fit))
+        lost, *shorter = min(tried, key=lambda t: t[0])
+        if lost > gates.gain:
+            break
+        near, best, fitted = shorter
+    return near, best, fitted
 
 
 def absent(plant, effect) -> bool:
@@ -162,6 +214,8 @@ def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gat
     if base.names:
         short = sorted([*short, *swaps(fit, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
     ranked = whole.refine([moved(whole, c) for c in short[: gates.finalists]], 3)
+    around = e.at(ranked[0].row).part(np.ones(len(held), bool))
+    ranked = around.refine([moved(around, c) for c in ranked], 3)
     fitted = {c.names: c for c in short}
     before = _cost(rest, base.row)
     enough = max(gates.gain + gates.again * before, gates.beside * gained) if base.names else gates.gain

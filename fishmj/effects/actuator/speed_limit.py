@@ -23,7 +23,7 @@ EFFECT = Effect(
     about="a steeper torque-speed line: fast joints lose torque, a large fast sine becomes a triangle",
     formula="torque <= limit (1 - s |w|) along the motion; 1/s is the speed at which nothing is left",
     source="paper: 0.2 s per 60 deg without load; low voltage and stiff grease halve it",
-    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.25, 0.5)),),
+    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.21, 0.5)),),
     shows=("joint", "position", "power"),
     native="actuator dcmotor",
     confusions=(
