@@ -48,6 +48,11 @@ class Search:
         residuals = self.layout.residuals(self.plant.predict(self.records, rows))
         return np.nan_to_num(self.whiten(residuals), nan=1e6, posinf=1e6, neginf=-1e6)
 
+    def loss(self, row) -> float:
+        """|z|^2 + log det S of one parameter row, twice the negative log likelihood: comparable where S differs, too."""
+        z = self.z(row[None])[0]
+        return float(z @ z) + self.whiten.logdet
+
     def base(self, row=None) -> Candidate:
         """The model as it is."""
         row = self.plant.null if row is None else row

@@ -22,7 +22,7 @@ from fishmj.gap.verdict import Named, Value, Verdict
 
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
-CHANCE = 10.0  # by which |z|^2 of one record may rise
+CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may rise
 MINOR = 0.05  # share of the gain below which an effect brings little
 
 
@@ -51,7 +51,7 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     checks["gain"] = found.held_before - found.held_after
     checks["after"] = both[1] / size
     checks["closure"] = evidence.closure(*both, size)
-    checks["rest"] = costs_of(e.knowing(found.best_fit.row).part(held), found)[1] / size
+    checks["rest"] = costs_of(e.around(found.best_fit.row, found.best_fit.row).part(held), found)[1] / size
     checks["transfer"] = transfer(found, held)
     kept = tuple(n for n in effects if n.name not in spoilt)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
@@ -94,7 +94,8 @@ def transfer(found: Found, held: np.ndarray) -> float:
     rest = found.near.part(held)
     z = rest.z(np.stack([found.base.row, found.best_fit.row]))
     before, after = evidence.costs(z, rest.layout)
-    return float(np.mean(after < before + CHANCE))
+    values = np.bincount(rest.layout.record, minlength=len(before))
+    return float(np.mean(after < before + CHANCE * np.sqrt(2.0 * values)))
 
 
 def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:

@@ -38,6 +38,11 @@ class Whitening(NamedTuple):
         x = x / self.d
         return x - ((x @ self.u) * (1.0 - self.g)) @ self.u.T
 
+    @property
+    def logdet(self) -> float:
+        """log det S."""
+        return float(2.0 * np.sum(np.log(self.d)) - 2.0 * np.sum(np.log(self.g)))
+
 
 def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
     """From factors (k, m) and D's square root (m,)."""

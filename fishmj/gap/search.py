@@ -57,45 +57,40 @@ class Evidence:
     def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = 0.1):
         self.plant, self.records, self.form = plant, records, form
         self.layout = Layout(records)
-        tangents = self._tangents()
+        self._draws = np.random.default_rng(0).standard_normal((DRAWS, len(plant.constants)))
+        tangents, self._bent = self._constants(plant.null)
         self.factors = np.concatenate([null / np.sqrt(len(null)), tangents])
         self.d = leftover(null, tangents, self.layout)
-        self._draws = np.random.default_rng(0).standard_normal((DRAWS, len(plant.constants)))
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
 
-    def _tangents(self) -> np.ndarray:
-        """(C, m) what the tolerance of each constant does to the residual."""
-        rows = np.tile(self.plant.null, (1 + len(self.plant.constants), 1))
-        for i, constant in enumerate(self.plant.constants):
-            rows[1 + i, i] += constant.sigma
-        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
-        return residuals[1:] - residuals[0]
-
-    def at(self, row: np.ndarray) -> "Evidence":
-        """The same around another row: what the constants' tolerance does to a fish that has the effects of `row`.
-
-        D grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them, and
-        no two fish do it at the same moments.
-        """
+    def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the constants' tolerance does to the residual of a parameter row: (C, m) tangents, (m,) mean square of what is
+        not linear in them."""
         sigma = np.array([constant.sigma for constant in self.plant.constants])
         draws = np.concatenate([np.zeros((1, len(sigma))), np.eye(len(sigma)), self._draws])
         rows = np.tile(row, (len(draws), 1))
         rows[:, : len(sigma)] += draws * sigma
-        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
+        residuals = np.nan_to_num(self.layout.residuals(self.plant.predict(self.records, rows)))
         moved = residuals[1:] - residuals[0]
-        tangents, drawn = moved[: len(sigma)], moved[len(sigma) :]
-        rest = np.nan_to_num(drawn - self._draws @ tangents, nan=0.0, posinf=0.0, neginf=0.0)
-        there = copy(self)
-        there.factors = np.concatenate([self.factors[: -len(sigma)], np.nan_to_num(tangents)])
-        there.d = np.sqrt(self.d**2 + smooth(np.sqrt(np.mean(rest**2, 0)), self.layout) ** 2)
-        return there
+        tangents = moved[: len(sigma)]
+        bent = np.mean((moved[len(sigma) :] - self._draws @ tangents) ** 2, 0)
+        return tangents, smooth(np.sqrt(bent), self.layout) ** 2
 
-    def knowing(self, row: np.ndarray) -> "Evidence":
-        """The same around `row`, trusting its effects to within `form` of what they change."""
-        base, signature = self.layout.residuals(self.plant.predict(self.records, np.stack([self.plant.null, row])))
-        known = self.at(row)
-        known.d = np.sqrt(known.d**2 + smooth(self.form * (signature - base), self.layout) ** 2)
-        return known
+    def around(self, row: np.ndarray, trusted: np.ndarray | None = None) -> "Evidence":
+        """The same for a fish that has the effects of `row`, the effects of `trusted` being right to within `form` of what they
+        change.
+
+        D grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them, and
+        no two fish do it at the same moments.
+        """
+        there = copy(self)
+        tangents, bent = self._constants(row)
+        there.factors = np.concatenate([self.factors[: -len(tangents)], tangents])
+        there.d = np.sqrt(self.d**2 + np.maximum(bent - self._bent, 0.0))
+        if trusted is not None:
+            ours, changed = self.layout.residuals(self.plant.predict(self.records, np.stack([self.plant.null, trusted])))
+            there.d = np.sqrt(there.d**2 + smooth(self.form * (changed - ours), self.layout) ** 2)
+        return there
 
     def part(self, keep: np.ndarray) -> Search:
         """A search on the records where keep (L,) is true."""
@@ -160,9 +155,9 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
     steps, seen = [], set()
     while len(best.names) < gates.most and frozenset(best.names) not in seen:
         seen.add(frozenset(best.names))
-        known = e.knowing(best.row) if best.names else e
+        known = e.around(best.row, best.row) if best.names else e
         free = [x for x in effects if x.name not in best.names]
-        step = round_of(known, held, fitted, free, gates, sum(s.gain for s in steps))
+        step = round_of(e, known, held, fitted, free, gates, sum(s.gain for s in steps))
         steps.append(step)
         if progress:
             progress(step)
@@ -178,10 +173,14 @@ def settled(e: Evidence, held: np.ndarray, best: Candidate, fitted: Candidate) -
     """Evidence around the best candidate and both fits in it: what the constants may do depends on the effects."""
     near = e
     for _ in range(SETTLE):
-        near = e.at(best.row)
-        whole, fit = near.part(np.ones(len(held), bool)), near.part(~held)
-        best, fitted = whole.refine([moved(whole, best)], 3)[0], fit.refine([moved(fit, fitted)], 3)[0]
+        near = e.around(best.row)
+        best, fitted = polished(near.part(np.ones(len(held), bool)), best), polished(near.part(~held), fitted)
     return near, best, fitted
+
+
+def polished(search: Search, c: Candidate) -> Candidate:
+    """The candidate with its parameters at their best there."""
+    return search.refine([moved(search, c)], 3)[0] if c.places else moved(search, c)
 
 
 def pruned(e: Evidence, held: np.ndarray, near: Evidence, best: Candidate, fitted: Candidate, gates: Gates):
@@ -191,8 +190,9 @@ def pruned(e: Evidence, held: np.ndarray, near: Evidence, best: Candidate, fitte
         for name in best.names:
             less = [without(near.part(keep), c, name) for keep, c in ((np.ones(len(held), bool), best), (~held, fitted))]
             there, whole, fit = settled(e, held, *less)
-            rest = e.knowing(whole.row).part(held)
-            tried.append((_cost(rest, fit.row) - _cost(rest, fitted.row), there, whole, fit))
+            lost = e.around(whole.row, whole.row).part(held).loss(fit.row)
+            lost -= e.around(best.row, whole.row).part(held).loss(fitted.row)
+            tried.append((lost, there, whole, fit))
         lost, *shorter = min(tried, key=lambda t: t[0])
         if lost > gates.gain:
             break
@@ -206,23 +206,30 @@ def absent(plant, effect) -> bool:
     return tuple(plant.null[places]) == effect.null
 
 
-def round_of(e: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gates, gained: float) -> Step:
-    """One round: candidates one effect larger than `base`, and where it pays, with an earlier choice swapped."""
-    fit, rest, whole = e.part(~held), e.part(held), e.part(np.ones(len(held), bool))
+def round_of(e: Evidence, known: Evidence, held: np.ndarray, base: Candidate, effects, gates: Gates, gained: float) -> Step:
+    """One round: candidates one effect larger than `base`, and where it pays, with an earlier choice swapped.
+
+    Each finalist is judged by the likelihood in the evidence around itself; `known` is the one around `base`.
+    """
+    fit, rest = known.part(~held), known.part(held)
     start = moved(fit, base)
     short = fit.refine(fit.screen(start, effects)[: gates.shortlist])
     if base.names:
         short = sorted([*short, *swaps(fit, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
-    ranked = whole.refine([moved(whole, c) for c in short[: gates.finalists]], 3)
-    around = e.at(ranked[0].row).part(np.ones(len(held), bool))
-    ranked = around.refine([moved(around, c) for c in ranked], 3)
-    fitted = {c.names: c for c in short}
+    judged = []
+    for c in short[: gates.finalists]:
+        own = e.around(c.row, base.row if base.names else None)
+        whole = own.part(np.ones(len(held), bool))
+        best, fitted = polished(whole, c), polished(own.part(~held), c)
+        best = replace(best, cost=best.cost + whole.whiten.logdet)
+        judged.append((best, fitted, rest.loss(base.row) - own.part(held).loss(fitted.row)))
+    judged.sort(key=lambda j: j[0].cost)
     before = _cost(rest, base.row)
     enough = max(gates.gain + gates.again * before, gates.beside * gained) if base.names else gates.gain
-    gains = [before - _cost(rest, fitted[c.names].row) for c in ranked[:CHANCES]]
-    first = next((i for i, gain in enumerate(gains) if gain > enough), 0)
-    ranked = [ranked[first], *ranked[:first], *ranked[first + 1 :]]
-    return Step(tuple(ranked), fitted, gains[first], gains[first] > enough)
+    first = next((i for i, (_, _, gain) in enumerate(judged[:CHANCES]) if gain > enough), 0)
+    judged = [judged[first], *judged[:first], *judged[first + 1 :]]
+    gain = judged[0][2]
+    return Step(tuple(best for best, _, _ in judged), {f.names: f for _, f, _ in judged}, gain, gain > enough)
 
 
 def swaps(fit: Search, short: list[Candidate], effects, gates: Gates) -> list[Candidate]:

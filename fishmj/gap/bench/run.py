@@ -23,7 +23,8 @@ def run(plant, case: Case, gates: Gates, null: Null) -> dict:
     row |= {"noise": case.noise, "logs": len(case.logs)}
     try:
         trials = generate(case.effects, case.logs, case.seed, case.noise)
-        row["true_gap"] = true_gap(plant, case)
+        row["true_gap"] = true_gap(plant, case, case.effects)
+        row["each_gap"] = {n: true_gap(plant, case, {n: v}) for n, v in case.effects.items()}
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
     verdict = investigate(plant, trials, gates=gates, null=null, seed=case.seed).verdict
@@ -40,17 +41,17 @@ def said(effect: Named) -> dict:
     return {"name": effect.name, "p_best": effect.p_best, "values": values}
 
 
-def true_gap(plant, case: Case) -> float:
-    """1 + mean square of what the hidden effects change, in units of the sensors' own noise, without noise and scatter.
+def true_gap(plant, case: Case, hidden: dict) -> float:
+    """1 + mean square of what `hidden` effects change, in units of the sensors' own noise, without noise and scatter.
 
     The same fish with and without its effects; every record and channel counts alike.
     """
     from fishmj.virtual_robot import generate
 
-    if not case.effects:
+    if not hidden:
         return 1.0
     sides = []
-    for effects in (case.effects, {}):
+    for effects in (hidden, {}):
         records = [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, 0.0)]
         sides.append(records)
     noise = {}

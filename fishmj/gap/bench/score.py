@@ -45,7 +45,7 @@ def score(rows: list[dict]) -> dict:
     everything = [r for r in kind["single"] if r["answer"] == "NAMED" and names(r) == set(r["truth"])]
     said = [r for r in singles if r["answer"] != "AGREES" and r["said"]]
     top = [r for r in said if same(r["said"][0]["name"], next(iter(r["truth"])))]
-    pairs = [r for r in kind["pair"] if r["true_gap"] > DETECTABLE]
+    pairs = [r for r in kind["pair"] if min(r["each_gap"].values()) > DETECTABLE]  # of either alone
     both = [r for r in pairs if set(r["truth"]) <= names(r)]
     errors = [e for r in right for e in relative_errors(r)]
     closed = [

@@ -78,7 +78,7 @@ def judged(case: cases.Case) -> dict:
     row = {"id": case.id, "family": family, "truth": case.effects, "noise": case.noise, "logs": len(case.logs), "place": 0}
     try:
         records = [record_of(t, plant.dt) for t in generate(case.effects, case.logs, case.seed, case.noise)]
-        row["true_gap"] = true_gap(plant, case)
+        row["true_gap"] = true_gap(plant, case, case.effects)
     except SimDiverged as error:
         return row | {"true_gap": 0.0, "reason": str(error)}
     null = Null(noise=case.noise).residuals(plant, records, Layout(records))

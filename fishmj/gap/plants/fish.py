@@ -12,6 +12,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.effects.sites import Seen
 from fishmj.gap.kernel import Kernel
+from fishmj.gap.plants.sampling import hermite, linear
 from fishmj.gap.records import Record
 from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.hooks import Effects
@@ -184,8 +185,8 @@ class Fish:
             joint = state if clock == "joint" else np.zeros((*t.shape, self.joints))
             power = np.zeros_like(t)
             if clock == "power":
-                energy = out[..., -1:]
-                power = (linear(energy, h, t) - linear(energy, h, t - h))[..., 0] / h + self.robot.servo.idle_power
+                energy = out[..., -1]
+                power = (linear(energy, h, t) - linear(energy, h, t - h)) / h + self.robot.servo.idle_power
             report = Seen(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
             report = self.active.measure(np, parameters, report)
             if clock == "pose":
@@ -193,21 +194,3 @@ class Fish:
             else:
                 seen[clock] = report.joint if clock == "joint" else report.power[..., None]
         return seen
-
-
-def hermite(values, rates, h: float, t) -> np.ndarray:
-    """Cubic through samples (R, K, C) every h s with their rates, at times t (R, N); held before the first sample."""
-    place = np.clip(t / h, 0.0, values.shape[1] - 1.000001)
-    i = place.astype(int)
-    s = (place - i)[..., None]
-    rows = np.arange(len(values))[:, None]
-    a, b, da, db = values[rows, i], values[rows, i + 1], h * rates[rows, i], h * rates[rows, i + 1]
-    return a + s * (da + s * (3 * (b - a) - 2 * da - db + s * (2 * (a - b) + da + db)))
-
-
-def linear(values, h: float, t) -> np.ndarray:
-    """The same, straight lines between samples."""
-    place = np.clip(t / h, 0.0, values.shape[1] - 1.000001)
-    i = place.astype(int)
-    rows = np.arange(len(values))[:, None]
-    return values[rows, i] + (place - i)[..., None] * (values[rows, i + 1] - values[rows, i])

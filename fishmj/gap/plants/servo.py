@@ -19,7 +19,8 @@ from fishmj import effects
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import Gear, Seen, Servo
 from fishmj.gap.kernel import Kernel
-from fishmj.gap.plants.fish import Constant, hermite
+from fishmj.gap.plants.fish import Constant
+from fishmj.gap.plants.sampling import hermite
 from fishmj.gap.records import Sensor
 from fishmj.units import G
 

@@ -73,7 +73,7 @@ class Fit(recipe.Fit):
     def solve(self) -> Fitted:
         """Forces, search, swims; the coefficients."""
         began = time.process_time()
-        by_forces = self.by_forces()
+        by_forces = self.by_forces(rows_of(self.chain, self.train))
         match = self._match(self.train, None)
         starts = self._search(match, by_forces)
         self.report("search", 0.3, {})
@@ -89,10 +89,10 @@ class Fit(recipe.Fit):
         flat = by_forces if worse else by_swims
         return Fitted(self.e, flat, self.inertia, score, time.process_time() - began, notes)
 
-    def by_forces(self) -> np.ndarray:
+    def by_forces(self, rows: Rows) -> np.ndarray:
         """(12,) by least squares on link wrenches, weights as in `linear`."""
-        rows, n, e = rows_of(self.chain, self.train), self.chain.n, self.e
-        every = [columns(e, i, rows, self.inertia, self.tick) for i in range(n)]
+        n = self.chain.n
+        every = [columns(self.e, i, rows, self.inertia, self.tick) for i in range(n)]
         names = force.names_of()
         known = np.stack([part["viscous"] + (0.0 if self.inertia else part["added"]) for part in every], 1)
         target = rows.force - known
