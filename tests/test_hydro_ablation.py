@@ -1,0 +1,250 @@
+"""MuJoCo's own fluid as a competitor of the strips, and the table that says what each part of the model is worth.
+
+Records are synthetic: the hidden water of `hidden_water.py`.
+"""
+
+import json
+
+import hidden_water as hidden
+import mujoco
+import numpy as np
+import pytest
+
+from fishmj import console, mjcf
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.hydro_fit import __main__ as verb
+from fishmj.hydro_fit import ablation, ablation_table, chain, check
+from fishmj.hydro_fit.ellipsoid import fit, force, judged
+from fishmj.hydro_fit.ellipsoid.swim import Hooks
+from fishmj.hydro_fit.fit import rollout
+from fishmj.hydro_fit.fit.recipe import Settings
+from fishmj.hydro_fit.fit.rows import rows_of
+from fishmj.hydro_fit.passive import world_matrix
+
+ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
+E = force.ellipsoids_of(ROBOT)
+SMALL = {"size": 0.34, "seconds": 5.0}  # as in test_hydro_fit.py: what makes it is compiled once
+QUICK = Settings(steps=20, swim=40.0)
+
+
+@pytest.fixture(scope="module")
+def records():
+    """Training, validation and test parts of one small campaign."""
+    return {s: hidden.campaign(seed=seed, split=s, **SMALL) for seed, s in enumerate(("train", "val", "test"))}
+
+
+def model_of(flat):
+    """MuJoCo's fish with these coefficients in its fluid."""
+    model = mjcf.build(ROBOT, bare=True, ellipsoid=True)
+    for i in range(N):
+        own = force.coefficients_of(flat, i == N - 1)
+        model.geom_fluid[i, force.COLUMNS[0]] = [own[term] for term in force.TERMS]
+    return model, mujoco.MjData(model)
+
+
+def drawn(seed):
+    """Coefficients, most of them far from MuJoCo's own."""
+    flat = np.random.default_rng(seed).uniform(0, 4, 12)
+    flat[[5, 11]] = 1.0  # MuJoCo's added mass is what it is
+    return flat
+
+
+def stirred(rng):
+    """A posture and rates, (6,) each."""
+    return rng.normal(0, 0.6, 6), rng.normal(0, 1, 6) * [0.5, 0.5, 2, 4, 4, 4]
+
+
+def test_the_force_of_every_ellipsoid_is_mujocos():
+    rng = np.random.default_rng(1)
+    for seed in range(20):
+        flat = drawn(seed)
+        model, data = model_of(flat)
+        for _ in range(10):
+            data.qpos[:], data.qvel[:] = stirred(rng)
+            wind = model.opt.wind[:2] = rng.normal(0, 0.3, 2)
+            mujoco.mj_forward(model, data)
+            k = chain.kinematics(np, CHAIN, data.qpos, data.qvel, [wind] * N)
+            on_links = Hooks(np, E, flat, False).water(CHAIN, None, None, k, None)
+            got = chain.generalised(np, CHAIN, data.qpos[2], chain.gather(CHAIN, k, on_links))
+            np.testing.assert_allclose(got, data.qfrc_fluid, rtol=1e-9, atol=1e-9)
+
+
+def test_each_coefficient_has_a_force_of_its_own():
+    """No term is lost in the sum: without it the force is another."""
+    motion = (0.3, -0.2, 1.5)
+    for i in range(N):
+        whole = force.link_force(np, E, i, *motion, force.default(E))
+        for j, name in enumerate(force.names_of()):
+            less = force.default(E)
+            less[j] = 0.0
+            differs = not np.allclose(force.link_force(np, E, i, *motion, less), whole, rtol=0, atol=1e-12)
+            assert differs == name.startswith(force.GROUPS[i == N - 1]), (i, name)
+
+
+def test_a_fish_in_ellipsoids_swims_as_in_mujoco():
+    flat, rng = drawn(3), np.random.default_rng(4)
+    model, data = model_of(flat)
+    data.qpos[:], data.qvel[:] = stirred(rng)
+    q, v, sw, hooks = list(data.qpos), list(data.qvel), chain.nominal(ROBOT), Hooks(np, E, flat, False)
+    for k in range(200):
+        target = 0.5 * np.sin(2 * np.pi * k * CHAIN.dt - np.arange(3))
+        data.ctrl[:] = target
+        mujoco.mj_step(model, data)
+        s = chain.step(np, CHAIN, sw, q, v, 0.5, target, [(0.0, 0.0)] * N, (0.0, 0.0), hooks)
+        q, v = s.q, s.v
+    np.testing.assert_allclose([*q, *v], [*data.qpos, *data.qvel], rtol=0, atol=1e-9)
+    assert np.hypot(*q[:2]) > 0.05  # and it went somewhere
+
+
+def test_the_inertia_that_mujoco_leaves_out_is_lambs_at_the_centre_of_each_ellipsoid():
+    flat, rng = drawn(5), np.random.default_rng(6)
+    flat[[5, 11]] = 0.7, 1.3
+    model, data = model_of(flat)
+    data.qpos[:], data.qvel[:] = stirred(rng)
+    mujoco.mj_forward(model, data)
+    expected = np.zeros((6, 6))
+    for i in range(N):
+        turn, move, spin = data.geom_xmat[i].reshape(3, 3), np.zeros((3, 6)), np.zeros((3, 6))
+        mujoco.mj_jacGeom(model, data, move, spin, i)
+        rows = np.stack([*(turn.T @ move)[:2], spin[2]])
+        expected += rows.T @ np.diag(np.array(E.added[i]) * force.coefficients_of(flat, i == N - 1)["added"]) @ rows
+    q, k, m = data.qpos, chain.kinematics(np, CHAIN, data.qpos, data.qvel, [(0.0, 0.0)] * N), [[0.0] * (r + 1) for r in range(6)]
+    Hooks(np, E, flat, True).body(CHAIN, None, q, k, [0.0] * 6, m)
+    np.testing.assert_allclose(world_matrix(CHAIN, q[2], m), expected, rtol=0, atol=1e-12)
+
+
+def test_with_inertia_a_fish_in_ideal_water_keeps_its_energy():
+    """No drag, no lift, no servo: the whole added mass only moves energy between fish and water."""
+    ideal, flat = E._replace(viscosity=0.0), np.zeros(12)
+    flat[[5, 11]] = 0.8, 1.2
+    still = chain.nominal(ROBOT)._replace(kp=[0.0] * 3, kv=[0.0] * 3, kb=[1e-30] * 3)
+    fine, hooks = CHAIN._replace(dt=1e-5), Hooks(np, ideal, flat, True)
+    q, v = (list(a) for a in stirred(np.random.default_rng(7)))
+
+    def energy(q, v):
+        k, m = chain.kinematics(np, fine, q, v, [(0.0, 0.0)] * N), None
+        m = chain.mass_matrix(fine, still, k, water=False)
+        hooks.body(fine, None, q, k, [0.0] * 6, m)
+        turn = np.cumsum(v[2:])
+        rates = [np.cos(q[2]) * v[0] + np.sin(q[2]) * v[1], np.cos(q[2]) * v[1] - np.sin(q[2]) * v[0], *turn]
+        return 0.5 * sum(m[max(r, c)][min(r, c)] * rates[r] * rates[c] for r in range(6) for c in range(6))
+
+    before, fastest = energy(q, v), max(abs(value) for value in v)
+    for _ in range(200):
+        s = chain.step(np, fine, still, q, v, 0.5, [0.0] * 3, [(0.0, 0.0)] * N, (0.0, 0.0), hooks)
+        q, v = s.q, s.v
+    assert abs(energy(q, v) / before - 1) < 2e-4 and max(abs(a - b) for a, b in zip(v, s.v, strict=True)) < fastest
+    lossy = energy(*without_inertia(ideal, flat, fine, still)) / before
+    assert abs(lossy - 1) > 1e-3  # what is tested can fail: with half of the force it does not
+
+
+def without_inertia(ideal, flat, fine, still):
+    q, v = (list(a) for a in stirred(np.random.default_rng(7)))
+    for _ in range(200):
+        s = chain.step(np, fine, still, q, v, 0.5, [0.0] * 3, [(0.0, 0.0)] * N, (0.0, 0.0), Hooks(np, ideal, flat, False))
+        q, v = s.q, s.v
+    return q, v
+
+
+@pytest.mark.parametrize("inertia", [False, True])
+def test_forces_of_ellipsoids_give_their_coefficients_back(records, inertia):
+    one = fit.Fit(ROBOT, records["train"], records["val"], dataset={}, settings=QUICK, inertia=inertia)
+    true = np.random.default_rng(8).uniform(0.3, 3.0, 12) * one.unit
+    if not inertia:
+        true[[5, 11]] = 1.0
+    rows = rows_of(CHAIN, records["train"])
+    rows = rows._replace(force=fit.forces(E, rows, true, inertia, hidden.TICK))
+    np.testing.assert_allclose(one.by_forces(rows)[one.free], true[one.free], rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def fitted(records):
+    """(the fit, MuJoCo's fluid fitted to the hidden water) from few draws."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit, "DRAWN", 6)
+        patch.setattr(fit, "FEW", 8)
+        patch.setattr(fit, "BEST", 1)
+        one = fit.Fit(ROBOT, records["train"], records["val"], dataset={}, settings=QUICK, inertia=False)
+        return one, one.solve()
+
+
+def test_swims_bring_ellipsoids_closer_within_their_bounds(fitted):
+    one, water = fitted
+    assert (water.flat >= one.low).all() and (water.flat <= one.high).all()
+    assert water.flat[5] == water.flat[11] == 1.0  # a user of MuJoCo cannot set its added mass
+    match = one._match(one.train, None)
+    by_forces = one.by_forces(rows_of(CHAIN, one.train))
+    costs = [float(r @ r) for r in match.residuals(np.stack([one.unit, by_forces, water.flat]))]
+    assert costs[2] < 0.9 * min(costs[:2])
+
+
+def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
+    """All free swims, whole; free runs of the gaits from 2 s on, as for any records of 5 s; a perfect water has no error."""
+    water, test = fitted[1], records["test"]
+    swum = judged.Swum(water, ROBOT, test)
+    whole = rollout.fleet_of(CHAIN, ROBOT, test, seconds=1e6)
+    for a, b in zip(swum.fleet[:-1], whole[:-1], strict=True):
+        np.testing.assert_array_equal(a, b)
+    gaits = [r.meta["block"] == "gait" for r in swum.records]
+    assert swum.began == check.SHORTEST and swum.cruise.q.shape == (sum(gaits), 151, 6)
+    np.testing.assert_array_equal(swum.cruise.q, whole.q[gaits, 100:251])
+    np.testing.assert_array_equal(swum.track.q, water.swim(ROBOT).run(whole, water.flat).q)  # by its own coefficients
+    perfect, _ = check.errors(swum, swum.seen)
+    assert perfect["speed_error_max"] == perfect["power_error_mean"] == 0.0
+    found = judged.judge(water, ROBOT, test)
+    assert set(ablation_table.SHOWN) <= set(found["figures"]) and found["n"]["thrust_error"] > 0
+    assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(3.0)
+
+
+def test_the_verb_makes_the_table_and_goes_on_where_it_was(records, tmp_path, capsys, monkeypatch):
+    data = hidden.write_dataset(tmp_path / "set", [r for part in records.values() for r in part])
+    line = ["ablation", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "ellipsoid-default,forces", "--json"]
+    assert console.run(verb.main, line) == 0
+    said = capsys.readouterr().out
+    found = json.loads(said.splitlines()[-1])
+    assert [row["row"] for row in found["rows"]] == ["ellipsoid-default", "forces"] and "strips: forces" in said
+    assert found["rows"][1]["stages"]["linear"] > 0 and found["rows"][1]["figures"]["guard_rate"] == 0.0
+    assert found["rows"][0]["coefficients"]["tail_blunt"] == 0.5  # MuJoCo's own
+    for name in ("ablation.csv", "ablation.md", "ablation.json"):
+        assert (tmp_path / "out" / name).stat().st_size > 100
+    assert (tmp_path / "out" / "ablation.png").read_bytes().startswith(b"\x89PNG")
+
+    done = []
+    monkeypatch.setattr(ablation, "_one", lambda robot, parts, row, *_: done.append(row.title) or dict(found["rows"][0]))
+    assert console.run(verb.main, line) == 0 and done == []
+    (tmp_path / "out" / "rows" / "forces-0.json").write_text("{")  # cut short
+    assert console.run(verb.main, line) == 0 and done == ["strips: forces"]
+    about = {"settings": Settings(), "dataset": {"sha256": "another"}, "folder": tmp_path / "out"}
+    ablation.table(ROBOT, *records.values(), names=["prior"], **about)
+    assert done[1:] == ["strips: prior"]  # other data: done again
+    with pytest.raises(UnknownName, match="row of the ablation 'wakes'. Did you mean 'wake'"):
+        ablation.table(ROBOT, *records.values(), names=["wakes"], **about)
+    with pytest.raises(ConfigError, match="no seed"):
+        ablation.table(ROBOT, *records.values(), seeds=[], **about)
+
+
+def test_learnt_rows_are_drawn_once_a_seed_and_shown_with_their_range(monkeypatch, tmp_path):
+    def one(robot, parts, row, settings, *_):
+        error = 0.02 + 0.01 * settings.seed
+        figures = dict.fromkeys(ablation_table.SHOWN, error) | {"thrust_error": float("nan")}
+        return {"figures": figures, "n": dict.fromkeys(figures, 4), "freerun_s": 10.0, "seconds": 3.0, "notes": "",
+                "validation": {"judged": 0.5}}  # fmt: skip
+
+    monkeypatch.setattr(ablation, "_one", one)
+    about = {"settings": Settings(), "dataset": {}, "folder": tmp_path}
+    rows = ablation.table(ROBOT, [], [], [], names=["base", "wake"], seeds=[0, 1, 2], **about)
+    assert [(row["row"], row["seed"]) for row in rows] == [("base", 0), ("wake", 0), ("wake", 1), ("wake", 2)]
+    base, wake, asked, count = ablation_table.cells(rows)
+    assert base["speed"] == "2.0 %" and wake["speed"] == "3.0 % (2.0 to 4.0)" and wake["water"].endswith("(3 seeds)")
+    assert asked["speed"] == "3.0 %" and base["thrust / tow drag"] == "-" and count["speed"] == "4"
+    assert len(list((tmp_path / "rows").glob("*.json"))) == 4
+
+
+def test_fits_that_differ_later_share_their_first_stages(records, tmp_path):
+    kept = {"settings": QUICK, "dataset": {}, "folder": tmp_path, "code": "1"}
+    make = lambda **changes: ablation.Variant(ROBOT, records["train"], records["val"], **kept | changes)  # noqa: E731
+    whole, plain, other = make(), make(retune=False), make(settings=Settings(steps=30, swim=40.0))
+    names = lambda one: [one._path(stage).name for stage in ("linear", "rollout", "residual", "retune")]  # noqa: E731
+    assert names(whole)[:3] == names(plain)[:3] and names(whole)[3] != names(plain)[3]
+    assert names(whole)[:2] == names(other)[:2] and names(whole)[2] != names(other)[2]
+    assert not set(names(whole)) & set(names(make(code="2")))
