@@ -5,12 +5,11 @@
 | hydro_passive | mjcb_passive, NumPy, one fish | bare `mj_step` |
 | hydro_passive_residual | qfrc_applied, NumPy, one fish | hydro_passive |
 | hydro_ellipsoid | MuJoCo's own fluid, C, one fish | bare `mj_step` |
-| hydro_batch, hydro_batch_residual | engine `batch` | bare `mj_step`; hydro_batch |
-| hydro_mjx, hydro_mjx_residual | engine `mjx` | bare `mj_step`; hydro_mjx |
-| hydro_compiled | engine `compiled`: the strips alone | bare `mj_step` |
+| hydro_batch_residual | engine `batch`, strips and residual | the strips alone |
+| hydro_mjx_residual | engine `mjx`, strips and residual | the strips alone |
 | hydro_residual | closed form in JAX, a long swim | the strips alone |
 
-Nominal fish, one gait, still water: `engine_*` measure the same with randomised fish, latency and turbulence.
+Nominal fish, one gait, still water; `engine_*` measure engines with randomised fish, latency and turbulence, strips alone.
 """
 
 import numpy as np
@@ -128,7 +127,6 @@ def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> W
     return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
 
 
-@benchmark("hydro_batch", "physics steps/s", baseline=bare_steps)
 def hydro_batch(quick: bool) -> Work:
     """Strips in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
     return _engine("batch", quick)
@@ -140,7 +138,6 @@ def hydro_batch_residual(quick: bool) -> Work:
     return _engine("batch", quick, True)
 
 
-@benchmark("hydro_mjx", "physics steps/s", baseline=bare_steps)
 def hydro_mjx(quick: bool) -> Work:
     """Strips in MJX, a batch."""
     return _engine("mjx", quick)
@@ -150,12 +147,6 @@ def hydro_mjx(quick: bool) -> Work:
 def hydro_mjx_residual(quick: bool) -> Work:
     """Strips and residual in MJX, a batch."""
     return _engine("mjx", quick, True)
-
-
-@benchmark("hydro_compiled", "physics steps/s", baseline=bare_steps)
-def hydro_compiled(quick: bool) -> Work:
-    """Strips in the closed form compiled for the CPU, a batch."""
-    return _engine("compiled", quick)
 
 
 # closed form in JAX, a long swim

@@ -4,7 +4,7 @@
              a dead band or a speed limit has none at its null
     refine   theta' = theta + (J^T J + m)^-1 J^T z,  J by finite differences about theta, all candidates in one batch of rollouts
 
-The cost is |z|^2 with z from null.py: constants of the fish need no fit, they are integrated out.
+The cost is |z|^2 with z from null.py, plus a weak prior: constants of the fish need no fit, they are integrated out.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +14,9 @@ import numpy as np
 from fishmj.effects import Effect
 
 MAGNITUDES = (0.15, 0.5, 1.0, 2.0)  # of the typical size
+FINE = 60  # more magnitudes where only a value right to a few per cent explains anything
 STEP = 0.02  # of the typical size, for derivatives
+PRIOR = 1.5  # typical sizes, standard deviation of an effect's parameters about their null: what records leave open stays small
 ITERATIONS = 6
 
 
@@ -23,7 +25,7 @@ class Candidate:
     """One set of effects with its best parameters.
 
     names: effects, in order of acceptance. places: (K,) entries of the parameter row that they own. row: (P,) whole row.
-    cost: |z|^2 over all records; z: (m,).
+    cost: |z|^2 over all records and the prior's share; z: (m,).
     """
 
     names: tuple[str, ...]
@@ -48,16 +50,27 @@ class Search:
         residuals = self.layout.residuals(self.plant.predict(self.records, rows))
         return np.nan_to_num(self.whiten(residuals), nan=1e6, posinf=1e6, neginf=-1e6)
 
+    def prior(self, rows) -> np.ndarray:
+        """(R,) what the prior adds to |z|^2 of parameter rows (R, P)."""
+        size = bounds(self.plant)[2]
+        return np.sum(((np.asarray(rows) - self.plant.null) / (PRIOR * size))[:, len(self.plant.constants) :] ** 2, 1)
+
+    def costs(self, rows, z) -> np.ndarray:
+        """(R,) |z|^2 of rows (R, P) whose z (R, m) are known, and the prior's share."""
+        return np.einsum("rm,rm->r", z, z) + self.prior(rows)
+
     def loss(self, row) -> float:
-        """|z|^2 + log det S of one parameter row, twice the negative log likelihood: comparable where S differs, too."""
-        z = self.z(row[None])[0]
-        return float(z @ z) + self.whiten.logdet
+        """Cost + log det S of one parameter row, twice the negative log likelihood: comparable where S differs, too."""
+        return self.at(row).cost + self.whiten.logdet
+
+    def at(self, row, names: tuple[str, ...] = (), places: tuple[int, ...] = ()) -> Candidate:
+        """The candidate that a parameter row is."""
+        z = self.z(np.asarray(row)[None])
+        return Candidate(names, places, row, float(self.costs(np.asarray(row)[None], z)[0]), z[0])
 
     def base(self, row=None) -> Candidate:
         """The model as it is."""
-        row = self.plant.null if row is None else row
-        z = self.z(row)[0]
-        return Candidate((), (), row, float(z @ z), z)
+        return self.at(self.plant.null if row is None else row)
 
     def screen(self, base: Candidate, effects) -> list[Candidate]:
         """`base` plus each of `effects`, at the best probe or secant combination; best first."""
@@ -73,7 +86,7 @@ class Search:
                 owners.append((effect, -1, 0.0))
         tried = np.array(rows)
         z = self.z(tried)
-        cost = np.einsum("rm,rm->r", z, z)
+        cost = self.costs(tried, z)
         found = []
         for effect in effects:
             mine = [i for i, owner in enumerate(owners) if owner[0] is effect]
@@ -82,7 +95,7 @@ class Search:
             found.append((effect, choices))
         flat = np.array([row for _, choices in found for row in choices])
         z = self.z(flat)
-        cost = np.einsum("rm,rm->r", z, z)
+        cost = self.costs(flat, z)
         out, at = [], 0
         for effect, choices in found:
             i = at + int(np.argmin(cost[at : at + len(choices)]))
@@ -112,7 +125,8 @@ class Search:
                 a, b = spans[i]
                 moved = np.array([rows[a + j][p] - c.row[p] for j, p in enumerate(c.places)])
                 jac = (z[a:b] - c.z) / moved[:, None] * size[list(c.places)][:, None]  # per typical size
-                normal, slope = jac @ jac.T, jac @ c.z
+                away = (c.row - self.plant.null)[list(c.places)] / size[list(c.places)]
+                normal, slope = jac @ jac.T + np.eye(len(away)) / PRIOR**2, jac @ c.z + away / PRIOR**2
                 for m in (damping[i], damping[i] * 30):
                     change = -np.linalg.solve(normal + m * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(slope)), slope)
                     row = c.row.copy()
@@ -121,7 +135,7 @@ class Search:
                     trials.append(row)
                     owner.append(i)
             z = self.z(np.array(trials))
-            cost = np.einsum("rm,rm->r", z, z)
+            cost = self.costs(np.array(trials), z)
             for i, c in enumerate(best):
                 mine = [j for j, o in enumerate(owner) if o == i]
                 j = min(mine, key=lambda k: cost[k])
@@ -141,6 +155,8 @@ def probes(effect: Effect) -> list[tuple[int, float]]:
             continue
         signs = (1.0, -1.0) if p.signed else ((1.0,) if p.high > p.null else (-1.0,))
         sizes = [*(m * _size(p) for m in MAGNITUDES), min(abs(t - p.null) for t in p.typical)]
+        if p.fine:
+            sizes += list(np.geomspace(sizes[-1], 2 * _size(p), FINE))
         values = {float(np.clip(p.null + s * size, p.low, p.high)) for s in signs for size in sizes}
         out += [(k, v) for v in sorted(values - {p.null})]
     return out

@@ -81,8 +81,7 @@ def replaced(whole: Search, best: Candidate, name: str, other: Candidate) -> Can
     row[places(name)] = whole.plant.null[places(name)]
     row[places(newest)] = other.row[places(newest)]
     names = (*(n for n in best.names if n != name), newest)
-    z = whole.z(row[None])[0]
-    return Candidate(names, tuple(p for n in names for p in places(n)), row, float(z @ z), z)
+    return whole.at(row, names, tuple(p for n in names for p in places(n)))
 
 
 def on_bound(plant, c: Candidate) -> bool:

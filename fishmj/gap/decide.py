@@ -14,7 +14,7 @@ An effect that brings little and fails G6 or G7 is not named, and does not spoil
 import numpy as np
 
 from fishmj.gap import evidence
-from fishmj.gap.candidates import Candidate, Search, bounds
+from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Evidence, Found, Gates
@@ -22,7 +22,8 @@ from fishmj.gap.verdict import Named, Value, Verdict
 
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
-CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may rise
+CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
+SLIGHT = 0.05  # of the gain over all held-out records, by which one may get worse
 MINOR = 0.05  # share of the gain below which an effect brings little
 
 
@@ -46,13 +47,13 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     doubts = {n.name: sanity(e, found.best, n) for n in effects}
     minor = {n for n, s in stand.items() if s.gain < MINOR * sum(x.gain for x in stand.values())}
     spoilt = {n for n in minor if stand[n].rivals or doubts[n] or stand[n].p_best < gates.p_best}
-    size = found.held_size
-    both = costs_of(found.near.part(held), found)
-    checks["gain"] = found.held_before - found.held_after
-    checks["after"] = both[1] / size
-    checks["closure"] = evidence.closure(*both, size)
-    checks["rest"] = costs_of(e.around(found.best_fit.row, found.best_fit.row).part(held), found)[1] / size
-    checks["transfer"] = transfer(found, held)
+    rest = found.near.part(held)
+    after, ideal = rest.loss(found.best_fit.row), rest.whiten.logdet + found.held_size
+    before_loss = e.part(held).loss(found.base.row)
+    checks["gain"] = before_loss - after
+    checks["closure"] = evidence.closure(before_loss - ideal, after - ideal, 0)
+    checks["rest"] = rest.at(found.best_fit.row).cost / found.held_size
+    checks["transfer"] = transfer(e, found, held)
     kept = tuple(n for n in effects if n.name not in spoilt)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
@@ -68,7 +69,7 @@ def _rival(name: str, rival: Rival) -> dict:
 
 def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings) -> tuple[str, str]:
     """(answer, reason) once something was found."""
-    if checks["closure"] < gates.closure and checks["after"] > (1.0 + gates.adequacy) / 2:
+    if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
         return "UNEXPLAINED", f"the catalogue explains {checks['closure']:.0%} of what is unexpected; its best is tentative"
     if checks["rest"] > gates.rest:
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
@@ -82,29 +83,25 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     return "NAMED", "explains records that it was not fitted to, and nothing else does"
 
 
-def costs_of(search: Search, found: Found) -> tuple[float, float]:
-    """|z|^2 of the model as it is and with what was found."""
-    z = search.z(np.stack([found.base.row, found.best_fit.row]))
-    before, after = np.sum(z**2, -1)
-    return float(before), float(after)
-
-
-def transfer(found: Found, held: np.ndarray) -> float:
-    """Share of the held-out records whose |z|^2 does not rise by more than chance."""
-    rest = found.near.part(held)
-    z = rest.z(np.stack([found.base.row, found.best_fit.row]))
-    before, after = evidence.costs(z, rest.layout)
-    values = np.bincount(rest.layout.record, minlength=len(before))
-    return float(np.mean(after < before + CHANCE * np.sqrt(2.0 * values)))
+def transfer(e: Evidence, found: Found, held: np.ndarray) -> float:
+    """Share of the held-out records that do not get less likely, but for chance and a little of what all of them gain."""
+    rises, allowed = [], []
+    for i in np.flatnonzero(held):
+        alone = np.arange(len(held)) == i
+        rises.append(found.near.part(alone).loss(found.best_fit.row) - e.part(alone).loss(found.base.row))
+        allowed.append(CHANCE * np.sqrt(2.0 * np.sum(e.layout.record == i)))
+    rise = np.array(rises)
+    return float(np.mean(rise < np.maximum(allowed, -SLIGHT * np.sum(rise))))
 
 
 def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
     e = found.near
     value, spread = estimate(e, c)
-    whole = e.part(np.ones(len(e.records), bool))
-    before, after = (float(np.sum(z**2)) for z in whole.z(np.stack([found.base.row, c.row])))
-    closed = evidence.closure(before, after, e.layout.size)
+    everything = np.ones(len(e.records), bool)
+    near, base = e.part(everything), found.base.cost + found.start_logdet
+    ideal = near.whiten.logdet + e.layout.size
+    closed = evidence.closure(base - ideal, near.loss(c.row) - ideal, 0)
     out = []
     for name in c.names:
         effect = next(x for x in e.plant.active.effects if x.name == name)

@@ -18,7 +18,7 @@ from fishmj.gap.features import Layout
 from fishmj.gap.null import leftover, smooth, whitening
 from fishmj.gap.records import Record
 
-DRAWS = 24  # of the constants, to see what is not linear in them
+DRAWS = 16  # of the constants, to see what is not linear in them
 SETTLE = 2  # times that the constants' tolerance is carried to where the effects have moved
 CHANCES = 3  # finalists that may show what they gain on held-out records
 
@@ -76,20 +76,18 @@ class Evidence:
         bent = np.mean((moved[len(sigma) :] - self._draws @ tangents) ** 2, 0)
         return tangents, smooth(np.sqrt(bent), self.layout) ** 2
 
-    def around(self, row: np.ndarray, trusted: np.ndarray | None = None) -> "Evidence":
-        """The same for a fish that has the effects of `row`, the effects of `trusted` being right to within `form` of what they
-        change.
+    def around(self, row: np.ndarray) -> "Evidence":
+        """The same for a fish that has the effects of `row`, right to within `form` of what they change.
 
-        D grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them, and
-        no two fish do it at the same moments.
+        D also grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them,
+        and no two fish do it at the same moments.
         """
         there = copy(self)
         tangents, bent = self._constants(row)
         there.factors = np.concatenate([self.factors[: -len(tangents)], tangents])
-        there.d = np.sqrt(self.d**2 + np.maximum(bent - self._bent, 0.0))
-        if trusted is not None:
-            ours, changed = self.layout.residuals(self.plant.predict(self.records, np.stack([self.plant.null, trusted])))
-            there.d = np.sqrt(there.d**2 + smooth(self.form * (changed - ours), self.layout) ** 2)
+        ours, changed = self.layout.residuals(self.plant.predict(self.records, np.stack([self.plant.null, row])))
+        form = smooth(self.form * np.nan_to_num(changed - ours), self.layout)
+        there.d = np.sqrt(self.d**2 + np.maximum(bent - self._bent, 0.0) + form**2)
         return there
 
     def part(self, keep: np.ndarray) -> Search:
@@ -125,9 +123,9 @@ class Found:
     best: Candidate  # on all records
     best_fit: Candidate  # fitted without the held-out ones
     steps: tuple[Step, ...]
-    near: Evidence  # around `best`
-    held_before: float  # |z|^2 held out
-    held_after: float
+    near: Evidence  # around `best`, its effects trusted to within the form error
+    start_logdet: float  # log det S of the model as it is, on all records
+    held_before: float  # |z|^2 of the model as it is, held out
     held_size: int
 
 
@@ -150,12 +148,12 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
     """Add effects while records that no parameter saw get better."""
     effects = [x for x in effects or e.plant.active.effects if absent(e.plant, x)]
     rest, near = e.part(held), e
-    base = e.part(np.ones(len(held), bool)).base()
-    best = fitted = base
+    whole = e.part(np.ones(len(held), bool))
+    base = best = fitted = whole.base()
     steps, seen = [], set()
     while len(best.names) < gates.most and frozenset(best.names) not in seen:
         seen.add(frozenset(best.names))
-        known = e.around(best.row, best.row) if best.names else e
+        known = e.around(best.row) if best.names else e
         free = [x for x in effects if x.name not in best.names]
         step = round_of(e, known, held, fitted, free, gates, sum(s.gain for s in steps))
         steps.append(step)
@@ -165,17 +163,23 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
             break
         near, best, fitted = settled(e, held, step.ranked[0], step.fitted[step.ranked[0].names])
         near, best, fitted = pruned(e, held, near, best, fitted, gates)
-    before, after = _cost(rest, base.row), _cost(rest, fitted.row)
-    return Found(base, best, fitted, tuple(steps), near, before, after, rest.layout.size)
+    return Found(base, best, fitted, tuple(steps), near, whole.whiten.logdet, _cost(rest, base.row), rest.layout.size)
 
 
-def settled(e: Evidence, held: np.ndarray, best: Candidate, fitted: Candidate) -> tuple[Evidence, Candidate, Candidate]:
-    """Evidence around the best candidate and both fits in it: what the constants may do depends on the effects."""
-    near = e
-    for _ in range(SETTLE):
-        near = e.around(best.row)
-        best, fitted = polished(near.part(np.ones(len(held), bool)), best), polished(near.part(~held), fitted)
-    return near, best, fitted
+def settled(e: Evidence, held: np.ndarray, best: Candidate, fitted: Candidate, times: int = SETTLE):
+    """(Evidence around the best candidate, it and the fit without the held-out records): what the constants may do depends on the
+    effects. A step that makes the best candidate less likely in the evidence around itself is not taken."""
+    everything = np.ones(len(held), bool)
+    near = e.around(best.row)
+    loss = near.part(everything).loss(best.row)
+    for _ in range(times):
+        ahead = polished(near.part(everything), best)
+        there = e.around(ahead.row)
+        less = there.part(everything).loss(ahead.row)
+        if less > loss:
+            break
+        near, best, loss = there, ahead, less
+    return near, moved(near.part(everything), best), polished(near.part(~held), fitted)
 
 
 def polished(search: Search, c: Candidate) -> Candidate:
@@ -190,8 +194,7 @@ def pruned(e: Evidence, held: np.ndarray, near: Evidence, best: Candidate, fitte
         for name in best.names:
             less = [without(near.part(keep), c, name) for keep, c in ((np.ones(len(held), bool), best), (~held, fitted))]
             there, whole, fit = settled(e, held, *less)
-            lost = e.around(whole.row, whole.row).part(held).loss(fit.row)
-            lost -= e.around(best.row, whole.row).part(held).loss(fitted.row)
+            lost = there.part(held).loss(fit.row) - near.part(held).loss(fitted.row)
             tried.append((lost, there, whole, fit))
         lost, *shorter = min(tried, key=lambda t: t[0])
         if lost > gates.gain:
@@ -216,12 +219,10 @@ def round_of(e: Evidence, known: Evidence, held: np.ndarray, base: Candidate, ef
     short = fit.refine(fit.screen(start, effects)[: gates.shortlist])
     if base.names:
         short = sorted([*short, *swaps(fit, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
-    judged = []
+    judged, everything = [], np.ones(len(held), bool)
     for c in short[: gates.finalists]:
-        own = e.around(c.row, base.row if base.names else None)
-        whole = own.part(np.ones(len(held), bool))
-        best, fitted = polished(whole, c), polished(own.part(~held), c)
-        best = replace(best, cost=best.cost + whole.whiten.logdet)
+        own, best, fitted = settled(e, held, c, c, 1)
+        best = replace(best, cost=best.cost + own.part(everything).whiten.logdet)
         judged.append((best, fitted, rest.loss(base.row) - own.part(held).loss(fitted.row)))
     judged.sort(key=lambda j: j[0].cost)
     before = _cost(rest, base.row)
@@ -250,15 +251,12 @@ def without(search: Search, c: Candidate, name: str) -> Candidate:
     gone = {search.plant.index(name, p.name) for p in effect.parameters}
     row = c.row.copy()
     row[list(gone)] = search.plant.null[list(gone)]
-    z = search.z(row[None])[0]
-    names, places = tuple(n for n in c.names if n != name), tuple(p for p in c.places if p not in gone)
-    return Candidate(names, places, row, float(z @ z), z)
+    return search.at(row, tuple(n for n in c.names if n != name), tuple(p for p in c.places if p not in gone))
 
 
 def moved(search: Search, c: Candidate) -> Candidate:
     """The same effects and parameters on another part of the records."""
-    z = search.z(c.row[None])[0]
-    return replace(c, cost=float(z @ z), z=z)
+    return search.at(c.row, c.names, c.places)
 
 
 def _cost(search: Search, row) -> float:

@@ -20,6 +20,7 @@ from fishmj.log.replicates import RATIO, groups
 
 SEEN = 4.0  # mean square over the floor from which a channel shows a gap
 TURNS = 3  # ways to hold a third of the records out, while there is a gap and nothing is accepted
+GROWN = 0.1  # by which a gap of chance may grow
 UNSEEN = 9  # records from which on a quarter is set aside for the last figure only
 
 
@@ -92,7 +93,7 @@ def investigate(
         apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null)
         before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
-        if after > before and verdict.answer in ("NAMED", "CLASS"):
+        if after > before + GROWN and verdict.answer in ("NAMED", "CLASS"):
             why = f"the gap grows from {before:.2f} to {after:.2f} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
     synthetic = any(t.value("origin") == "synthetic" for t in trials)

@@ -17,7 +17,7 @@ EFFECT = Effect(
     about="torque is cut off earlier: brown-out, firmware limit, worn battery",
     formula="|drive| <= tau_max",
     source="paper: 17 kg cm at 7.4 V; 0.8 to 1.2 N m in a brown-out",
-    parameters=(Parameter(name="limit", unit="N m", null=STALL, low=0.1, high=STALL, typical=(0.8, 1.2)),),
+    parameters=(Parameter(name="limit", unit="N m", null=STALL, low=0.02, high=STALL, typical=(0.8, 1.2)),),
     shows=("joint", "position", "power"),
     native="actuator forcerange",
     confusions=(

@@ -134,7 +134,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
     for number, step in enumerate(found.steps):
         if not step.accepted and number:
             break
-        whole = (e.around(start.row, start.row) if number else e).part(np.ones(len(e.records), bool))
+        whole = (e.around(start.row) if number else e).part(np.ones(len(e.records), bool))
         z = whole.z(start.row)[0]
         best = step.ranked[0]
         free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
