@@ -145,7 +145,9 @@ def hydro_mjx(quick: bool) -> Work:
 
 @benchmark("hydro_mjx_residual", "physics steps/s", baseline=hydro_mjx)
 def hydro_mjx_residual(quick: bool) -> Work:
-    """Strips and residual in MJX, a batch."""
+    """Strips and residual in MJX, a batch; not with --quick."""
+    if quick:
+        raise NotHere("compiling MJX with the residual takes half a minute of CPU; run it without --quick")
     return _engine("mjx", quick, True)
 
 
