@@ -51,19 +51,20 @@ def sides_of(e: Evidence, found: Found, verdict: Verdict) -> list[Side]:
     """What is left: the best, then each listed rival in its place; where none is listed, the next of the last round."""
     if not found.steps:
         return []
-    whole = e.part(np.ones(len(e.records), bool))
+    near = found.near
+    whole = near.part(np.ones(len(e.records), bool))
     accepted = [s for s in found.steps if s.accepted]
     sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
     for rival in verdict.rivals[: LEFT - 1]:
         rounds = [s for s in accepted if s.ranked[0].names[-1] == rival["instead_of"]] or accepted
-        near = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
-        other = replaced(whole, found.best, rival["instead_of"], near) if near else None
+        like = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
+        other = replaced(whole, found.best, rival["instead_of"], like) if like else None
         sets += [other] if other else []
     if len(sets) < 2:
         sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]
     fitted = {c.names: c for c in whole.refine(sets, 3)}
     weights = [min([1.0, *(n.p_best for n in verdict.effects)])] + [float(r["p_best"]) for r in verdict.rivals] + [0.0] * LEFT
-    return [side(e, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
+    return [side(near, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
 
 
 def side(e: Evidence, c: Candidate, weight: float) -> Side:

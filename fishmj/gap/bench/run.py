@@ -25,6 +25,7 @@ def run(plant, case: Case, gates: Gates, null: Null) -> dict:
         trials = generate(case.effects, case.logs, case.seed, case.noise)
         row["true_gap"] = true_gap(plant, case, case.effects)
         row["each_gap"] = {n: true_gap(plant, case, {n: v}) for n, v in case.effects.items()}
+        row["beyond_gap"] = beyond_gap(plant, case)
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
     verdict = investigate(plant, trials, gates=gates, null=null, seed=case.seed).verdict
@@ -59,6 +60,37 @@ def true_gap(plant, case: Case, hidden: dict) -> float:
         noise = {s: getattr(record, s).sigma for s in ("joint", "pose", "power") if getattr(record, s) is not None}
     ratios = [r for a, b in zip(*sides, strict=True) for r in _ratios(a, b, noise)]
     return 1.0 + float(np.mean(ratios))
+
+
+def beyond_gap(plant, case: Case) -> float:
+    """The same for the part of the change that the fish's own constants, each within its tolerance, cannot imitate.
+
+    s what the effects change, T what the constants' tolerances change, both over the noise: 1 + s (1 + T^T T)^-1 s / m.
+    """
+    from fishmj.virtual_robot import generate
+
+    if not case.effects:
+        return 1.0
+    with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (case.effects, {}))
+    noisy = Layout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
+    layout = Layout(without)
+    rows = np.tile(plant.null, (1 + len(plant.constants), 1))
+    for i, constant in enumerate(plant.constants):
+        rows[1 + i, i] += constant.sigma
+    moved = layout.residuals(plant.predict(without, rows))
+    means = [Layout(r).residuals(nothing(r)) for r in (with_, without)]
+    noise = layout.aligned(noisy, noisy.noise())
+    known = np.isfinite(noise)
+    s = (layout.aligned(Layout(with_), means[0][0]) - means[1][0])[known] / noise[known]
+    t = (moved[1:] - moved[0])[:, known] / noise[known]
+    seen = t @ s
+    return 1.0 + float(s @ s - seen @ np.linalg.solve(np.eye(len(t)) + t @ t.T, seen)) / len(s)
+
+
+def nothing(records: list[Record]) -> list[dict]:
+    """Predictions of zero, so that residuals are the measurements."""
+    sensors = ("joint", "pose", "power")
+    return [{n: np.zeros((1, *x.values.shape)) for n in sensors if (x := getattr(r, n)) is not None} for r in records]
 
 
 def _ratios(a: Record, b: Record, noise: dict) -> list[float]:

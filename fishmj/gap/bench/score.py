@@ -43,6 +43,8 @@ def score(rows: list[dict]) -> dict:
     right = [r for r in named if names(r) == set(r["truth"])]
     alike = [r for r in named if len(names(r)) == 1 and same(next(iter(names(r))), next(iter(r["truth"])))]
     everything = [r for r in kind["single"] if r["answer"] == "NAMED" and names(r) == set(r["truth"])]
+    beyond = [r for r in kind["single"] if r["beyond_gap"] > DETECTABLE]
+    listed = [r for r in beyond if r["answer"] in ("NAMED", "CLASS") and set(r["truth"]) <= names(r) | set(r["rivals"])]
     said = [r for r in singles if r["answer"] != "AGREES" and r["said"]]
     top = [r for r in said if same(r["said"][0]["name"], next(iter(r["truth"])))]
     pairs = [r for r in kind["pair"] if min(r["each_gap"].values()) > DETECTABLE]  # of either alone
@@ -58,6 +60,10 @@ def score(rows: list[dict]) -> dict:
         "precision_of_class": share(len(alike), len(named)),
         "coverage": share(len(right), len(singles)),
         "coverage_all_magnitudes": share(len(everything), len(kind["single"])),
+        "coverage_beyond_tolerance": share(
+            sum(r["answer"] == "NAMED" and names(r) == set(r["truth"]) for r in beyond), len(beyond)
+        ),
+        "coverage_beyond_tolerance_or_class": share(len(listed), len(beyond)),
         "class_top1": share(len(top), len(said)),
         "false_alarm_rate": share(sum(r["answer"] in ("NAMED", "CLASS") for r in kind["none"]), len(kind["none"])),
         "misnamed_off_catalogue": share(sum(r["answer"] == "NAMED" for r in kind["off"]), len(kind["off"])),

@@ -134,12 +134,13 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
     for number, step in enumerate(found.steps):
         if not step.accepted and number:
             break
-        whole = (e.around(start.row) if number else e).part(np.ones(len(e.records), bool))
-        z = whole.z(start.row)[0]
-        best = step.ranked[0]
+        everything, best = np.ones(len(e.records), bool), step.ranked[0]
+        gained = max((e.around(start.row) if number else e).part(everything).loss(start.row) - best.cost, 1e-9)
+        z, *sides = e.around(best.row).part(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
         free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
-        share = evidence.p_best(np.stack([evidence.costs(c.z, e.layout) for c in free]))
-        gained = max(float(z @ z) - best.cost, 1e-9)
+        share = evidence.p_best(
+            np.stack([evidence.costs(s, e.layout) for c, s in zip(step.ranked, sides, strict=True) if any(c is f for f in free)])
+        )
         new = best.names[-1]
         against = {str(r["name"]): float(r["p_best"]) for r in v.rivals if r.get("instead_of", new) == new}
         given = against | ({new: sure[new]} if step.accepted and new in sure else {})
@@ -150,7 +151,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
             p = given.get(name, p) if p is not None else None
             behind = float((c.cost - best.cost) / gained)
             rows.append(Row(name, values(e.plant, c, name), behind, p, name in against))
-        signatures = np.stack([c.z - z for c in step.ranked])
+        signatures = np.stack(sides) - z
         unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
         out.append(Round(tuple(rows), unit @ unit.T))
         start = best
