@@ -78,6 +78,9 @@ class Variant(recipe.Fit):
     def _retune(self, state) -> dict:
         return super()._retune(state) if self.told["retune"] else {}
 
+    def _tell(self, stage: str, part: float, **figures) -> None:
+        self.report(stage, (list(NEEDS).index(stage) + min(part, 1.0)) / len(NEEDS), figures)
+
     def _key(self, stage: str) -> str:
         stages = list(NEEDS)
         needed = [name for before in stages[: stages.index(stage) + 1] for name in NEEDS[before]]

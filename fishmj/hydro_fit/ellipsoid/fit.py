@@ -23,7 +23,7 @@ from fishmj.mjcf.description import Robot
 
 MOST = 8.0  # bound on a coefficient, in MuJoCo's defaults: a drag of twice the strips' highest
 DRAWN, FEW, BEST, SPREAD = 126, 12, 3, 0.8  # SPREAD: standard deviation of ln factor of the draws
-ROUNDS, STEP, LEAST = 10, 0.02, 0.005  # of Gauss-Newton; step in c0, for the differences; fall worth another round
+ROUNDS, STEP, LEAST = 8, 0.02, 0.005  # of Gauss-Newton; step in c0, for the differences; fall worth another round
 
 
 @dataclass(frozen=True, eq=False)
