@@ -16,6 +16,7 @@ from fishmj.gap.search import Evidence
 
 STEP = 0.02  # of the typical size
 FORM = 0.05
+MANY, FEW = 6, 3.0  # with fewer records a jackknife is noise: it may widen the curvature by this factor at most
 HALF = 1.645  # standard deviations of a 90 % interval
 
 
@@ -33,7 +34,9 @@ def estimate(e: Evidence, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     slopes = (residual[1:] - residual[0]) / moved[:, None]
     white = search.whiten(slopes)
     spurious = of_null(e, slopes)
-    sure = np.maximum(curvature(white), jackknife(white, search.whiten(residual[0]), e.layout.record))
+    sure = curvature(white)
+    folds = jackknife(white, search.whiten(residual[0]), e.layout.record)
+    sure = np.maximum(sure, folds if len(e.records) >= MANY else np.minimum(folds, FEW * sure))
     form = FORM * np.abs(c.row[places] - e.plant.null[places])
     values = np.clip(c.row[places] - spurious.mean(0), low[places], high[places])
     return values, np.sqrt(spurious.var(0) + sure**2 + form**2)
