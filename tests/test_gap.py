@@ -12,7 +12,7 @@ from fishmj.gap.null import leftover, unexplained, whitening  # noqa: E402
 from fishmj.gap.null_runs import Null  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.search import split  # noqa: E402
+from fishmj.gap.search import frozen, pruned, settled, split  # noqa: E402
 from fishmj.gap.workflow import investigate, unrepeatable  # noqa: E402
 from fishmj.sim import Sim  # noqa: E402
 
@@ -121,3 +121,61 @@ def test_p_best_is_a_share():
     share = evidence.p_best(costs)
     assert share.sum() == pytest.approx(1.0)
     assert share[0] > share[1] > share[2]
+
+
+def evidence_on(plant, planted, seed, runs=SHORT):
+    from fishmj.gap.workflow import evidence_of
+
+    return evidence_of(plant, [record_of(t, plant.dt) for t in hidden(planted, seed, runs)], NULL)
+
+
+def row_of(plant, name, **values):
+    row = plant.null.copy()
+    for parameter, value in values.items():
+        row[plant.index(name, parameter)] = value
+    return row
+
+
+def test_the_loss_is_twice_the_negative_log_likelihood():
+    rng = np.random.default_rng(2)
+    factors, d, x = rng.normal(size=(5, 40)), rng.uniform(0.5, 2.0, 40), rng.normal(size=40)
+    white, s = whitening(factors, d), factors.T @ factors + np.diag(d**2)
+    assert white.logdet == pytest.approx(np.linalg.slogdet(s)[1], rel=1e-12)
+    assert np.sum(white(x) ** 2) == pytest.approx(x @ np.linalg.solve(s, x), rel=1e-9)
+
+
+def test_around_the_model_as_it_is_the_evidence_is_the_same(plant):
+    e = evidence_on(plant, {}, 51, ("gait_fast", "drift_north"))
+    there = e.around(plant.null)
+    np.testing.assert_array_equal(there.d, e.d)
+    np.testing.assert_array_equal(there.factors, e.factors)
+
+
+def test_what_makes_the_fish_fickle_is_charged_for_it(plant):
+    """Records of a healthy fish: servos a third as stiff make everything uncertain, and are less likely all the same."""
+    e = evidence_on(plant, {}, 52)
+    everything, weak = np.ones(len(SHORT), bool), row_of(plant, "servo_gain", gain=-0.65)
+    there = e.around(weak).part(everything)
+    assert there.whiten.logdet > e.part(everything).whiten.logdet + 100
+    assert there.loss(weak) > e.part(everything).loss(plant.null) + 100
+
+
+def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
+    held = np.arange(len(SHORT)) == 1
+    e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 53)
+    row = row_of(plant, "command_latency", delay=0.04)
+    row[plant.index("camera_scale", "scale")] = 0.002
+    names = ("camera_scale", "command_latency")
+    c = e.part(~held).at(row, names, tuple(plant.index(n, p.name) for n in names for p in effects.get(n).parameters))
+    near, best, fitted = pruned(e, held, *settled(e, held, c, c), frozen())
+    assert best.names == fitted.names == ("command_latency",)
+    assert best.row[plant.index("command_latency", "delay")] == pytest.approx(0.04, abs=0.004)
+
+
+def test_what_the_records_leave_open_stays_near_its_null(plant):
+    """No joint moves in a drift, so that no record of one knows what friction does."""
+    e = evidence_on(plant, {}, 54, ("drift_north", "drift_north"))
+    search = e.part(np.ones(2, bool))
+    place = plant.index("coulomb_friction", "torque")
+    start = search.at(row_of(plant, "coulomb_friction", torque=0.15), ("coulomb_friction",), (place,))
+    assert search.refine([start])[0].row[place] < 0.05

@@ -189,13 +189,15 @@ def polished(search: Search, c: Candidate) -> Candidate:
 
 def pruned(e: Evidence, held: np.ndarray, near: Evidence, best: Candidate, fitted: Candidate, gates: Gates):
     """The same without what the others no longer need: an effect that stood in for one that came later."""
+    everything = np.ones(len(held), bool)
     while len(best.names) > 1:
         tried = []
         for name in best.names:
-            less = [without(near.part(keep), c, name) for keep, c in ((np.ones(len(held), bool), best), (~held, fitted))]
+            less = (without(near.part(everything), best, name), without(near.part(~held), fitted, name))
             there, whole, fit = settled(e, held, *less)
-            lost = there.part(held).loss(fit.row) - near.part(held).loss(fitted.row)
-            tried.append((lost, there, whole, fit))
+            unseen = there.part(held).loss(fit.row) - near.part(held).loss(fitted.row)
+            seen = there.part(everything).loss(whole.row) - near.part(everything).loss(best.row)
+            tried.append((max(unseen, seen), there, whole, fit))
         lost, *shorter = min(tried, key=lambda t: t[0])
         if lost > gates.gain:
             break
