@@ -18,9 +18,12 @@ from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store.manifest import MANIFEST
 
 VERBS = ("collect", "fit", "check", "report", "ablation", "hybrid", "correct", "rank")
-DATA = Path(__file__).resolve().parents[2] / "data" / "hydro"
+_ROOT = Path(__file__).resolve().parents[1]
+DATA = _ROOT.parent / "data" / "hydro"
+SHIPPED = (DATA / "laptop", _ROOT / "_data" / "hydro" / "laptop")  # made without an accelerator; checkout, installed wheel
 
 
 def main(argv: list[str]) -> int | None:
@@ -45,10 +48,12 @@ def main(argv: list[str]) -> int | None:
         return rank_command.main(rest)
     args = options(verb).parse_args(rest)
     robot = load_robot(args.fish)
-    folder = Path(args.data or DATA / robot.name)
     code = console.OK
-    if verb == "all" and collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)]):
-        console.warn(f"the campaign in {folder} is not complete; going on with what is there")
+    if verb == "all":
+        folder = Path(args.data or DATA / robot.name)
+        if collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)]):
+            console.warn(f"the campaign in {folder} is not complete; going on with what is there")
+    folder = data_of(robot, args)
     found: dict = {}
     if verb in ("fit", "all"):
         found["fit"] = fit(robot, folder, args)
@@ -65,11 +70,23 @@ def main(argv: list[str]) -> int | None:
     return code
 
 
+def data_of(robot: Robot, args) -> Path:
+    """The data set that was asked for, else the fish's own, else the shipped one if it is of this fish."""
+    own = DATA / robot.name
+    if args.data or (own / MANIFEST).is_file():
+        return Path(args.data or own)
+    for shipped in SHIPPED:
+        if (shipped / MANIFEST).is_file() and open_dataset(shipped).robot["name"] == robot.name:
+            console.say(f"no data set in {own}: using the shipped {shipped}, made on a coarse grid (preview)")
+            return shipped
+    return own
+
+
 def options(verb: str) -> argparse.ArgumentParser:
     """The arguments of a verb."""
     made = console.parser(f"hydro_fit {verb}" if verb != "all" else "hydro_fit", (__doc__ or "").splitlines()[0])
     made.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    made.add_argument("--data", help="data set; default data/hydro/<robot>")
+    made.add_argument("--data", help="data set; default data/hydro/<robot>, else the shipped one")
     made.add_argument("--model", help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     made.add_argument("--out", help="folder of models and reports; default data/water")
     made.add_argument("--name", help="of the model that is fitted; default the robot's")
