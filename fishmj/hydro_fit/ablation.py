@@ -47,12 +47,12 @@ ROWS: dict[str, Row] = {
     "prior": Row("strips: prior", "prior"),
     "ellipsoid-default": Row("MuJoCo's ellipsoids: its coefficients", "ellipsoid", fitted=False),
     "ellipsoid": Row("MuJoCo's ellipsoids: fitted", "ellipsoid"),
-    "ellipsoid-inertia": Row("the same with inertia of the added mass: fitted", "ellipsoid", inertia=True),
+    "ellipsoid-inertia": Row("MuJoCo's ellipsoids, inertia added: fitted", "ellipsoid", inertia=True),
     "forces": Row("strips: forces", changes=BASE | {"rollout": False}),
     "base": Row("strips: forces, swims", changes=BASE),
     "memoryless": Row("strips: forces, swims, residual without memory", changes={"memory": False}, drawn=True),
     "wake": Row("strips: forces, swims, residual with wake", drawn=True),
-    "wake-no-retune": Row("the same, factors not tuned again", retune=False, drawn=True),
+    "wake-no-retune": Row("strips: forces, swims, residual with wake, no retune", retune=False, drawn=True),
     "wake-no-swims": Row("strips: forces, residual with wake", changes={"rollout": False}, drawn=True),
 }
 
@@ -82,8 +82,7 @@ def table(
     about["records"] = [[r.id for r in part] for part in parts]
     for k, (name, seed) in enumerate(todo):
         own = replace(settings, seed=seed, **ROWS[name].changes)
-        key = hashlib.sha256(json.dumps(plain(about | {"row": asdict(ROWS[name]), "settings": asdict(own)})).encode()).hexdigest()
-        place = folder / "rows" / f"{name}-{seed}.json"
+        key, place = _key(about, ROWS[name], own), folder / "rows" / f"{name}-{seed}.json"
         row = _kept(place, key)
         if row is None:
             told = lambda stage, share, _, k=k, name=name: report and report((k + share) / len(todo), f"{name}: {stage}")  # noqa: E731
@@ -94,6 +93,12 @@ def table(
         if report is not None:
             report((k + 1) / len(todo), name)
     return made
+
+
+def _key(about: dict, row: Row, settings: Settings) -> str:
+    """What a row's figures depend on."""
+    whole = about | {"row": asdict(row) | {"title": ""}, "settings": asdict(settings)}
+    return hashlib.sha256(json.dumps(plain(whole)).encode()).hexdigest()
 
 
 def _kept(place: Path, key: str) -> dict | None:
