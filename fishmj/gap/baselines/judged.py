@@ -28,8 +28,11 @@ def reason_absent(name: str) -> str:
     return ""
 
 
-def rows_of(plant, case: Case, true_gap: float, names=NAMES) -> dict[str, dict]:
-    """{baseline: row} of one case, in the form of bench.run. true_gap: as its own row has it."""
+GAPS = ("true_gap", "each_gap", "beyond_gap")  # what a row knows of its case
+
+
+def rows_of(plant, case: Case, own: dict, names=NAMES) -> dict[str, dict]:
+    """{baseline: row} of one case, in the form of bench.run. own: the search's row of it, for its gaps."""
     from fishmj.virtual_robot import generate
 
     row = {
@@ -40,7 +43,7 @@ def rows_of(plant, case: Case, true_gap: float, names=NAMES) -> dict[str, dict]:
         "noise": case.noise,
         "logs": len(case.logs),
     }
-    row |= {"true_gap": true_gap, "gap_before": 1.0, "gap_unseen": None, "rivals": []}
+    row |= {key: own[key] for key in GAPS if key in own} | {"gap_before": 1.0, "gap_unseen": None, "rivals": []}
     try:
         records = [record_of(t, plant.dt) for t in generate(case.effects, case.logs, case.seed, case.noise)]
     except SimDiverged as error:
@@ -70,7 +73,7 @@ def beside(todo: list[Case], rows: list[dict], out: Path | None) -> dict[str, li
     with console.Progress(len(todo), "baselines", unit="cases") as bar:
         for i, (case, row) in enumerate(zip(todo, rows, strict=True)):
             missing = tuple(n for n in names if case.id not in done[n])
-            for name, found in rows_of(plant, case, row.get("true_gap", 1.0), missing).items():
+            for name, found in rows_of(plant, case, row, missing).items():
                 done[name][case.id] = console.plain(found)
                 if files:
                     with files[name].open("a", encoding="utf-8") as file:
