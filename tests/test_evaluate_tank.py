@@ -7,6 +7,7 @@ from fishmj import controllers, engines
 from fishmj.engines import tanks
 from fishmj.errors import ConfigError
 from fishmj.evaluate import tank, trials
+from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
 
 ROBOT = load_robot("fish")
@@ -48,3 +49,12 @@ def test_as_many_fish_as_flows():
     state, params = engines.at_rest(ROBOT, np.zeros((2, 3))), engines.nominal_params(ROBOT, 2)
     with pytest.raises(ConfigError, match="2 fish for 1 flows"):
         engine.advance(state, np.zeros((2, 10, 3)), params, None, np.zeros(2, int))
+
+
+def test_a_trial_in_a_stream_begins_at_rest_in_water_that_flows_past():
+    """Let go in water that was never stopped by it, a fish has the stream's speed after two ticks."""
+    engine = tanks.Engine(ROBOT, [Flow(speed=0.2)], domain="laptop", device="cpu")
+    state, params = engines.at_rest(ROBOT, np.zeros((1, 3))), engines.nominal_params(ROBOT, 1)
+    _, trace = engine.advance(state, np.zeros((1, 5, 3)), params, None, np.zeros(1, int))
+    assert engine.ticks == [5] and engine.tanks.runs[0].coupled.fluid.time == pytest.approx(0.1)
+    assert 0 < trace.velocity[0, 0, 0] < 0.01 and np.abs(trace.velocity[0, :, :2]).max() < 0.05

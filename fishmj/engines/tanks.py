@@ -3,6 +3,9 @@
 `advance` has the shape that the judge expects, so every controller runs in the solver unchanged. Unlike the other engines
 a tank remembers its water: it is filled at the first call, from the poses, parameters and flows of the trials.
 A fish that comes too close to a wall, or whose water leaves the finite numbers, stays where it was; `stopped` says why.
+
+In a stream every fish is held for `HELD` s before the trial begins, the water's clock running up to 0. A fish that is put at rest
+into moving water and let go at once is carried along within 0.1 s, because all water around it is stopped by it alone.
 """
 
 from collections.abc import Sequence
@@ -18,6 +21,8 @@ from fishmj.lbm_oracle.stage import Edge, Stage
 from fishmj.lbm_oracle.tanks import Tanks
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise
+
+HELD = 1.0  # s
 
 
 class Engine:
@@ -74,7 +79,20 @@ class Engine:
     def _fill(self, q: np.ndarray, params: FishParams) -> Tanks:
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        return Tanks([self._tank(i, q[i], params) for i in range(len(q))])
+        tanks = Tanks([self._tank(i, q[i], params) for i in range(len(q))])
+        asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
+        streams = [flow.speed > 0 or flow.rms > 0 for flow in self.flows]
+        if any(streams):
+            for run in tanks.runs:
+                _turn_back(run, HELD)
+            for _ in range(round(HELD / self.robot.timing.bus_dt)):
+                tanks.tick(asked)
+        for run, angles in zip(tanks.runs, asked, strict=True):
+            run.tethered = False
+            if not run.stopped:
+                run.begin()
+                run.commands = [angles.copy()]
+        return tanks
 
     def _tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
         """Tank i with its own fish, at rest in undisturbed flow."""
@@ -100,4 +118,15 @@ class Engine:
             raise ConfigError(
                 f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
             )
-        return Run(coupled, self.robot, latency=latency, follow=edge)
+        return Run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
+
+
+def _turn_back(run: Run, seconds: float) -> None:
+    """Fish and water at -`seconds`, the undisturbed flow of that time everywhere."""
+    coupled = run.coupled
+    fluid = coupled.fluid
+    with coupled.scope():
+        fluid.restore(fluid.snapshot() | {"steps": np.array(-round(seconds / fluid.lattice.dt))})
+        fluid.settle()
+    coupled.body.data.time = -seconds
+    run.begin()

@@ -102,11 +102,13 @@ def name_of(brain, item) -> str:
 
 def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -> str:
     """Eight characters that change with anything that would change a trial's outcome."""
+    from fishmj.engines.tanks import HELD
+
     what = {
         "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
         "robot": repr(robot),
         "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
         "seed": trials.items[0].seed[:2],
-        "water": [domain, slip],
+        "water": [domain, slip, HELD],
     }
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

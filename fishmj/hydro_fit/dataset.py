@@ -67,13 +67,13 @@ class Dataset:
 
     def records(self, split: str, *, block: str | None = None, slip: float | None = None) -> Iterator[Record]:
         """The segments of one split, read one at a time; arguments and errors as in `names`."""
-        return (read_record(self.folder / SEGMENTS, name) for name in self.names(split, block=block, slip=slip))
+        return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, block=block, slip=slip))
 
     def __getitem__(self, name: str) -> Record:
         """One segment by id; errors as in `names`."""
         if name not in self.about or name not in self.names(self.about[name]["split"]):
             raise DatasetError(f"{self.folder}: no segment {name!r} with arrays")
-        return read_record(self.folder / SEGMENTS, name)
+        return read_record(self.folder / SEGMENTS, name).steadied
 
     def lost(self) -> dict[str, str]:
         """Why segments stopped early or hold nothing, by id."""

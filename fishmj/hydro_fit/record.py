@@ -33,6 +33,7 @@ UNITS = {
 }
 PRECISE = ("q", "v")  # never in 16 bits: accelerations are their differences over a tick
 HALF = 1e-3  # greatest error of a channel kept in 16 bits, over its range
+KICK = 0.3  # s, of a free swim that begins at rest in a stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,21 @@ class Record:
         """q and v at the start of every tick, (T, 3 + J) each."""
         q, v = (np.asarray(self.meta["start"][name], float)[None] for name in ("q", "v"))
         return np.concatenate([q, self.q[:-1]]), np.concatenate([v, self.v[:-1]])
+
+    @property
+    def steadied(self) -> "Record":
+        """The record without its first `KICK` s where a free fish was let go at rest in a stream.
+
+        All water around it is stopped by the fish alone within the first tick, and carries it along: no fish is ever let go so.
+        """
+        free = not self.meta["prescribed"]["root"] and self.meta.get("settle", 0.0) == 0.0
+        skip = round(KICK / self.tick)
+        if not free or self.background.speed == 0.0 or len(self.q) <= skip:
+            return self
+        start = {"q": self.q[skip - 1].tolist(), "v": self.v[skip - 1].tolist()}
+        rows = len(self.q) - skip
+        meta = self.meta | {"start": start, "settle": skip * self.tick, "rows": rows, "seconds": rows * self.tick}
+        return Record(meta, **{name: getattr(self, name)[skip:] for name in UNITS})
 
     @property
     def acceleration(self) -> np.ndarray:
