@@ -8,7 +8,8 @@
     G6 uniqueness   no rival nearly as good, P(best) high                       else CLASS
     G7 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
 
-An effect that brings little and fails G6 or G7 is not named, and does not spoil the name of those that bring much.
+An effect that brings little and fails G6 or G7 is not named, and does not spoil the name of those that bring much. Nor is a lesser
+effect named that is smaller than usual: what another's formula leaves may look like it.
 """
 
 import numpy as np
@@ -23,8 +24,9 @@ from fishmj.gap.verdict import Named, Value, Verdict
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
-SLIGHT = 0.05  # of the gain over all held-out records, by which one may get worse
+SLIGHT = 0.15  # of the gain over all held-out records, by which one may get worse
 MINOR = 0.05  # share of the gain below which an effect brings little
+LESSER = 0.5  # the same for one that must be of usual size
 
 
 def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict:
@@ -45,8 +47,10 @@ def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
     doubts = {n.name: sanity(e, found.best, n) for n in effects}
-    minor = {n for n, s in stand.items() if s.gain < MINOR * sum(x.gain for x in stand.values())}
-    spoilt = {n for n in minor if stand[n].rivals or doubts[n] or stand[n].p_best < gates.p_best}
+    brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
+    weak = {n for n, s in stand.items() if s.rivals or doubts[n] or s.p_best < gates.p_best}
+    faint = {n.name for n in effects if small(e, n, 1.0)}
+    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in faint}
     rest = found.near.part(held)
     after, ideal = rest.loss(found.best_fit.row), rest.whiten.logdet + found.held_size
     before_loss = e.part(held).loss(found.base.row)
@@ -126,12 +130,18 @@ def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
             out.append(f"{n.name}.{p.name} = {c.row[place]:.4g} {p.unit} lies on its bound")
     first = effect.parameters[0]
     main = n.parameters[first.name]
-    alike = [p for p in effect.parameters if p.unit == first.unit and not p.shape]
-    if all(abs(n.parameters[p.name].value - p.null) < SMALL * min(abs(t - p.null) for t in p.typical) for p in alike):
+    if small(e, n, SMALL):
         out.append(f"{n.name} is far smaller than it is anywhere known: it may stand in for something else")
     if len(effect.parameters) == 1 and (main.high - main.low) / 2 / HALF > SPREAD * abs(main.value - first.null):
         out.append(f"{n.name}: the records disagree about its size by more than {SPREAD:.0%}")
     return tuple(out)
+
+
+def small(e: Evidence, n: Named, share: float) -> bool:
+    """Whether every main value is less than `share` of the least that is typical."""
+    effect = next(x for x in e.plant.active.effects if x.name == n.name)
+    main = [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
+    return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
 
 
 def described(step) -> dict:

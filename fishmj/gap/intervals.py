@@ -15,7 +15,7 @@ from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.search import Evidence
 
 STEP = 0.02  # of the typical size
-FORM = 0.05
+FORM = 0.08
 MANY, FEW = 6, 3.0  # with fewer records a jackknife is noise: it may widen the curvature by this factor at most
 HALF = 1.645  # standard deviations of a 90 % interval
 
