@@ -71,6 +71,8 @@ def test_autocorrelation_makes_samples_fewer():
 
 def test_rows_are_scored_like_the_search(plant):
     case = Case("t", "single", {"command_latency": {"delay": 0.05}}, 1.0, ("gait_fast",), 11)
-    row = baselines.rows_of(plant, case, {"true_gap": 100.0, "beyond_gap": 100.0}, ("residual_correlation",))["residual_correlation"]
+    row = baselines.rows_of(plant, case, {"true_gap": 100.0, "beyond_gap": 100.0}, ("residual_correlation",))[
+        "residual_correlation"
+    ]
     table = baselines.compared([row], {"residual_correlation": [row]})
     assert row["answer"] == "NAMED" and "1/1" in table and "residual_correlation" in table

@@ -8,8 +8,8 @@
     G6 uniqueness   no rival nearly as good, P(best) high                       else CLASS
     G7 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
 
-An effect that brings little and fails G6 or G7 is not named, and does not spoil the name of those that bring much. Nor is a lesser
-effect named that is smaller than usual: what another's formula leaves may look like it.
+An effect that brings little and fails G6 or G7 is not named, and does not spoil the name of those that bring much. Nor is a
+lesser effect named that is smaller than usual: what another's formula leaves may look like it.
 """
 
 import numpy as np
