@@ -25,7 +25,7 @@ FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
 SETUP = tank.Setup(domain=preset("laptop"), device="cpu")
 SMALL = replace(SETUP, domain=replace(SETUP.domain, shape=(60, 36, 16)))
 FULL = plan.full(FISH)
-SHIPPED = Path(__file__).parent.parent / "data" / "hydro" / "preview"
+SHIPPED = Path(__file__).parent.parent / "data" / "hydro" / "laptop"
 
 
 class Toys:
@@ -286,13 +286,14 @@ def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
     assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
 
 
-def test_the_shipped_preview_is_what_its_command_makes():
+def test_the_shipped_data_are_what_their_command_makes():
     data = open_dataset(SHIPPED)
-    wanted = {segment.id: segment.sha256 for segment in plan.preview(FISH).segments}
-    assert {name: Segment.of(meta["segment"]).sha256 for name, meta in data.about.items()} == wanted
-    assert data.meta["complete"] and data.meta["origin"] == "synthetic" and data.meta["grid"]["preview"]
-    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 3e6
-    assert sum(record.seconds for record in data.records("train")) > 60
+    wanted = {segment.id: segment.sha256 for segment in plan.full(FISH).at([1.0]).segments}
+    made = {name: Segment.of(meta["segment"]).sha256 for name, meta in data.about.items()}
+    assert made.items() <= wanted.items() and len(wanted) - len(made) == data.meta["missing"]
+    assert data.meta["origin"] == "synthetic" and data.meta["grid"]["preview"] and not data.lost()
+    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 15e6
+    assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 1300
 
 
 def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_along():

@@ -133,7 +133,7 @@ def solver(monkeypatch):
 
 
 def command(out, *more):
-    fixed = ["--device", "cpu", "--domain", "laptop", "--seconds", "2", "--model", "fish-preview-base", "--out", str(out)]
+    fixed = ["--device", "cpu", "--domain", "laptop", "--seconds", "2", "--model", "swift-base", "--out", str(out)]
     return main(["rank", *fixed, *more])
 
 
@@ -146,7 +146,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, solver):
     command(tmp_path, "pd", "drift", "--trials", "2")
     assert solver.asked == 4 + 1, "the fourth was begun twice, the first three were kept"
     whole = json.loads((tmp_path / "rank.json").read_text())
-    began = HydroModel.load("fish-preview-base")
+    began = HydroModel.load("swift-base")
     slippery = replace(began, name="slippery", base=began.base._replace(cf=0.5 * began.base.cf)).save(tmp_path)
     command(tmp_path, "pd", "drift", "--trials", "2", "--model", str(slippery))
     assert solver.asked == 5, "another surrogate needs no new trial in the solver"
@@ -167,7 +167,7 @@ def test_the_command_ranks_draws_and_says_that_it_is_a_preview(tmp_path, solver,
     *said, last = capsys.readouterr().out.strip().splitlines()
     found = json.loads(last)
     assert found["preview"] is True and any("preview, not a judgement" in line for line in said)
-    assert found["model"] == "fish-preview-base" and found["origin"] == "synthetic"
+    assert found["model"] == "swift-base" and found["origin"] == "synthetic"
     judged = found[KEY]
     assert judged["of"] == 1 and [row["n"] for row in judged["controllers"]] == [6, 6, 6]
     assert code == {True: 0, False: 1, None: 3}[found["ok"]]
@@ -192,5 +192,5 @@ def test_impossible_numbers_are_one_clear_error(wrong, tmp_path):
 
 def test_hours_on_a_cpu_that_nobody_asked_for_are_not_begun(tmp_path, solver, monkeypatch, capsys):
     monkeypatch.setattr(rank_command, "device_of", lambda name: "cpu")
-    assert main(["rank", "--device", "auto", "--model", "fish-preview-base", "--out", str(tmp_path)]) == 1
+    assert main(["rank", "--device", "auto", "--model", "swift-base", "--out", str(tmp_path)]) == 1
     assert solver.asked == 0 and "nothing was run" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """The command line of the campaign, for whoever offers it as a verb: `add_arguments(parser)` and `run(args)`.
 
 python -m fishmj.hydro_fit collect --device cuda
-python -m fishmj.hydro_fit collect --preview --out data/hydro/preview
+python -m fishmj.hydro_fit collect --preview --out runs/preview
 python -m fishmj.hydro_fit collect --fish my_fish.toml --scale 0.2 --out runs/my_fish
 python -m fishmj.hydro_fit collect --ray auto --tanks 12
 """

@@ -35,7 +35,7 @@ def main(argv: list[str]) -> int:
     """The verb `hybrid`; exit code 1 where the correction misses its aim."""
     parser = console.parser("hydro_fit hybrid", "Correct a surrogate by short stretches of the flow solver while it swims.")
     parser.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    parser.add_argument("--model", default="fish-preview", help="the fitted surrogate: name or .toml; its base is used")
+    parser.add_argument("--model", default="swift", help="the fitted surrogate: name or .toml; its base is used")
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each episode")
     parser.add_argument("--every", type=float, default=8.0, help="s from stretch to stretch; each is 0.8 s")

@@ -154,7 +154,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("hydro_fit correct", "Correct a surrogate where a policy takes it.")
     parser.add_argument("policy", metavar="POLICY", help="name of a controller or a policy file")
     parser.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    parser.add_argument("--model", default="fish-preview", help="the surrogate to begin with: name or .toml")
+    parser.add_argument("--model", default="swift", help="the surrogate to begin with: name or .toml")
     parser.add_argument("--data", required=True, help="data set that the rounds are added to; copy a shipped one first")
     parser.add_argument("--out", required=True, help="folder of the corrected model")
     parser.add_argument("--rounds", type=int, default=5)

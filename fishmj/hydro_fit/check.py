@@ -32,7 +32,7 @@ from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
 SETTLED, FREERUN = 4.0, 10.0  # s
-SHORTEST = 2.0  # s, of a free run, and before one
+SHORTEST = 1.5  # s, of a free run, and before one
 TURNS = np.radians(5.0)  # rad/s
 SLOW, WEAK = 0.05, 0.05  # m/s, W: floors of relative errors
 STATED = {

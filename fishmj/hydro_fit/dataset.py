@@ -1,6 +1,6 @@
 """A data set of segments, checked before anything is learnt from it.
 
-    data = open_dataset("data/hydro/preview")
+    data = open_dataset("data/hydro/laptop")
     for record in data.records("train"): ...            `records` yields `Record`s, in order of id
     data.records("test")                                refused: only the check opens it, with open_dataset(folder, test=True)
 

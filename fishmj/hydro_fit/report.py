@@ -72,7 +72,8 @@ def check_rows(found: dict) -> list[dict]:
         for name, part in value.items() if isinstance(value, dict) else [("", value)]:
             limit, own = found["tolerances"][key], found["repeatability"].get(key)
             told = " to ".join(f"{x:g}" for x in limit) if isinstance(limit, list) else f"{limit:.3g}"
-            verdict = {True: "yes", False: "no", None: "cannot tell"}[found["passed"].get(key)]
+            passed = limit[0] <= part <= limit[1] if isinstance(limit, list) else found["passed"].get(key)
+            verdict = {True: "yes", False: "no", None: "cannot tell"}[passed]
             row = {"figure": f"{key} {name}".strip(), "value": part, "tolerance": told, "solver's own": own, "n": found["n"][key]}
             rows.append(row | {"passed": verdict})
     return rows
