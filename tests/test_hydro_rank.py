@@ -147,7 +147,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, solver):
     assert solver.asked == 4 + 1, "the fourth was begun twice, the first three were kept"
     whole = json.loads((tmp_path / "rank.json").read_text())
     began = HydroModel.load("swift-base")
-    slippery = replace(began, name="slippery", base=began.base._replace(cf=0.5 * began.base.cf)).save(tmp_path)
+    slippery = replace(began, name="slippery", base=began.base._replace(ke=0.5 * began.base.ke)).save(tmp_path)
     command(tmp_path, "pd", "drift", "--trials", "2", "--model", str(slippery))
     assert solver.asked == 5, "another surrogate needs no new trial in the solver"
     other = json.loads((tmp_path / "rank.json").read_text())
@@ -167,7 +167,7 @@ def test_the_command_ranks_draws_and_says_that_it_is_a_preview(tmp_path, solver,
     *said, last = capsys.readouterr().out.strip().splitlines()
     found = json.loads(last)
     assert found["preview"] is True and any("preview, not a judgement" in line for line in said)
-    assert found["model"] == "swift-base" and found["origin"] == "synthetic"
+    assert found["model"] == "swift" and found["origin"] == "synthetic"
     judged = found[KEY]
     assert judged["of"] == 1 and [row["n"] for row in judged["controllers"]] == [6, 6, 6]
     assert code == {True: 0, False: 1, None: 3}[found["ok"]]
