@@ -73,7 +73,9 @@ class Fit:
         self.tick = self.train[0].tick
         self.swim = rollout.Swim(self.chain, chain.nominal(robot))
         self.limits = prior_of(robot)
-        about = {"robot": robot_hash(robot), "prior": flat(chain.nominal(robot).water).tolist(), "data": dataset}
+        believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
+        about = {"robot": robot_hash(robot), "prior": believed, "data": dataset}
+        about |= {"water": flat(chain.nominal(robot).water).tolist()}
         about |= {"records": [r.id for r in [*self.train, *self.val]], "settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(about), sort_keys=True).encode()).hexdigest()
         self.notes: list[str] = []
