@@ -1,7 +1,7 @@
 """The campaign: what it plans, what a segment of the flow solver holds, and that collecting goes on where it was stopped."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from fishmj.campaign.command import main
 from fishmj.campaign.segment import Segment
 from fishmj.campaign.solver import code_of, solver_sha256
 from fishmj.errors import ConfigError, DatasetError, UnknownName
-from fishmj.flow import BOXES, Flow
+from fishmj.flow import BOXES
 from fishmj.hydro_fit.dataset import SEGMENTS, open_dataset
 from fishmj.hydro_fit.record import HALF, narrow, read_record
 from fishmj.lbm_oracle.domain import preset
@@ -294,24 +294,3 @@ def test_the_shipped_data_are_what_their_command_makes():
     assert data.meta["origin"] == "synthetic" and data.meta["grid"]["preview"] and not data.lost()
     assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 15e6
     assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 1300
-
-
-def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_along():
-    from fishmj.hydro_fit.record import KICK, UNITS, Record
-
-    rng = np.random.default_rng(0)
-    arrays = {name: rng.normal(size=(40, 6)) for name in UNITS}
-    meta = {
-        "tick": 0.02,
-        "start": {"q": [0.0] * 6, "v": [0.0] * 6},
-        "settle": 0.0,
-        "prescribed": {"root": False, "joints": False},
-    }
-    flow = asdict(Flow(speed=0.2))
-    kicked = Record(meta | {"segment": {"flow": flow}}, **arrays)
-    whole, skip = kicked.steadied, round(KICK / 0.02)
-    assert len(whole.q) == 40 - skip and whole.meta["settle"] == KICK
-    np.testing.assert_allclose(whole.acceleration, kicked.acceleration[skip:])
-    still = Record(meta | {"segment": {"flow": asdict(Flow())}}, **arrays)
-    held = Record(kicked.meta | {"prescribed": {"root": True, "joints": True}}, **arrays)
-    assert still.steadied is still and held.steadied is held

@@ -1,0 +1,27 @@
+"""A segment in memory: what of it is used."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from fishmj.flow import Flow
+from fishmj.hydro_fit.record import KICK, UNITS, Record
+
+
+def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_along():
+    rng = np.random.default_rng(0)
+    arrays = {name: rng.normal(size=(40, 6)) for name in UNITS}
+    meta = {
+        "tick": 0.02,
+        "start": {"q": [0.0] * 6, "v": [0.0] * 6},
+        "settle": 0.0,
+        "prescribed": {"root": False, "joints": False},
+    }
+    flow = asdict(Flow(speed=0.2))
+    kicked = Record(meta | {"segment": {"flow": flow}}, **arrays)
+    whole, skip = kicked.steadied, round(KICK / 0.02)
+    assert len(whole.q) == 40 - skip and whole.meta["settle"] == KICK
+    np.testing.assert_allclose(whole.acceleration, kicked.acceleration[skip:])
+    still = Record(meta | {"segment": {"flow": asdict(Flow())}}, **arrays)
+    held = Record(kicked.meta | {"prescribed": {"root": True, "joints": True}}, **arrays)
+    assert still.steadied is still and held.steadied is held
