@@ -87,9 +87,9 @@ class Record:
 
         All water around it is stopped by the fish alone within the first tick, and carries it along: no fish is ever let go so.
         """
-        free = not self.meta["prescribed"]["root"] and self.meta.get("settle", 0.0) == 0.0
+        held = self.meta.get("prescribed", {}).get("root", True)
         skip = round(KICK / self.tick)
-        if not free or self.background.speed == 0.0 or len(self.q) <= skip:
+        if held or self.meta.get("settle", 0.0) > 0.0 or self.background.speed == 0.0 or len(self.q) <= skip:
             return self
         start = {"q": self.q[skip - 1].tolist(), "v": self.v[skip - 1].tolist()}
         rows = len(self.q) - skip
