@@ -1,9 +1,9 @@
 """From records to an answer: the whole workflow on one page.
 
-    null -> gap -> [ screen -> refine -> rank -> accept, swap ] x at most 4 -> decide
+    null -> gap -> [ screen -> refine -> judge -> accept -> settle -> prune ] x at most 4 -> decide
 
-Parameters are fitted on two thirds of the records and accepted on the others; candidates are ranked on all of them. The
-thresholds were frozen on one generator before the others were scored (`data/gap/gates.toml`).
+Parameters are fitted on two thirds of the records and accepted on the others; candidates are ranked on all of them, each by the
+likelihood in the evidence around itself. The thresholds were frozen before the benchmark was scored (`data/calib/gap.toml`).
 """
 
 from copy import copy

@@ -2,5 +2,5 @@
 
     fishmj gap bench --cases 400 --seed 3 --out runs/bench
 
-Generators are independent of the model that is questioned. Thresholds come from `data/gap/gates.toml`, frozen before.
+Generators are independent of the model that is questioned. Thresholds come from `data/calib/gap.toml`, frozen before.
 """
