@@ -53,6 +53,15 @@ def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
     return Whitening(d, u, 1.0 / np.sqrt(1.0 + square[keep]))
 
 
+def turned(plant, records, layout: Layout, row) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the plant does to it."""
+    sigma = np.array([constant.sigma for constant in plant.constants])
+    rows = np.tile(row, (1 + len(sigma), 1))
+    rows[1:, : len(sigma)] += np.diag(sigma)
+    residuals = layout.residuals(plant.predict(records, rows))
+    return residuals[0], residuals[1:] - residuals[0]
+
+
 def leftover(residuals: np.ndarray, tangents: np.ndarray, layout: Layout, rounds: int = 3) -> np.ndarray:
     """D^1/2 (m,): standard deviation of what the other null runs do not explain of one, smooth over time in each block.
 

@@ -153,9 +153,8 @@ def find(e: Evidence, gates: Gates, held: np.ndarray, effects=None, progress=Non
     steps, seen = [], set()
     while len(best.names) < gates.most and frozenset(best.names) not in seen:
         seen.add(frozenset(best.names))
-        known = e.around(best.row) if best.names else e
         free = [x for x in effects if x.name not in best.names]
-        step = round_of(e, known, held, fitted, free, gates, sum(s.gain for s in steps))
+        step = round_of(e, near, held, fitted, free, gates, sum(s.gain for s in steps))
         steps.append(step)
         if progress:
             progress(step)

@@ -4,7 +4,7 @@ import numpy as np
 
 from fishmj.gap.candidates import Search
 from fishmj.gap.features import Layout
-from fishmj.gap.null import whitening
+from fishmj.gap.null import turned, whitening
 from fishmj.gap.records import Record
 
 LONGEST = 200  # averages over which an autocorrelation is summed
@@ -13,11 +13,8 @@ LONGEST = 200  # averages over which an autocorrelation is summed
 def searching(plant, records: list[Record]) -> Search:
     """A search whose z is residual over noise, with the constants' tolerance integrated out."""
     layout = Layout(records)
-    rows = np.tile(plant.null, (1 + len(plant.constants), 1))
-    for i, constant in enumerate(plant.constants):
-        rows[1 + i, i] += constant.sigma
-    residuals = layout.residuals(plant.predict(records, rows))
-    return Search(plant, records, layout, whitening(residuals[1:] - residuals[0], sigma_of(layout, residuals[0])))
+    residual, tangents = turned(plant, records, layout, plant.null)
+    return Search(plant, records, layout, whitening(tangents, sigma_of(layout, residual)))
 
 
 def sigma_of(layout: Layout, residual: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 from fishmj.errors import SimDiverged
 from fishmj.gap.bench.cases import Case
 from fishmj.gap.features import Layout
+from fishmj.gap.null import turned
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Gates
@@ -24,7 +25,8 @@ def run(plant, case: Case, gates: Gates, null: Null) -> dict:
     try:
         trials = generate(case.effects, case.logs, case.seed, case.noise)
         row["true_gap"] = true_gap(plant, case, case.effects)
-        row["each_gap"] = {n: true_gap(plant, case, {n: v}) for n, v in case.effects.items()}
+        several = len(case.effects) > 1
+        row["each_gap"] = {n: true_gap(plant, case, {n: v}) if several else row["true_gap"] for n, v in case.effects.items()}
         row["beyond_gap"] = beyond_gap(plant, case)
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
@@ -74,15 +76,12 @@ def beyond_gap(plant, case: Case) -> float:
     with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (case.effects, {}))
     noisy = Layout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
     layout = Layout(without)
-    rows = np.tile(plant.null, (1 + len(plant.constants), 1))
-    for i, constant in enumerate(plant.constants):
-        rows[1 + i, i] += constant.sigma
-    moved = layout.residuals(plant.predict(without, rows))
+    _, tangents = turned(plant, without, layout, plant.null)
     means = [Layout(r).residuals(nothing(r)) for r in (with_, without)]
     noise = layout.aligned(noisy, noisy.noise())
     known = np.isfinite(noise)
     s = (layout.aligned(Layout(with_), means[0][0]) - means[1][0])[known] / noise[known]
-    t = (moved[1:] - moved[0])[:, known] / noise[known]
+    t = tangents[:, known] / noise[known]
     seen = t @ s
     return 1.0 + float(s @ s - seen @ np.linalg.solve(np.eye(len(t)) + t @ t.T, seen)) / len(s)
 

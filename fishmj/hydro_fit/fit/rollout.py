@@ -24,9 +24,7 @@ from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
 WINDOW = 2.0  # s, over which velocities are averaged
-LEAST = (
-    128  # fish that are swum at once, the last one repeated: a step of the batch costs as much as one of ten, a compilation 5 s
-)
+LEAST = 128  # fish swum at once, the last one repeated: a step of them costs as much as one of ten, a compilation 5 s
 
 
 class Fleet(NamedTuple):
