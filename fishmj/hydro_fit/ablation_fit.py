@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.fit import recipe
 from fishmj.hydro_fit.fit.pack import unpacked
-from fishmj.hydro_fit.fit.prior import flat, unflat
+from fishmj.hydro_fit.fit.prior import unflat
 from fishmj.hydro_fit.model import HydroModel, robot_hash
 from fishmj.store import plain
 
@@ -40,25 +39,15 @@ class Variant(recipe.Fit):
                  retune: bool = True, report=recipe.quiet):  # fmt: skip
         super().__init__(robot, train, val, dataset=dataset, settings=settings, folder=folder, report=report)
         self.told = asdict(settings) | {"retune": retune}
-        prior = flat(chain.nominal(robot).water).tolist()
-        self.about = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code}
-        self.about["records"] = [r.id for r in [*self.train, *self.val]]
+        self.about["code"] = code
         self.scores: dict[str, float] = {}
+
+    def enter(self, stage: str) -> None:
+        self.key = self._key(stage)
 
     def solve(self) -> HydroModel:
         """All stages but the last; the model with the residual in it, if there is one."""
-        state: dict = {}
-        for number, stage in enumerate(NEEDS):
-            self.key = self._key(stage)
-            kept = self._read(stage)
-            if kept is None:
-                began = time.process_time()
-                state |= getattr(self, f"_{stage}")(state)
-                self.seconds[stage] = time.process_time() - began
-                self._write(stage, state)
-            else:
-                state = kept
-            self.report(stage, (number + 1) / len(NEEDS), {})
+        state = self.through(NEEDS, time.process_time)
         learnt = unpacked(state)
         self.scores = {"base": self.score(state["alone"], None), "whole": self.score(state["water"], learnt)}
         return HydroModel(

@@ -9,7 +9,7 @@ A stage that makes the validation swims worse is not taken; the notes say so. Th
 import hashlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -74,28 +74,36 @@ class Fit:
         self.swim = rollout.Swim(self.chain, chain.nominal(robot))
         self.limits = prior_of(robot)
         believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
-        about = {"robot": robot_hash(robot), "prior": believed, "data": dataset}
-        about |= {"water": flat(chain.nominal(robot).water).tolist()}
-        about |= {"records": [r.id for r in [*self.train, *self.val]], "settings": asdict(self.settings)}
-        self.key = hashlib.sha256(json.dumps(plain(about), sort_keys=True).encode()).hexdigest()
+        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset}
+        self.about |= {"water": flat(chain.nominal(robot).water).tolist(), "records": [r.id for r in [*self.train, *self.val]]}
+        told = self.about | {"settings": asdict(self.settings)}
+        self.key = hashlib.sha256(json.dumps(plain(told), sort_keys=True).encode()).hexdigest()
         self.notes: list[str] = []
         self.found: dict[str, dict] = {}
         self.seconds: dict[str, float] = {}
 
     def run(self) -> HydroModel:
         """All stages; returns the model."""
+        return self._model(self.through(STAGES))
+
+    def through(self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
+        """What the stages leave, each read where it is kept and else done; `clock` times them."""
         state: dict[str, Any] = {}
-        for number, stage in enumerate(STAGES):
+        for number, stage in enumerate(stages := tuple(stages)):
+            self.enter(stage)
             kept = self._read(stage)
             if kept is None:
-                began = time.perf_counter()
+                began = clock()
                 state |= getattr(self, f"_{stage}")(state)
-                self.seconds[stage] = time.perf_counter() - began
+                self.seconds[stage] = clock() - began
                 self._write(stage, state)
             else:
                 state = kept
-            self.report(stage, (number + 1) / len(STAGES), {"seconds": self.seconds.get(stage, 0.0)})
-        return self._model(state)
+            self.report(stage, (number + 1) / len(stages), {"seconds": self.seconds.get(stage, 0.0)})
+        return state
+
+    def enter(self, stage: str) -> None:
+        """Called before a stage; a fit whose stages have keys of their own sets `key`."""
 
     # stages: state -> what they add to it
 
