@@ -40,7 +40,7 @@ def main(argv: list[str]) -> int:
     add("--noise", type=float, default=1.0, help="factor on the sensors' noise")
     add("--nuisance", type=float, default=0.1, help="relative half width of what nobody measured")
     add("--slip", type=float, default=1.0, help="ratio of the hull, quoted at the paper's grid")
-    add("--domain", default="paper", help="box of water: paper, window, flow_tank, laptop (a preview)")
+    add("--domain", default="window_coarse", help="box of water: window_coarse, window, paper, laptop (a preview)")
     add("--device", default="auto")
     add("--tanks", type=int, help=f"experiments side by side; {ON_GPU} on a GPU, else 1")
     add("--out", type=Path, help="folder of data sets")

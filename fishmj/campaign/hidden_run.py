@@ -15,7 +15,7 @@ from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.domain import Domain, preset
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.markers import fish_markers
-from fishmj.lbm_oracle.run import Run
+from fishmj.lbm_oracle.run import LeftDomain, Run
 from fishmj.lbm_oracle.stage import Edge
 from fishmj.mjcf.model import reference_qpos
 from fishmj.virtual_robot import draws, network
@@ -74,7 +74,10 @@ class HiddenRun(Run):
         coupled, edge = _coupled(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
         super().__init__(coupled, made.robot, latency=0.0, follow=edge)
         if any(what.push):
-            self._carry(start)
+            try:
+                self._carry(start)
+            except LeftDomain as error:
+                self.stopped = str(error)
         self.wire.place(_hidden(coupled))
         self.begin()
 

@@ -83,6 +83,7 @@ def _presets() -> dict[str, Domain]:
         "flow_tank": tank("flow_tank", constant("tank", "size"), dx, dt),
         "window": Domain(name="window", shape=(192, 128, 80), dx=0.01, dt=0.002, follows=True),
         "window_fine": Domain(name="window_fine", shape=(384, 256, 160), dx=0.005, dt=0.001, follows=True),
+        "window_coarse": Domain(name="window_coarse", shape=(112, 80, 50), dx=dx, dt=dt, follows=True),
         "laptop": Domain(name="laptop", shape=(80, 56, 30), dx=0.02, dt=0.004, follows=True),
     }
 
@@ -91,7 +92,7 @@ PREVIEWS = ("laptop",)  # too coarse for a judgement
 
 
 def preset(name: str) -> Domain:
-    """A box by name: paper, forcemap, flow_tank, window, window_fine, laptop.
+    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop.
 
     Raises:
         UnknownName: none of them.
