@@ -36,6 +36,10 @@ def resolve(name: str | Path) -> Path:
         if not path.is_file():
             raise ConfigError(f"{path}: no such file; shipped ones go by name: {', '.join(shipped())}")
         return path
+    if path.suffix == ".xml":
+        raise ConfigError(
+            f"{path}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
+        )
     if str(name) not in shipped():
         raise UnknownName("calibration file", str(name), shipped())
     return calib_folder() / f"{name}.toml"

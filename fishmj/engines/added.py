@@ -116,13 +116,17 @@ def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
 
 
 def in_water(robot: Robot, water: "str | Path") -> Robot:
-    """The robot in another water: "structured" is its own, "surrogate" the shipped fitted one, else a fitted one by name or file.
+    """The robot in another water: "structured" is its own, "surrogate" the one fitted for it, else a fitted one by name or file.
 
     Raises:
         UnknownName, StoreError: no such water. ConfigError: it was fitted for another robot or another time step.
     """
     if water == STRUCTURED:
         return robot
+    from fishmj.hydro_fit.model import shipped
+
+    if water == SURROGATE and robot.name in shipped():
+        water = robot.name
     model = fitted_water(str(water))
     kept = {key: robot.water[key] for key in ("stations",) if key in robot.water}
     base = model.swimmer(robot).water._asdict()

@@ -55,6 +55,7 @@ def options() -> argparse.ArgumentParser:
         "--command-path", metavar=one_of(COMMAND_PATHS), help="how commands travel between policy steps (default linear)"
     )
     p.add_argument("--robot", help="fish, tendon_fish, or a TOML file")
+    p.add_argument("--water", help="structured (default), surrogate, or the TOML of a fitted water")
     p.add_argument("--hide", help=f"observation groups set to zero, for ablations: {', '.join(GROUPS)}")
     p.add_argument(
         "--randomise-effects", metavar="NAME,..", help="effects of the catalogue drawn in typical sizes for each episode"
@@ -72,7 +73,9 @@ def settings_from(args):
 
     s = preset(args.preset or _by_device())
     algorithm, task, reward = {}, {}, {}
-    top = {name: value for name in ("engine", "robot", "seed", "command_path") if (value := getattr(args, name)) is not None}
+    top = {
+        name: value for name in ("engine", "robot", "water", "seed", "command_path") if (value := getattr(args, name)) is not None
+    }
     if args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
     if args.steps is not None:

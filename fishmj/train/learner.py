@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from fishmj.engines import with_effects
+from fishmj.engines import in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.policy import Policy
@@ -29,10 +29,10 @@ def pick_engine(name: str) -> str:
 
 
 def robot_for(settings: Settings):
-    """The robot with the run's command path and the effects that it draws. Raises UnknownName, ConfigError."""
+    """The robot in the run's water, with its command path and the effects that it draws. Raises UnknownName, ConfigError."""
     if settings.command_path not in COMMAND_PATHS:
         raise UnknownName("command path", settings.command_path, COMMAND_PATHS)
-    robot = with_effects(load_robot(settings.robot), settings.task.get("effects", ()))
+    robot = with_effects(in_water(load_robot(settings.robot), settings.water), settings.task.get("effects", ()))
     return replace(robot, timing=replace(robot.timing, command_path=settings.command_path))
 
 
