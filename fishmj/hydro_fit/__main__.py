@@ -23,7 +23,8 @@ from fishmj.store.manifest import MANIFEST
 VERBS = ("collect", "fit", "check", "report", "ablation", "hybrid", "correct", "rank")
 _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
-SHIPPED = (DATA / "laptop", _ROOT / "_data" / "hydro" / "laptop")  # made without an accelerator; checkout, installed wheel
+PLACES = (DATA, _ROOT / "_data" / "hydro")  # checkout, installed wheel
+SHIPPED = tuple(place / name for name in ("laptop", "tendon_fish") for place in PLACES)  # the default fish, the second one
 
 
 def main(argv: list[str]) -> int | None:
