@@ -54,8 +54,9 @@ def test_forces_of_the_strips_give_their_coefficients_back():
     robot = replace(ROBOT, water={**ROBOT.water, "stall_angle_deg": np.degrees(known.stall_angle), "stall_lag": known.stall_lag})
     made = hidden.campaign(hidden=0.0, noise=0.0, water=known, **SMALL)
     done = linear.fit_linear(robot, CHAIN, rows_of(CHAIN, made), TICK, stall=False)
-    for name, bound in (("k", 0.08), ("cn", 0.10)):
+    for name, bound in (("k", 0.12), ("cn", 0.10)):
         np.testing.assert_allclose(getattr(done.water, name), getattr(known, name), rtol=bound)
+    assert done.water.suction > 0.85
     drag = lambda c: c.cf * sum(map(sum, CHAIN.strips.p)) + c.ca_forward * CHAIN.strips.frontal  # noqa: E731
     assert drag(done.water) == pytest.approx(drag(known), rel=0.1)  # friction and form trade; their sum is told
 

@@ -23,8 +23,10 @@ from fishmj.engines import FishParams, FishState, Trace, approx, check_commands,
 from fishmj.engines.added import Added
 from fishmj.errors import ConfigError
 from fishmj.flow import Current
+from fishmj.hydro_fit import terms
 from fishmj.mjcf.description import Robot, load_robot
 
+WATER = len(terms.Coefficients._fields) - 2  # coefficients of a water besides k and cn of each link
 CHUNK = 8  # blocks of native.LANES fish that a thread must have for it to pay
 
 
@@ -129,7 +131,8 @@ class Engine:
 
     def _swimmer(self, read, params: FishParams) -> tuple:
         j = self.robot.n_joints
-        sizes = {"mass": j + 1, "kp": j, "kv": j, "kb": j, "zero": j, "water": 2 * (j + 1) + 9, "effects": len(self.added.row)}
+        water = 2 * (j + 1) + WATER
+        sizes = {"mass": j + 1, "kp": j, "kv": j, "kb": j, "zero": j, "water": water, "effects": len(self.added.row)}
         return tuple(read(f"params.{name}", getattr(params, name), size) for name, size in sizes.items())
 
     def _share(self, batch: int, kernel, arguments: tuple) -> None:

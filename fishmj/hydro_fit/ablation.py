@@ -19,6 +19,7 @@ from fishmj.hydro_fit import chain, check
 from fishmj.hydro_fit.ablation_fit import Variant
 from fishmj.hydro_fit.ellipsoid import fit as ellipsoid
 from fishmj.hydro_fit.ellipsoid import force, judged
+from fishmj.hydro_fit.fit.code import code
 from fishmj.hydro_fit.fit.prior import flat
 from fishmj.hydro_fit.fit.recipe import Settings
 from fishmj.hydro_fit.model import HydroModel, robot_hash
@@ -132,17 +133,6 @@ def _told(found: dict, *, seconds: float = 0.0, notes: str = "") -> dict:
     figures = {key: value for key, value in found["figures"].items() if not isinstance(value, dict)}
     counts = {key: found["n"][key] for key in figures}
     return {"figures": figures, "n": counts, "freerun_s": found["freerun_s"], "seconds": seconds, "notes": notes}
-
-
-def code() -> str:
-    """sha256 over everything that a row is computed by."""
-    here = Path(__file__).parent
-    files = [*here.glob("*.py"), *here.glob("fit/*.py"), *here.glob("ellipsoid/*.py")]
-    quiet = {"__main__.py", "ablation.py", "ablation_table.py", "report.py", "figures.py", "correct.py"}
-    digest = hashlib.sha256()
-    for path in sorted(path for path in files if path.name not in quiet):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def unfitted(robot: Robot) -> HydroModel:

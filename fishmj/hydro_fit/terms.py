@@ -4,8 +4,11 @@ Link frame: t along the link towards the nose, n to its left. At a point x along
     u = t.(v - U)            the same all along the link                                  [m/s]
     w(x) = w0 + Omega x      w0 = n.(v - U) at the link's origin, Omega = yaw rate         [m/s, rad/s]
 
-reactive     f_n = -mu (n.a - Omega u),  f_t = mu w Omega,  c_z = -mu w u      Lighthill 1971; Candelier et al. 2011,
+reactive     f_n = -mu (n.a - Omega u),  f_t = s mu w Omega,  c_z = -s mu w u    Lighthill 1971; Candelier et al. 2011,
              doi 10.1017/S002211201000649X; mu = k rho pi/4 h^2 per length. The part with n.a is the added mass.
+             s = 1 on the head, whose nose is closed. The other links have no front end of their own: pressure acts across
+             a straight piece and its axial force is the suction that a free leading edge would have (Polhamus 1966, NASA
+             TN D-3767), of which they recover the share s. The two terms with s do no work together.
 cross-flow   f_n = -1/2 rho Cn h |w| w                                        Taylor 1952, doi 10.1098/rspa.1952.0159
 friction     f_t = -1/2 rho Cf P sqrt(u^2 + w^2) u                            P = perimeter
 head form    F_t = -1/2 rho Ca A |u| u,  Ca differs forwards and backwards
@@ -42,6 +45,7 @@ class Coefficients(NamedTuple):
     stall_angle: Any  # rad
     stall_width: Any  # rad
     stall_lag: Any  # trailing-edge heights
+    suction: Any = 1.0  # share of their leading edge's suction that the links behind the head recover
 
 
 class Strips(NamedTuple):
@@ -65,7 +69,8 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
     for key in ("stall_angle", "stall_width"):
         if f"{key}_deg" in table:
             table[key] = float(np.radians(table.pop(f"{key}_deg")))
-    missing, unknown = set(Coefficients._fields) - set(table), set(table) - set(Coefficients._fields)
+    missing = set(Coefficients._fields) - set(table) - set(Coefficients._field_defaults)
+    unknown = set(table) - set(Coefficients._fields)
     if missing or unknown:
         needs = ", ".join(Coefficients._fields)
         raise ConfigError(f"[water]: missing {sorted(missing)}, unknown {sorted(unknown)}; needs {needs}")
@@ -74,6 +79,8 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
             raise ConfigError(f"[water] {key}: one value a link, got {len(table[key])} for {n_links} links")
         table[key] = [float(v) for v in table[key]]
     c = Coefficients(**table)
+    if not 0.0 <= c.suction <= 1.0:
+        raise ConfigError(f"[water]: suction = {c.suction}; a share from 0, none recovered, to 1, all of it")
     if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5:
         raise ConfigError(f"[water]: lift_a = {c.lift_a}, lift_b = {c.lift_b} can feed energy; need both >= 0 and a + b >= 0.5")
     return c
@@ -100,7 +107,9 @@ def strips(geometry: Geometry, rho: float = 1000.0) -> Strips:
 def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega):
     """Velocity part of the added-mass force on link i: (F_t, F_n, moment)."""
     m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
-    return omega * (m0 * w0 + m1 * omega), m0 * omega * u, -m0 * u * w0  # the two m1 Omega u of the moment cancel
+    suction = c.suction if i else 1.0
+    momentum = suction * (m0 * w0 + m1 * omega)
+    return omega * momentum, m0 * omega * u, m1 * omega * u - u * momentum
 
 
 def resistive(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):

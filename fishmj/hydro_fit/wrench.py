@@ -4,7 +4,8 @@ Link frame: x to the nose, y left, z up, origin at the link's front hinge (head:
 origin relative to the water, in link axes; J(q) its Jacobian, A the added mass of the link about the origin.
 
     M_a = sum J^T A J                                                       joins the mass matrix
-    F   = -A (J' qvel)_link - (omega x p, omega x l + v x p),  (p, l) = A nu      Kirchhoff 1870, Lamb 1932 art. 124
+    F   = -A (J' qvel)_link - (s omega x p, omega x l + s v x p),  (p, l) = A nu      Kirchhoff 1870, Lamb 1932 art. 124;
+          s of `terms`: 1 on the head, the share of the leading edge's suction behind it
     Q   = sum J^T (F + the link's drag, trailing edge, ambient flow, fins and buoyancy)
 
 In the plane, with nothing vertical, F and the drag are those of `terms` (tests/test_inject.py). Beyond the plane:
@@ -58,8 +59,9 @@ class FreeWater(passive.PlanarWater):
             a = self.added[i]
             momentum = a @ nu
             wrench = self._wrench(i, nu, turn) - a @ drift
-            wrench[:3] -= np.cross(nu[3:], momentum[:3])
-            wrench[3:] -= np.cross(nu[3:], momentum[3:]) + np.cross(nu[:3], momentum[:3])
+            share = self.swimmer.water.suction if i else 1.0
+            wrench[:3] -= share * np.cross(nu[3:], momentum[:3])
+            wrench[3:] -= np.cross(nu[3:], momentum[3:]) + share * np.cross(nu[:3], momentum[:3])
             total += jac.T @ a @ jac
             force += jac.T @ wrench
         return total, force

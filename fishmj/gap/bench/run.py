@@ -13,17 +13,21 @@ from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Gates
 from fishmj.gap.verdict import Named
 from fishmj.gap.workflow import investigate
+from fishmj.log import Trial
 
 
-def run(plant, case: Case, gates: Gates, null: Null) -> dict:
-    """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so."""
+def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None = None) -> dict:
+    """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so.
+
+    trials: the data where another generator made them; by default the second robot does.
+    """
     from fishmj.virtual_robot import generate
 
     start = time.monotonic()
     row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}
     row |= {"noise": case.noise, "logs": len(case.logs)}
     try:
-        trials = generate(case.effects, case.logs, case.seed, case.noise)
+        trials = trials or generate(case.effects, case.logs, case.seed, case.noise)
         row["true_gap"] = true_gap(plant, case, case.effects)
         several = len(case.effects) > 1
         row["each_gap"] = {n: true_gap(plant, case, {n: v}) if several else row["true_gap"] for n, v in case.effects.items()}

@@ -2,9 +2,10 @@
 
     min  sum_rows ((F - A theta) / noise)^2 / n_c  +  sum ((theta - prior) / sd)^2,      low <= theta <= high
 
-theta = k, cn (a link), cf, ca_forward, ca_backward and the trailing edge's ke, ke a, ke b. Noise is a channel's own remaining
-error, found by going round twice, so the great forces of acceleration do not drown the small ones of drag; n_c = 15 rows,
-0.3 s, is how long such errors hang together. What is not linear, stall angle and lag, is looked for on a grid.
+theta = k, cn (a link), cf, ca_forward, ca_backward, the trailing edge's ke, ke a, ke b, and k s of the suction behind the head,
+whose share is s = sum k s / sum k. Noise is a channel's own remaining error, found by going round twice, so the great forces of
+acceleration do not drown the small ones of drag; n_c = 15 rows, 0.3 s, is how long such errors hang together. What is not
+linear, stall angle and lag, is looked for on a grid.
 """
 
 from typing import NamedTuple
@@ -23,6 +24,7 @@ ROUNDS = 3
 FLOOR = 1e-4  # N, N m: smallest noise of a channel
 ANGLES, LAGS = np.radians([22.0, 28.0, 35.0, 43.0, 52.0]), (1.2, 2.0, 3.0, 4.5)
 EDGE = ("ke", "edge_a", "edge_b")  # ke, ke lift_a, ke lift_b
+SUCTION = "k_suction"  # k s, with the number of the link
 
 
 class LinearFit(NamedTuple):
@@ -66,16 +68,17 @@ def _prior(robot: Robot, links: int) -> Prior:
     """Prior of theta; ke a and ke b take their means from the robot and their spread from both factors."""
     whole = prior_of(robot)
     kept = whole.only(names_of(links)[: 2 * links + 4])
-    edge = whole.only(("lift_a", "lift_b"))
+    edge, share = whole.only(("lift_a", "lift_b")), whole.only(("suction",))
+    behind = whole.only(tuple(f"k{i + 1}" for i in range(1, links)))
     ke = kept.mean[-1]
     mean, sd = ke * edge.mean, ke * np.hypot(edge.sd, edge.mean * kept.sd[-1] / ke)
     join = np.concatenate
     return Prior(
-        (*kept.names[:-1], *EDGE),
-        join([kept.mean, mean]),
-        join([kept.sd, sd]),
-        join([kept.low, [0.0, 0.0]]),
-        join([kept.high, kept.high[-1] * edge.high]),
+        (*kept.names[:-1], *EDGE, *(f"{SUCTION}{i + 1}" for i in range(1, links))),
+        join([kept.mean, mean, behind.mean * share.mean]),
+        join([kept.sd, sd, behind.mean * share.sd]),
+        join([kept.low, [0.0, 0.0], 0.0 * behind.low]),
+        join([kept.high, kept.high[-1] * edge.high, behind.high]),
     )
 
 
@@ -90,13 +93,16 @@ def _known(data: Rows, s: terms.Strips) -> np.ndarray:
 def _block(data: Rows, s: terms.Strips, i: int) -> dict[str, np.ndarray]:
     """Force on link i for a unit of each of its own coefficients, (3, M) by name."""
     n, motion = len(s.mu), data.of(i)
-    unit = terms.Coefficients([1.0] * n, [1.0] * n, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.6, 0.1, 3.0)
-    inertia = mean3(terms.reactive(s, unit, i, *motion)) + added(data, s, i)
+    unit = terms.Coefficients([1.0] * n, [1.0] * n, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.6, 0.1, 3.0, 0.0)
+    across = mean3(terms.reactive(s, unit, i, *motion))  # behind the head: without suction
+    inertia = across + added(data, s, i)
     m0, m1, _ = s.mu[i]
     inertia += np.stack([0 * data.du[1, i], m0 * data.du[1, i], m1 * data.du[1, i]])
     skin = terms.resistive(np, s, unit._replace(cn=[0.0] * n, cf=1.0), i, *motion)
     out = {f"k{i + 1}": inertia, f"cn{i + 1}": mean3(terms.resistive(np, s, unit, i, *motion)), "cf": mean3(skin)}
-    if i == 0:
+    if i:
+        out[f"{SUCTION}{i + 1}"] = mean3(terms.reactive(s, unit._replace(suction=1.0), i, *motion)) - across
+    else:
         for key in ("ca_forward", "ca_backward"):
             force = terms.head_form(np, s, unit._replace(**{key: 1.0}), motion[0])
             out[key] = mean3((force, 0 * force, 0 * force))
@@ -150,13 +156,17 @@ def bounded(prior: Prior, normal: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def _coefficients(c: terms.Coefficients, theta: np.ndarray, links: int) -> terms.Coefficients:
     """theta as coefficients; the edge stays passive, a + b >= 1/2."""
-    ke = max(float(theta[-3]), 1e-6)
-    a, b = (float(theta[j]) / ke for j in (-2, -1))
+    push = 2 * links + 3  # where the edge begins
+    ke, a, b = theta[push : push + 3].tolist()
+    ke = max(ke, 1e-6)
+    a, b = a / ke, b / ke
     if a + b < 0.5:
         a = 0.5 - b
     k, cn = theta[:links].tolist(), theta[links : 2 * links].tolist()
     cf, forward, backward = theta[2 * links : 2 * links + 3].tolist()
-    return c._replace(k=k, cn=cn, cf=cf, ca_forward=forward, ca_backward=backward, ke=ke, lift_a=a, lift_b=b)
+    share = min(1.0, float(theta[push + 3 :].sum() / max(sum(k[1:]), 1e-6)))
+    drags = {"cf": cf, "ca_forward": forward, "ca_backward": backward}
+    return c._replace(k=k, cn=cn, **drags, ke=ke, lift_a=a, lift_b=b, suction=share)
 
 
 __all__ = ["LinearFit", "bounded", "fit_linear"]

@@ -1,7 +1,7 @@
 """The base coefficients by what fish do in it: Gauss-Newton through free swims, on a few physical scales.
 
 A fit of forces alone can be right to a per cent in every force and wrong by a tenth in speed: thrust is the small difference
-of large forces. So eight factors, each on one kind of force, are moved until the swims of the model match the recorded ones in
+of large forces. So ten factors, each on one kind of force, are moved until the swims of the model match the recorded ones in
 velocity, yaw rate and servo power over windows, and held fish in mean thrust. Levenberg (1944) and Marquardt (1963) damp the
 step; the Jacobian is by differences, all disturbed waters in one batch.
 """
@@ -41,6 +41,8 @@ class Scaled(NamedTuple):
 def groups(links: int) -> dict[str, tuple[str, ...]]:
     """Which coefficients each factor multiplies."""
     return {
+        "body_mass": tuple(f"k{i + 1}" for i in range(links - 1)),
+        "tail_mass": (f"k{links}",),
         "body_drag": tuple(f"cn{i + 1}" for i in range(links - 1)),
         "tail_drag": (f"cn{links}",),
         "friction": ("cf",),

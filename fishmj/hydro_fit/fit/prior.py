@@ -43,7 +43,7 @@ def names_of(links: int) -> tuple[str, ...]:
 
 
 def flat(c: terms.Coefficients) -> np.ndarray:
-    """(2 N + 9,) in the order of `names_of`."""
+    """(2 N + 10,) in the order of `names_of`."""
     return np.array([*c.k, *c.cn, *c[2:]], float)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
 from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout
+from fishmj.hydro_fit.fit.code import code
 from fishmj.hydro_fit.fit.pack import packed, unpacked
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
 from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force, rows_of
@@ -74,7 +75,7 @@ class Fit:
         self.swim = rollout.Swim(self.chain, chain.nominal(robot))
         self.limits = prior_of(robot)
         believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
-        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset}
+        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset, "code": code()}
         self.about |= {"water": flat(chain.nominal(robot).water).tolist(), "records": [r.id for r in [*self.train, *self.val]]}
         told = self.about | {"settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(told), sort_keys=True).encode()).hexdigest()
