@@ -24,7 +24,7 @@ VERBS = ("collect", "fit", "check", "report", "ablation", "hybrid", "correct", "
 _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
 PLACES = (DATA, _ROOT / "_data" / "hydro")  # checkout, installed wheel
-SHIPPED = tuple(place / name for name in ("laptop", "tendon_fish") for place in PLACES)  # the default fish, the second one
+SHIPPED = tuple(place / name for name in ("swift", "tendon_fish") for place in PLACES)  # the default fish, the second one
 
 
 def main(argv: list[str]) -> int | None:
