@@ -25,7 +25,7 @@ FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
 SETUP = tank.Setup(domain=preset("laptop"), device="cpu")
 SMALL = replace(SETUP, domain=replace(SETUP.domain, shape=(60, 36, 16)))
 FULL = plan.full(FISH)
-SHIPPED = Path(__file__).parent.parent / "data" / "hydro" / "laptop"
+SHIPPED = Path(__file__).parent.parent / "data" / "hydro" / "swift"
 
 
 class Toys:
@@ -288,9 +288,9 @@ def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
 
 def test_the_shipped_data_are_what_their_command_makes():
     data = open_dataset(SHIPPED)
-    wanted = {segment.id: segment.sha256 for segment in plan.full(FISH).at([1.0]).segments}
+    wanted = {segment.id: segment.sha256 for segment in plan.full(FISH).segments}
     made = {name: Segment.of(meta["segment"]).sha256 for name, meta in data.about.items()}
-    assert made.items() <= wanted.items() and len(wanted) - len(made) == data.meta["missing"]
-    assert data.meta["origin"] == "synthetic" and data.meta["grid"]["preview"] and not data.lost()
-    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 15e6
-    assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 1300
+    assert made == wanted and data.meta["missing"] == 0
+    assert data.meta["origin"] == "synthetic" and not data.meta["grid"]["preview"] and not data.lost()
+    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 22e6
+    assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 2900

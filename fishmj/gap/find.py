@@ -4,9 +4,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console
+from fishmj.engines import in_water
 from fishmj.gap import judge, version
 from fishmj.gap.apply import settle
 from fishmj.gap.null_runs import RUNS, Null
+from fishmj.gap.null_sets import Sets
 from fishmj.gap.quiet import Shortage, everything, shortage
 from fishmj.gap.records import record_of
 from fishmj.gap.search import frozen
@@ -23,6 +25,12 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     add("data", type=Path, help="data set: a folder of trial folders with manifest.json (python -m fishmj.log import makes one)")
     add("--model", default="fish", help="the model to question: shipped name or TOML file, with the effects it already has")
+    add(
+        "--water",
+        default="structured",
+        help="a fitted water in place of the model's own: surrogate, or a name such as swift-base",
+    )
+    add("--null", type=Path, help="folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew")
     add("--out", type=Path, help="folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml)")
     add("--noise", type=float, default=1.0, help="factor on the sensors' usual noise, when the logs do not state their own")
     add("--null-runs", type=int, default=RUNS, help="runs of every record in the independent simulator")
@@ -51,8 +59,14 @@ def search(args) -> Inquiry:
 
     trials = [named(name, trial) for name, trial in zip(*_trials(args.data), strict=True)]
     gates = frozen() if args.most is None else replace(frozen(), most=args.most)
-    null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
-    return investigate(Fish(args.model), trials, gates=gates, null=null, seed=args.seed, further=True, say=console.say)
+    plant = Fish(in_water(load_robot(args.model), args.water))
+    return investigate(plant, trials, gates=gates, null=null_of(args), seed=args.seed, further=True, say=console.say)
+
+
+def null_of(args) -> Null:
+    """Runs of the second robot, or those of a folder."""
+    made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
+    return Sets(**made, folder=args.null) if args.null else Null(**made)
 
 
 def _trials(folder: Path) -> tuple[list[str], list[Trial]]:

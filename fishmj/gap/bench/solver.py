@@ -15,20 +15,21 @@ from fishmj.calib import calib_folder
 from fishmj.engines import in_water
 from fishmj.errors import StoreError
 from fishmj.gap.bench.cases import Case
+from fishmj.gap.null_runs import Null
 from fishmj.gap.null_sets import Sets, trials_of
 from fishmj.log import Trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json
 
-WATER = "swift"
+WATER = "swift-base"
 
 
 class Given(NamedTuple):
-    """A case whose data are there: the trials, and the null that leaves them out."""
+    """A case with its data, and a null that leaves them out."""
 
     case: Case
-    trials: list[Trial]
-    null: Sets
+    trials: list[Trial] | None  # None: the second robot makes them
+    null: Null
 
 
 def folder() -> Path:
