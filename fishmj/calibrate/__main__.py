@@ -42,7 +42,6 @@ def main(argv: list[str]) -> int:
         add("--grid", help="grid of the solver's table: paper, window, laptop; default: the trials', else window")
         add("--recompute", action="store_true", help="run the solver and print a new entry of the table")
         add("--ratios", default="0,0.9,0.95,0.98,0.99,0.998,1", help="slip ratios to run")
-        add("--seconds", type=float, help="cut the solver's swims to this length")
         add("--device", default="cpu")
         add("--tanks", type=int, default=1)
     args = parser.parse_args(rest)

@@ -19,17 +19,24 @@ DESIRED, SIMULATED, MEASURED = "#5B5B5B", "#D55E00", "#0072B2"  # Okabe and Ito 
 SHOWN = {"sine": (3.6, 6.0), "square": (1.2, 3.2), "impulse": (1.4, 2.6)}  # s
 JOINT = 1  # the middle one
 FINE = 0.004  # s
+WORDS = "Desired (dashed), measured (dots, every repeat) and simulated joint angle with the calibrated servo."
+
+
+def pyplot_of(what: str):
+    """matplotlib's pyplot without a display. Raises MissingExtra without matplotlib."""
+    try:
+        import matplotlib
+    except ModuleNotFoundError as error:
+        raise MissingExtra("matplotlib", "dev", what) from error
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
 
 
 def draw(found: Found, path: Path) -> Path:
     """Draw into a PNG. Raises MissingExtra without matplotlib."""
-    try:
-        import matplotlib
-    except ModuleNotFoundError as error:
-        raise MissingExtra("matplotlib", "dev", "calibrate --report") from error
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot = pyplot_of("calibrate servo --report")
     media = [m for m in MEDIA if any(r.medium == m for r in found.records)]
     signals = [s for s in SIGNALS if any(r.excitation == s for r in found.records)]
     figure, axes = pyplot.subplots(len(media), len(signals), figsize=(4.4 * len(signals), 2.7 * len(media)), squeeze=False)
@@ -79,15 +86,16 @@ def rms(found: Found, records: list[Record]) -> float:
     return float(np.degrees(np.sqrt(np.mean(squares))))
 
 
-def report(folder: Path, title: str, tables: dict[str, list[dict]], picture: Path | None, notes: list[str]) -> Path:
-    """One self-contained page: tables, and the overlay where there is one."""
+def report(
+    folder: Path, title: str, tables: dict[str, list[dict]], picture: Path | None, notes: list[str], words: str = WORDS
+) -> Path:
+    """One self-contained page: tables, and the picture where there is one, with `words` below it."""
     parts = [f"<h1>{html.escape(title)}</h1>", *(f'<p class="quiet">{html.escape(note)}</p>' for note in notes)]
     for name, rows in tables.items():
         if rows:
             parts += [f"<h2>{html.escape(name)}</h2>", as_html(console.table(rows))]
     if picture is not None:
         data = base64.b64encode(picture.read_bytes()).decode()
-        words = "Desired (dashed), measured (dots, every repeat) and simulated joint angle with the calibrated servo."
         image = f'<img alt="{words}" src="data:image/png;base64,{data}">'
         parts.append(f"<figure>{image}<figcaption>{words}</figcaption></figure>")
     head = f'<meta charset="utf-8"><title>{html.escape(title)}</title><style>{PAGE}</style>'

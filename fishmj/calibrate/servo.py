@@ -14,6 +14,7 @@ from fishmj.gap.plants.bench import CONSTANTS, Bench
 from fishmj.gap.records import Record
 
 FREE = ("kp", "kd", "friction", "command_latency")
+STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
 
 
 class Found(NamedTuple):
@@ -28,6 +29,18 @@ class Found(NamedTuple):
     @property
     def estimates(self) -> dict[str, Estimate]:
         return {name: self.whole.estimates[name] for name in FREE}
+
+    @property
+    def hull(self) -> list[dict]:
+        """Constants of hull and water, factors: how many tolerances the trials pushed each of them."""
+        values = {c.name: (self.whole.estimates[c.name].value, c.sigma) for c in CONSTANTS[2:]}
+        return [{"constant": k, "factor": v, "tolerance": s, "off by": abs(v - 1.0) / s} for k, (v, s) in values.items()]
+
+    @property
+    def words(self) -> str:
+        """Which of them were pushed too far; empty when none was."""
+        far = [f"{row['constant']} {row['factor']:.2f}" for row in self.hull if row["off by"] > STRAINED]
+        return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
 
 
 def calibrate(logs: Logs, plant: Bench, *, alone: bool = True) -> Found:

@@ -2,9 +2,13 @@
 
     J(s, g) = sum_k ((m_k - p_k(s) sqrt(g)^[k is a swim]) / (e m_k))^2 + ((g - 1) / e_g)^2,       profile J(s) = min over g
 
-m: speed at 1 Hz, speed at another beat, distance of a coast-down. g: thrust against drag, which no single swim can tell from
-friction: for every s some g explains it. The coast has no thrust. p_k(s) is a table of solver swims, monotone between its entries
-in sqrt(1 - s), where the speed is nearly straight. Interval: J up to 2.71 above its least (90 %).
+m: speed at 1 Hz, speed at another beat, distance of a coast-down, each over the same seconds of every swim. g: thrust against
+drag, which no single swim can tell from friction: for every s some g explains it. The coast has no thrust. Interval: J up to 2.71
+above its least (90 %). J at its least says whether any s explains the swims: chi square of as many degrees of freedom as there
+are metrics, less one for s.
+
+p_k(s) is a table of solver swims. Between its entries 1 / speed^2 is taken as straight in 1 - s, as near s = 1 it is: the wall's
+stress is rho c times the speed at which water slides along it, c = -ln(s) dx / dt, and drag over thrust is a + b c.
 """
 
 from collections.abc import Iterable
@@ -21,9 +25,10 @@ from fishmj.log.trial import Table
 
 SWIMS = {"gait": 1.0, "gait_slow": 0.5}  # excitation -> Hz
 COAST = "tow_ahead"
-COASTING = (0.5, 4.5)  # s
-BEATS = 2
-START = 1.0  # s before a swim has faded in, and one beat to get going
+WINDOW = {"gait": (5.9, 7.9), "gait_slow": (3.9, 7.9), COAST: (0.5, 4.5)}  # s, whole beats; a slow fish still gains speed there
+SPARE = 0.3  # s of a swim after its window: the camera is late
+EDGE = 0.05  # s at both ends, averaged against the camera's noise
+DOUBTFUL = 0.05  # probability of a J as large, were the solver's fish the logged one
 RISE = 2.71  # of chi square with one degree of freedom, 90 %
 GRID = np.linspace(0.0, 1.0, 1001) ** 2  # 1 - s, dense where the speed changes most
 SHOWN = (0.0, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998, 1.0)
@@ -39,6 +44,19 @@ class Profile(NamedTuple):
     measured: dict[str, tuple[float, int]]
     estimate: Estimate
     grid: str
+
+    @property
+    def words(self) -> str:
+        """What the profile says beyond the interval."""
+        from scipy.stats import chi2
+
+        e, least = self.estimate, float(self.cost.min())
+        free = len(self.predicted) - 1
+        if free and chi2.sf(least, free) < DOUBTFUL:
+            return f"no slip ratio explains all of these swims: J = {least:.1f} at its least, {len(self.predicted)} metrics"
+        if e.low <= self.s[0] and e.high >= self.s[-1]:
+            return f"cannot be told: every slip ratio from {self.s[0]:g} on explains these swims with some thrust"
+        return f"J = {least:.2f} at its least, {len(self.predicted)} metrics"
 
     def rows(self) -> list[dict]:
         """The profile at a few ratios, for a table."""
@@ -75,12 +93,11 @@ def measured(trials: Iterable[Trial]) -> dict[str, tuple[float, int]]:
 
 
 def metric(name: str, pose: Table) -> float:
-    """Speed over the last two beats, or distance of the coast; NaN where the trial is too short."""
-    t = np.asarray(pose["t"], float)
-    first, last = COASTING if name == COAST else (t[-1] - 0.05 - BEATS / SWIMS[name], t[-1] - 0.05)
-    if last > t[-1] or first < (0.0 if name == COAST else START + 1.0 / SWIMS[name]):
+    """Speed or distance over the metric's window; NaN where the trial is too short."""
+    t, (first, last) = np.asarray(pose["t"], float), WINDOW[name]
+    if t[0] > first - EDGE or t[-1] < last + EDGE:
         return float("nan")
-    near = [np.abs(t - end) <= 0.05 for end in (first, last)]
+    near = [np.abs(t - end) <= EDGE for end in (first, last)]
     ends = np.array([[np.mean(pose[axis][rows]) for axis in ("x", "y")] for rows in near])
     far = float(np.hypot(*(ends[1] - ends[0])))
     return far if name == COAST else far / (last - first)
@@ -97,25 +114,33 @@ def least_slip(grid: str, metrics: Iterable[str]) -> float:
 
 
 def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
-    """Metrics of the solver's fish on one grid at slip ratios s (S,).
+    """Metrics of the solver's fish on one grid at slip ratios s (S,); NaN where it never swam.
 
     Raises:
         UnknownName: no table of that grid.
     """
-    from scipy.interpolate import PchipInterpolator
-
     tables = {entry["grid"]: entry for entry in table()["solver"]}
     if grid not in tables:
-        raise UnknownName("grid of the slip table", grid, tables)
-    entry = tables[grid]
-    out = {}
+        raise UnknownName("grid of the slip table (made by: calibrate slip --recompute --grid NAME)", grid, tables)
+    entry, out = tables[grid], {}
     for name in (*SWIMS, COAST):
         if name in entry:
-            x, y = np.sqrt(1.0 - np.array(entry["slip"], float)), np.array(entry[name], float)
-            known = np.isfinite(y)
-            order = np.argsort(x[known])
-            out[name] = PchipInterpolator(x[known][order], y[known][order])(np.sqrt(1.0 - s))
+            slip, value = np.array(entry["slip"], float), np.array(entry[name], float)
+            known = np.isfinite(value)
+            if name == COAST:
+                out[name] = _between(np.sqrt(1.0 - slip[known]), value[known], np.sqrt(1.0 - s))
+            else:
+                out[name] = _between(1.0 - slip[known], value[known] ** -2.0, 1.0 - s) ** -0.5
     return out
+
+
+def _between(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Monotone between neighbouring entries, NaN beyond the last."""
+    from scipy.interpolate import PchipInterpolator
+
+    order = np.argsort(x)
+    inside = np.clip(at, x.min(), x.max())
+    return np.where(np.abs(at - inside) < 1e-6, PchipInterpolator(x[order], y[order])(inside), np.nan)
 
 
 def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
@@ -148,7 +173,7 @@ def grid_of(trials: Iterable[Trial]) -> str:
     return "window"
 
 
-def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, seconds: float | None = None) -> dict:
+def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int) -> dict:
     """One entry of the table: the nominal fish in the solver, without noise, at every ratio."""
     from dataclasses import replace
 
@@ -156,13 +181,15 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, secon
     from fishmj.campaign.hidden import jobs, swum, trial_of
     from fishmj.excitation import PERIOD
 
-    longest = {COAST: COASTING[1] + 0.5}
-    whats = [excitation.get(name) for name in (*SWIMS, COAST)]
-    rows = [round(min(longest.get(what.id, what.seconds), seconds or what.seconds) / PERIOD) for what in whats]
+    whats = [excitation.get(name) for name in WINDOW]
+    rows = [round((WINDOW[what.id][1] + SPARE) / PERIOD) for what in whats]
     whats = [replace(what, commands=what.commands[:n]) for what, n in zip(whats, rows, strict=True)]
     ratios = sorted(float(s) for s in ratios)
     waiting = [replace(job, slip=s) for s in ratios for job in jobs({}, whats, 0, 0.0, 0.0, grid)]
-    entry: dict = {"grid": grid, "slip": ratios, **{name: [float("nan")] * len(ratios) for name in (*SWIMS, COAST)}}
+    steps = sum(job.steps for job in waiting)
+    water, cells = steps * waiting[0].domain.dt, np.prod(waiting[0].domain.shape) / 1e6
+    console.say(f"{len(waiting)} swims, {water:.0f} s of water, {steps} steps of {cells:.2f} million cells on {device}")
+    entry: dict = {"grid": grid, "slip": ratios, **{name: [float("nan")] * len(ratios) for name in WINDOW}}
     for run in swum(waiting, device, tanks):
         found = metric(run.job.what.id, trial_of(run).table("pose"))
         entry[run.job.what.id][ratios.index(run.job.slip)] = found

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from fishmj import console
-from fishmj.calibrate import latency, mass, model, overlay, servo, slip
+from fishmj.calibrate import latency, mass, model, overlay, servo, slip, slip_picture
 from fishmj.calibrate.least_squares import Estimate
 from fishmj.calibrate.logs import Logs, read
 from fishmj.calibrate.systematic import widened
@@ -43,9 +43,10 @@ def run_servo(args) -> Answer:
         if (part := [r for r in found.records if (r.excitation, r.medium) == (s, m)])
     ]
     console.say(*said(logs), console.table(rows(estimates)), "", console.table(apart), "", console.table(left))
-    tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left}
+    console.say("", console.table(found.hull), *([found.words] if found.words else []))
+    tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left, "Hull and water": found.hull}
     picture = overlay.draw(found, args.report / "overlay.png")
-    page = overlay.report(args.report, "Servo calibration", tables, picture, said(logs))
+    page = overlay.report(args.report, "Servo calibration", tables, picture, said(logs, found.words))
     if args.out:
         text, s = model.start(args.out, args.model), plant.robot.servo
         kp, kd = estimates["kp"].value, estimates["kd"].value
@@ -53,7 +54,7 @@ def run_servo(args) -> Answer:
         text = model.put(text, "servo", {key: model.short(value) for key, value in values.items()})
         text = model.put(text, "timing", {"command_latency": model.short(estimates["command_latency"].value)})
         model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
-    return {"estimates": plain(estimates), "alone": apart, "left": left, "report": page, "overlay": picture}
+    return {"estimates": plain(estimates), "alone": apart, "left": left, "hull": found.hull, "report": page, "overlay": picture}
 
 
 def run_latency(args) -> Answer:
@@ -89,11 +90,14 @@ def run_slip(args) -> Answer:
         if name in found.predicted
     }
     facts = [{"metric": k, "measured": v, "trials": n} for k, (v, n) in swum.items()]
-    words = f"table of grid {grid}; J rises by {slip.RISE} at the ends of the interval. One swim alone leaves s open"
+    words = f"table of grid {grid}; J rises by {slip.RISE} at the ends of the interval"
     console.say(*said(logs, words), console.table(facts), "", console.table(found.rows()), "", console.table(rows(alone)))
-    console.say("", console.table(rows({"slip": found.estimate})))
+    console.say("", console.table(rows({"slip": found.estimate})), found.words)
     tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
-    page = overlay.report(args.report, "Slip calibration", tables, None, said(logs, words))
+    picture = slip_picture.draw(found, args.report / "slip.png")
+    page = overlay.report(
+        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), slip_picture.WORDS
+    )
     if args.out:
         model.write(args.out, model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data)
     return {
@@ -101,6 +105,7 @@ def run_slip(args) -> Answer:
         "profile": found.rows(),
         "alone": plain(alone),
         "grid": grid,
+        "words": found.words,
         "report": page,
     }
 
@@ -108,7 +113,7 @@ def run_slip(args) -> Answer:
 def recomputed(args) -> Answer:
     """One more entry for the table of solver swims."""
     grid, ratios = args.grid or "paper", [float(text) for text in args.ratios.split(",")]
-    entry = slip.recompute(grid, ratios, args.device, args.tanks, args.seconds)
+    entry = slip.recompute(grid, ratios, args.device, args.tanks)
     console.say(f"put this into data/calib/calibrate.toml, in place of grid {grid}:", "", "[[solver]]", f'grid = "{grid}"')
     console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in values)}]" for key, values in entry.items() if key != "grid"))
     return {"solver": entry}
