@@ -15,35 +15,35 @@ so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import sub
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from fishmj.errors import ConfigError, SimDiverged
+from fishmj.lbm_oracle.corners import Corners
 from fishmj.mjcf import build, geometry_of, load_robot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
-CROSS = np.array([[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]], float)  # r S = w x r
 EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
 
 
 class Motion(NamedTuple):
-    """Points (L, K, 3) m of the links, centres (L, 3) m and twists (L, 6) of their inside water, world frame."""
+    """Rotations (L, 3, 3) of the links, twists (L, 6) of their inside water in the world, `reach` of the corners."""
 
-    points: np.ndarray
-    centre: np.ndarray
+    turn: np.ndarray
     twist: np.ndarray
+    reach: np.ndarray
 
 
 def fastest(motions: Sequence[Motion]) -> float:
-    """Greatest speed of the points, m/s: no marker inside the boxes that they span is faster."""
-    points, centre, twist = (np.array(part) for part in zip(*motions, strict=True))
-    spin = (twist[..., 3:] @ CROSS).reshape(*centre.shape, 3)
-    speed = (points - centre[..., None, :]) @ spin
-    speed += twist[..., None, :3]
+    """Greatest speed of the corners, m/s: no marker inside the boxes that they span is faster."""
+    turn, twist = np.array([motion.turn for motion in motions]), np.array([motion.twist for motion in motions])
+    within = twist.reshape(*turn.shape[:2], 2, 3) @ turn  # R^T u and R^T w
+    speed = within.reshape(len(motions), -1).dot(motions[0].reach).reshape(-1, 3)
     speed *= speed
-    return float(np.add.reduce(speed, -1).max()) ** 0.5
+    return float(np.maximum.reduce(np.add.reduce(speed, -1))) ** 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,22 +84,25 @@ class Body:
         n, links = self.dofs, self.links
         self.system = np.zeros((n, n))
         self._diagonal = self.system.reshape(-1)[:: n + 1]
-        self.set_step(dt)
-        self.reach = np.array([[_moves(model, i + 1, d) for d in range(model.nv)] for i in range(self.links)], float)
-        self.slides = np.array([_slides(model, d) for d in range(model.nv)], np.int32)
-        self.applied = np.zeros(model.nv)  # a push from outside, generalised, N or N m
+        self.reach = np.array([[_moves(model, i + 1, d) for d in range(n)] for i in range(links)], float)
+        self.slides = np.array([_slides(model, d) for d in range(n)], np.int32)
+        self.applied = np.zeros(n)  # a push from outside, generalised, N or N m
         hinge = np.array([_hinge_address(model, i + 1) for i in range(links)])
-        self._bent = np.flatnonzero(hinge >= 0)
-        self._hinge = hinge[self._bent]
+        bent = np.flatnonzero(hinge >= 0)
+        self._bent, self._hinge = _span(bent), _span(hinge[bent])
         own = np.array_equal(model.dof_jntid, np.arange(model.njnt))
         self._joint = slice(None) if own else model.dof_jntid.copy()  # of every degree of freedom
         self._root = next((j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE), None)
+        self.frames = np.zeros((links, 12))  # position, rotation by rows
         self.turn = self.data.xmat[1:].reshape(-1, 3, 3)  # a view
-        self._jac = np.zeros((links, 6, n))
-        self._rows = _rows(self._jac)
-        self._flat = self._jac.reshape(-1, n)
-        self._point = water.centre[:, :, None]
-        self._mass = water.mass[:, None]
+        self._turned = np.eye(6 * links)  # T: 1 and R of every link, its inertia's axes to the world's
+        self._blocks = _blocks(self._turned, links)[:, 3:, 3:]
+        self._inertia = _inertia(water.mass, water.inertia)
+        self._arm = np.concatenate([0 * water.centre, water.centre], 1).ravel()
+        self._jac = np.zeros((6 * links, n))
+        self.centre = np.zeros((links, 3))
+        self._rows = _rows(self._jac, self.centre)
+        self.set_step(dt)
         self.forward()
         self.momentum = self.water_momentum()  # (L, 6) at the end of the last step
 
@@ -112,44 +115,51 @@ class Body:
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""
         self.dt = self.model.opt.timestep = float(dt)
+        self._dt = np.full(self.dofs, self.dt)  # a product with an array is cheaper than one with a number
+        self._weigh()
 
     def place(self, qpos, qvel=None) -> None:
         """Put the body into a state; its water moves with it, so that nothing is accelerated at once."""
         self.data.qpos[:] = qpos
         self.data.qvel[:] = 0.0 if qvel is None else qvel
+        self._weigh()
         self.forward()
         self.momentum = self.water_momentum()
+
+    def _weigh(self) -> None:
+        """Impulse (L, 6) of the displaced water's weight over a step."""
+        self._weight = np.zeros((self.links, 6))
+        self._weight[:, :3] = self.dt * self.water.mass[:, None] * self.model.opt.gravity
 
     def forward(self) -> None:
         """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the inside water."""
         d = self.data
         mujoco.mj_step1(self.model, d)
-        self.centre, self.twist = self._motion(self._point, self._rows, self._jac)
-        self._posed: np.ndarray | None = None
+        self.frames[:, :3], self.frames[:, 3:], self._blocks[:] = d.xpos[1:], d.xmat[1:], self.turn
+        self.twist = self._motion(self._arm, self._rows, self._jac, self.centre)
         self._bounds: tuple[np.ndarray, np.ndarray] | None = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
-        d = self.data
+        d, dt = self.data, self._dt
         mujoco.mj_fwdActuation(self.model, d)  # ctrl may be newer than the state
         mujoco.mj_fullM(self.model, d, self.system)
-        self._diagonal += self.dt * self.model.dof_damping
+        self._diagonal += dt * self.model.dof_damping
         self.smooth = d.qfrc_passive + d.qfrc_actuator - d.qfrc_bias
-        inside = self.interior_impulse(1.0 if interior else 0.0)
-        return self.system, self.system @ d.qvel + self.dt * (self.smooth + self.applied) + inside
+        inside = self.interior_impulse(interior)
+        return self.system, self.system.dot(d.qvel) + dt * (self.smooth + self.applied) + inside
 
-    def interior_impulse(self, share: float = 1.0) -> np.ndarray:
-        """I, (n,): what the displaced water gained in the last step (times `share`), and its buoyancy over this one."""
+    def interior_impulse(self, interior: bool = True) -> np.ndarray:
+        """I, (n,): what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
         now = self.water_momentum()
         self.gain = now - self.momentum  # (L, 6)
         self.momentum = now
-        push = share * self.gain
-        push[:, :3] -= self.dt * self._mass * self.model.opt.gravity
-        return push.ravel() @ self._flat
+        push = self.gain - self._weight if interior else -self._weight
+        return push.ravel().dot(self._jac)
 
     def water_momentum(self) -> np.ndarray:
         """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
-        return self._momentum(self._mass, self.water.inertia, self.twist)
+        return self._momentum(self._inertia, self.twist)
 
     def solid_momentum(self) -> np.ndarray:
         """The same of the links themselves, (L, 6) kg m/s and kg m2/s."""
@@ -159,24 +169,22 @@ class Body:
             mujoco.mju_quat2Mat(axes[i], m.body_iquat[i + 1])
         axes = axes.reshape(-1, 3, 3)
         inertia = np.einsum("lab,lb,lcb->lac", axes, m.body_inertia[1:], axes)
-        jac = np.zeros_like(self._jac)
-        _, twist = self._motion(m.body_ipos[1:, :, None], _rows(jac), jac)
-        return self._momentum(m.body_mass[1:, None], inertia, twist)
+        jac, at = np.zeros_like(self._jac), np.zeros_like(self.centre)
+        arm = np.concatenate([0 * m.body_ipos[1:], m.body_ipos[1:]], 1).ravel()
+        return self._momentum(_inertia(m.body_mass[1:], inertia), self._motion(arm, _rows(jac, at), jac, at))
 
-    def _motion(self, point: np.ndarray, rows: list, jac: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World positions (L, 3) and twists (L, 6) of points (L, 3, 1) in the links' frames; fills `jac` (L, 6, n)."""
-        d = self.data
-        where = d.xpos[1:] + (self.turn @ point)[:, :, 0]
-        for (link, shift, turn), at in zip(rows, where, strict=True):
-            mujoco.mj_jac(self.model, d, shift, turn, at, link)
-        return where, jac @ d.qvel
+    def _motion(self, arm: np.ndarray, rows: list, jac: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Twists (L, 6) of points (0, r) in the links' frames, (6 L,); fills `jac` (6 L, n) and their world positions (L, 3)."""
+        m, d = self.model, self.data
+        np.add(d.xpos[1:], self._turned.dot(arm).reshape(-1, 6)[:, 3:], out=at)
+        for shift, turn, point, link in rows:
+            mujoco.mj_jac(m, d, shift, turn, point, link)
+        return jac.dot(d.qvel).reshape(-1, 6)
 
-    def _momentum(self, mass, inertia, twist) -> np.ndarray:
-        world = self.turn @ inertia @ self.turn.transpose(0, 2, 1)
-        out = np.empty((self.links, 6))
-        np.multiply(mass, twist[:, :3], out=out[:, :3])
-        np.matmul(world, twist[:, 3:, None], out=out[:, 3:, None])
-        return out
+    def _momentum(self, inertia: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """T I T^T xi, (L, 6), of inertias (6 L, 6 L) in the links' axes and twists (L, 6) in the world's."""
+        turned = self._turned
+        return turned.dot(inertia).dot(turned.T).dot(twist.ravel()).reshape(-1, 6)
 
     def advance(self, velocity: np.ndarray) -> None:
         """MuJoCo's step to the velocity found, (n,); afterwards `forward` has been called on the new state.
@@ -186,56 +194,46 @@ class Body:
         """
         d = self.data
         found = velocity.tolist()  # plain numbers: a handful is judged faster than by NumPy
-        if not all(-RUNAWAY < v < RUNAWAY for v in found):  # nan is not within
+        if not sum(map(abs, found)) < RUNAWAY and not all(-RUNAWAY < v < RUNAWAY for v in found):  # nan is never less
             at = int(np.nanargmax(np.abs(velocity))) if np.isfinite(velocity).any() else 0
             joint = self.model.joint(self.model.dof_jntid[at]).name
             message = f"oracle: velocity of joint {joint!r} is {velocity[at]:.3g} at t = {d.time:.4g} s (limit {RUNAWAY:g})"
             raise SimDiverged(message, time=float(d.time), term="coupling", link=joint)
-        d.qfrc_applied[:] = self.system @ (velocity - d.qvel) / self.dt - self.smooth
+        d.qfrc_applied[:] = self.system.dot(velocity - d.qvel) / self._dt - self.smooth
         mujoco.mj_step2(self.model, d)
-        limit = EXACT * (1 + max(map(abs, found)))
-        if not all(abs(got - v) < limit for got, v in zip(d.qvel.tolist(), found, strict=True)):
-            message = f"oracle: mj_step is {np.abs(d.qvel - velocity).max():.3g} off the velocity found at t = {d.time:.4g} s"
+        off = max(map(abs, map(sub, d.qvel.tolist(), found)))
+        if not off < EXACT * (1 + max(map(abs, found))):
+            message = f"oracle: mj_step is {off:.3g} off the velocity found at t = {d.time:.4g} s"
             raise SimDiverged(message, time=float(d.time), term="mj_step")
         self.forward()
 
-    def posed(self, corners: np.ndarray) -> np.ndarray:
-        """World positions (L, K, 3) m of points in the links' frames; kept until the body moves."""
-        if self._posed is None:
-            self._bounds = None
-            self._posed = corners @ self.turn.transpose(0, 2, 1)
-            self._posed += self.data.xpos[1:, None]
-        return self._posed
-
-    def bounds(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Low and high corner (3,) m of the upright box round `corners` (L, K, 3), points in the links' frames."""
-        where = self.posed(corners)
+    def bounds(self, corners: Corners) -> tuple[np.ndarray, np.ndarray]:
+        """Low and high corner (3,) m of the upright box round `corners`; kept until the body moves."""
         if self._bounds is None:
-            where = where.reshape(-1, 3)
-            self._bounds = np.minimum.reduce(where), np.maximum.reduce(where)
+            self._bounds = corners.bounds(self.frames.ravel())
         return self._bounds
 
-    def motion(self, corners: np.ndarray) -> Motion:
+    def motion(self, corners: Corners) -> Motion:
         """How those points move now; the arrays are never written again."""
-        return Motion(self.posed(corners), self.centre, self.twist)
+        return Motion(self.turn.copy(), self.twist, corners.reach)
 
-    def largest_extent(self, corners: np.ndarray) -> np.ndarray:
+    def largest_extent(self, corners: Corners) -> np.ndarray:
         """Size (3,) m that such a box cannot exceed, whatever the pose: the stretched chain from end to end."""
-        far = np.linalg.norm(corners, axis=-1).max(-1)  # (L,) from each link's origin
+        far = np.linalg.norm(corners.at, axis=-1).max(-1)  # (L,) from each link's origin
         chain = np.zeros(self.links)  # distance from the first link's origin along the chain
         for i in range(1, self.links):
             parent = self.model.body_parentid[i + 1] - 1
             chain[i] = (chain[parent] if parent >= 0 else 0.0) + np.linalg.norm(self.model.body_pos[i + 1])
         length = far[0] + (chain + far).max() if self.links > 1 else 2 * far[0]
         upright = all(self.data.xaxis[j][2] in (0.0, 1.0) for j in range(self.model.njnt)) and self.model.nq == self.model.nv
-        height = np.abs(corners[..., 2]).max() * 2 if upright else length
+        height = np.abs(corners.at[..., 2]).max() * 2 if upright else length
         return np.array([length, length, height])
 
     def pack(self, view: dict[str, np.ndarray]) -> None:
         """Frames, hinge angles and motion axes into the host block (see immersed.Layout)."""
         m, d = self.model, self.data
-        frame, axis, anchor = view["frame"], view["axis"], view["anchor"]
-        frame[:, :3], frame[:, 3:] = d.xpos[1:], d.xmat[1:]
+        axis, anchor = view["axis"], view["anchor"]
+        view["frame"][:] = self.frames
         view["angle"][self._bent] = d.qpos[self._hinge]
         axis[:], anchor[:] = d.xaxis[self._joint], d.xanchor[self._joint]
         if self._root is not None:
@@ -243,9 +241,28 @@ class Body:
             axis[first : first + 3], axis[first + 3 : first + 6] = np.eye(3), turn.T  # a free joint spins about its body's axes
 
 
-def _rows(jac: np.ndarray) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Body number and the two halves of its Jacobian, views that MuJoCo fills."""
-    return [(i + 1, rows[:3], rows[3:]) for i, rows in enumerate(jac)]
+def _blocks(matrix: np.ndarray, links: int) -> np.ndarray:
+    """The blocks (L, 6, 6) on the diagonal of a matrix (6 L, 6 L), a view."""
+    return np.einsum("iaib->iab", matrix.reshape(links, 6, links, 6))
+
+
+def _inertia(mass: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """(6 L, 6 L) from masses (L,) and inertias (L, 3, 3) in the links' axes."""
+    whole = np.zeros((6 * len(mass), 6 * len(mass)))
+    blocks = _blocks(whole, len(mass))
+    blocks[:, :3, :3], blocks[:, 3:, 3:] = mass[:, None, None] * np.eye(3), inertia
+    return whole
+
+
+def _rows(jac: np.ndarray, at: np.ndarray) -> list[tuple]:
+    """What `mj_jac` is told of every link: the two halves of its rows of `jac` (6 L, n), its row of `at` (L, 3), its number."""
+    return [(rows[:3], rows[3:], at[i], i + 1) for i, rows in enumerate(jac.reshape(len(at), 6, -1))]
+
+
+def _span(numbers: np.ndarray) -> np.ndarray | slice:
+    """The same indices as a slice where they follow on one another."""
+    follow = len(numbers) > 0 and np.array_equal(numbers, numbers[0] + np.arange(len(numbers)))
+    return slice(int(numbers[0]), int(numbers[-1]) + 1) if follow else numbers
 
 
 def _moves(model, body: int, dof: int) -> bool:

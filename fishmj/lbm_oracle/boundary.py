@@ -13,6 +13,7 @@ import warp as wp
 
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle import immersed, solve
+from fishmj.lbm_oracle.corners import Corners
 from fishmj.lbm_oracle.delta import check_width
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.lattice import C
@@ -55,7 +56,7 @@ class Boundary:
             raise ConfigError("immersed boundary: no markers")
         self.count, self.rhs = n, self.dofs + 1
         self.layout = _layout(self.links, self.dofs)
-        self.corners = _corners(markers, self.links)
+        self.corners = Corners.of(markers, body.water.centre)
         size = body.largest_extent(self.corners)
         self.box_shape = tuple(int(np.ceil(s / lattice.dx)) + 2 * MARGIN for s in size)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)  # noqa: E731
@@ -87,23 +88,26 @@ class Boundary:
         self.told, self.target = empty(told, wp.float64), empty(self.dofs, wp.float64)
         self.velocity, self._wrench = self.told[: self.dofs], self.told[self.dofs :].reshape((self.links, 6))
         self.wrench_part = empty((chunks, self.links), wp.spatial_vectord)
+        self._holds = False  # velocities were prescribed in the last step
         self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
         self._heard = True  # `inbox` holds what is in `_wrench`
         heard = self.inbox.numpy()
         self.found, self._impulse = heard[: self.dofs], heard[self.dofs :].reshape(self.links, 6)  # views
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
+        self.view["origin"][:] = lattice.corner
 
     def fill(self, body, system, right, fixed=None, value=None) -> None:
         """Write this step's numbers into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
-        view, lat = self.view, self.lattice
+        view, dx = self.view, self.lattice.dx
         body.pack(view)
-        low, high = (ends.tolist() for ends in body.bounds(self.corners))
-        view["origin"][:] = lat.corner
-        ends = zip(low, high, lat.corner, self.box_shape, strict=True)
-        view["box"][:] = [round((0.5 * (a + b) - corner) / lat.dx - 0.5 * n, 0) for a, b, corner, n in ends]
+        low, high = body.bounds(self.corners)
+        ends = zip(low.tolist(), high.tolist(), self.lattice.corner, self.box_shape, strict=True)
+        view["box"][:] = [round((0.5 * (a + b) - corner) / dx - 0.5 * n) for a, b, corner, n in ends]
         view["system"][:], view["momentum"][:], view["before"][:] = system, right, body.data.qvel
-        view["fixed"][:] = 0.0 if fixed is None else fixed
-        view["value"][:] = 0.0 if value is None else value
+        if fixed is not None or self._holds:
+            view["fixed"][:] = 0.0 if fixed is None else fixed
+            view["value"][:] = 0.0 if value is None else value
+            self._holds = fixed is not None
         view["fresh"][:], self._taken, self._heard = self._taken, False, True
 
     def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
@@ -219,14 +223,3 @@ def _views(block: np.ndarray, links: int, dofs: int) -> dict[str, np.ndarray]:
         views[name] = block[place : place + size].reshape(shape)
         place += size
     return views
-
-
-def _corners(markers: Markers, links: int) -> np.ndarray:
-    """Corners (L, 8, 3) m of the box round the markers of every link, in its frame; a link without markers has its origin."""
-    out = np.zeros((links, 8, 3))
-    for i in range(links):
-        mine = markers.rest[(markers.before == i)]
-        if len(mine):
-            ends = np.stack([mine.min(0), mine.max(0)])
-            out[i] = [[ends[a, 0], ends[b, 1], ends[c, 2]] for a in (0, 1) for b in (0, 1) for c in (0, 1)]
-    return out

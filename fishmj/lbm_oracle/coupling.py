@@ -21,7 +21,7 @@ from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
-NEXT, LAST = [1, 2, 0], [2, 0, 1]  # of x, y, z: (a x b)_i = a_next b_last - a_last b_next
+NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
 
 
 class Coupled:
@@ -76,19 +76,19 @@ class Coupled:
     def join(self) -> None:
         """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""
         if self._graphs is not None:
-            self._graphs.device.stream.wait_stream(self._graphs.stream)
+            self._graphs.join()
 
     def begin(self, fixed=None, value=None) -> None:
         """The host's half: the body's equation, and the launches of the whole step. Several tanks begin before one finishes."""
         system, right = self.body.equation(interior=self.interior)
-        if self.interior:
-            self.gain += self.body.gain
         self.boundary.fill(self.body, system, right, fixed, value)
         if self._graphs is None:
             self.listen()
             self.answer()
         else:
             self._graphs.launch()
+        if self.interior:  # what no launch waits for comes behind them
+            self.gain += self.body.gain
 
     def finish(self) -> np.ndarray:
         """Wait for the velocity, (n,), and let MuJoCo take it."""
@@ -118,10 +118,9 @@ class Coupled:
         momentum of the inside water added: the force of the real water on a hull that holds none.
         """
         raw = self.boundary.take_wrench() / seconds
-        gain, self.gain = self.gain / seconds, np.zeros_like(self.gain)
-        arm = self.body.centre - self.body.data.xpos[1:]
-        push = gain[:, :3]
-        gain[:, 3:] += arm[:, NEXT] * push[:, LAST] - arm[:, LAST] * push[:, NEXT]
+        gain, self.gain = self.gain / seconds, np.zeros(self.gain.shape)
+        turn = (self.body.centre - self.body.data.xpos[1:])[:, NEXT] * gain[:, LAST]
+        gain[:, 3:] += turn[:, :3] - turn[:, 3:]
         return raw, raw + gain
 
 
@@ -134,7 +133,7 @@ class _Graphs:
         self.here = wp.ScopedDevice(self.device)
         self.warm: set[int] = set()
         self.halves: dict[int, tuple] = {}
-        self.flow = coupled.fluid.flow
+        self.flow, self.joined = coupled.fluid.flow, True
         wp.synchronize_device(self.device)  # the arrays were made on another stream
 
     def launch(self) -> None:
@@ -153,11 +152,17 @@ class _Graphs:
                 self.halves[parity] = self._capture()
         first, second = self.halves[parity]
         with self.here:
-            self.stream.wait_stream(self.device.stream)  # what was queued outside `scope`
+            if self.joined:
+                self.stream.wait_stream(self.device.stream)  # what was queued outside `scope` since
+                self.joined = False
             wp.capture_launch(first, self.stream)
             self.stream.record_event(self.decided)
             wp.capture_launch(second, self.stream)
         fluid.parity, fluid.steps = 1 - parity, fluid.steps + 1
+
+    def join(self) -> None:
+        self.device.stream.wait_stream(self.stream)
+        self.joined = True
 
     def wait(self) -> None:
         wp.synchronize_event(self.decided)

@@ -149,25 +149,27 @@ class Run:
         body, dt = coupled.body, coupled.body.dt
         self.fastest, count, corners = 0.0, self.steps * factor, coupled.boundary.corners
         drives, rates, motions = [], [], []
-        for i in range(count):
-            if self.prescribed is None:
-                body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i // factor)
-            rates.append(self.rates())
-            coupled.begin(*self._held(dt))
-            yield
-            coupled.finish()
-            drives.append(body.data.actuator_force.copy())
-            motions.append(body.motion(corners))
-            if stop:
-                self.fastest = max(self.fastest, fastest(motions[-1:]))
-                if self.fastest > factor * self.limit:
-                    return None
-            if self.watch.due(coupled.fluid):
-                with coupled.scope():
-                    self.watch.look(coupled.fluid)
-            if self.follow is not None:
-                self.follow(coupled)
-        coupled.join()
+        try:
+            for i in range(count):
+                if self.prescribed is None:
+                    body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i // factor)
+                coupled.begin(*self._held(dt))
+                rates.append(self.rates())  # and torques, of the step's begin
+                drives.append(body.data.actuator_force.copy())
+                yield
+                coupled.finish()
+                motions.append(body.motion(corners))
+                if stop:
+                    self.fastest = max(self.fastest, fastest(motions[-1:]))
+                    if self.fastest > factor * self.limit:
+                        return None
+                if self.watch.due(coupled.fluid):
+                    with coupled.scope():
+                        self.watch.look(coupled.fluid)
+                if self.follow is not None:
+                    self.follow(coupled)
+        finally:
+            coupled.join()
         self.fastest = fastest(motions)
         return self._power(np.array(drives), np.array(rates)), *coupled.take_wrench(count * dt)
 

@@ -1,0 +1,46 @@
+"""The boxes round the links' markers: one product with a matrix against corner by corner."""
+
+import numpy as np
+import pytest
+
+from fishmj.lbm_oracle.body import Body, fastest
+from fishmj.lbm_oracle.corners import Corners
+from fishmj.lbm_oracle.markers import fish_markers
+
+
+@pytest.fixture(params=["planar", "free"])
+def swimming(request) -> tuple[Body, Corners]:
+    rng = np.random.default_rng(5)
+    body = Body.of("fish", request.param)
+    qpos = rng.normal(scale=0.4, size=body.model.nq)
+    if request.param == "free":
+        qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    body.place(qpos, rng.normal(size=body.dofs))
+    return body, Corners.of(fish_markers("fish", 0.02), body.water.centre)
+
+
+def one_by_one(body: Body, corners: Corners):
+    """Positions and velocities of all corners in the world."""
+    for link in range(body.links):
+        turn, (u, w) = body.turn[link], body.twist[link].reshape(2, 3)
+        for corner in corners.at[link]:
+            yield body.data.xpos[link + 1] + turn @ corner, u + np.cross(w, turn @ (corner - body.water.centre[link]))
+
+
+def test_the_bounds_are_those_of_all_corners(swimming):
+    body, corners = swimming
+    where = np.array([x for x, _ in one_by_one(body, corners)])
+    low, high = body.bounds(corners)
+    np.testing.assert_allclose([low, high], [where.min(0), where.max(0)], atol=1e-14)
+    assert np.ptp(where, 0).min() > 0.05
+
+
+def test_the_fastest_corner_of_several_moments_is_found(swimming):
+    body, corners = swimming
+    moments, speeds = [], []
+    for factor in (0.5, 2.0, 1.0):
+        body.place(body.data.qpos.copy(), factor * np.arange(1.0, body.dofs + 1))
+        moments.append(body.motion(corners))
+        speeds.append(max(np.linalg.norm(v) for _, v in one_by_one(body, corners)))
+    assert fastest(moments) == pytest.approx(max(speeds), rel=1e-12)
+    assert fastest(moments[:1]) == pytest.approx(speeds[0], rel=1e-12)
