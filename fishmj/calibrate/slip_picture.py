@@ -42,6 +42,7 @@ def draw(found: Profile, path: Path) -> Path:
         axis.axvspan(np.sqrt(1.0 - found.estimate.high), np.sqrt(1.0 - found.estimate.low), color="#DDDDDD", zorder=0)
         axis.set_xticks(np.sqrt(ticks), [f"{1 - d:g}" for d in ticks], fontsize=7)
         axis.set_xlabel("slip ratio s")
+        axis.set_xlim(-0.02 * x.max(), 1.02 * x.max())
         axis.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     path.parent.mkdir(parents=True, exist_ok=True)
