@@ -13,7 +13,7 @@ pytest.importorskip("numba")
 from fishmj.calib import read_toml
 from fishmj.calibrate import latency, mass, model, servo, slip
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, correlation_length, fit
-from fishmj.calibrate.logs import Logs
+from fishmj.calibrate.logs import Logs, read
 from fishmj.calibrate.systematic import widened
 from fishmj.campaign import hidden_score, hidden_trials
 from fishmj.errors import ConfigError, LogError, StoreError
@@ -142,6 +142,17 @@ def test_swims_that_no_slip_ratio_explains_are_told():
     fits = slip.profile({name: (float(v[0]), 3) for name, v in ends.items()}, "laptop")
     odd = slip.profile({"gait": (float(ends["gait"][0]), 3), "gait_slow": (float(ends["gait_slow"][1]), 3)}, "laptop")
     assert "no slip ratio explains" in odd.words and "no slip ratio" not in fits.words
+
+
+def test_one_slip_ratio_explains_the_shipped_swims():
+    """Two beats and a coast, read from nine trials against the table of their own grid; each swim alone agrees with all."""
+    trials = read(SHIPPED).trials.values()
+    found = slip.profile(swum := slip.measured(trials), slip.grid_of(trials))
+    assert set(found.predicted) == {*slip.SWIMS, slip.COAST} and all(n == 3 for _, n in swum.values())
+    assert found.cost.min() < 1.0 and "no slip ratio" not in found.words
+    for name, value in swum.items():
+        one = slip.profile({name: value}, found.grid).estimate
+        assert one.low <= found.estimate.value <= one.high, name
 
 
 def test_a_coast_alone_cannot_tell_the_slip_ratio():
