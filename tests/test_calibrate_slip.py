@@ -1,0 +1,70 @@
+"""The slip calibration: what the table was read from is found again, what no ratio explains is told, a coast says little."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fishmj.calibrate import slip
+from fishmj.calibrate.logs import read
+from fishmj.errors import LogError
+
+SHIPPED = Path(__file__).resolve().parent.parent / "data" / "calib" / "trials"
+
+
+def test_slip_is_found_where_the_table_was_read_and_one_swim_says_less():
+    s = 0.985
+    at = {name: (float(v[0]), 3) for name, v in slip.predictions("window", np.array([s])).items()}
+    found = slip.profile(at, "window")
+    assert found.estimate.low < s < found.estimate.high and found.estimate.value == pytest.approx(s, abs=0.003)
+    assert found.cost.min() < 1e-2 < found.cost[0]
+    with pytest.raises(LogError, match="tow_ahead"):
+        slip.profile({"tow_ahead": (1.0, 1)}, "window")
+
+
+def test_swims_that_no_slip_ratio_explains_are_told():
+    """A fish that beats slowly as if the hull were smooth and fast as if it were rough has another water."""
+    ends = slip.predictions("laptop", np.array([0.97, 0.998]))
+    fits = slip.profile({name: (float(v[0]), 3) for name, v in ends.items()}, "laptop")
+    odd = slip.profile({"gait": (float(ends["gait"][0]), 3), "gait_slow": (float(ends["gait_slow"][1]), 3)}, "laptop")
+    assert "no slip ratio explains" in odd.words and "no slip ratio" not in fits.words
+
+
+def test_one_slip_ratio_explains_the_shipped_swims():
+    """Two beats and a coast, read from nine trials against the table of their own grid; each swim alone agrees with all."""
+    trials = read(SHIPPED).trials.values()
+    found = slip.profile(swum := slip.measured(trials), slip.grid_of(trials))
+    assert set(found.predicted) == {*slip.SWIMS, slip.COAST} and all(n == 3 for _, n in swum.values())
+    assert found.cost.min() < 1.0 and "no slip ratio" not in found.words
+    for name, value in swum.items():
+        one = slip.profile({name: value}, found.grid).estimate
+        assert one.low <= found.estimate.value <= one.high, name
+
+
+def test_a_coast_alone_cannot_tell_the_slip_ratio():
+    """On a grid of 2 cm the distance hardly changes from a hull that slides to one that sticks a little."""
+    at = {"tow_ahead": (float(slip.predictions("window_coarse", np.array([0.99]))["tow_ahead"][0]), 3)}
+    found = slip.profile(at, "window_coarse")
+    assert found.estimate.high - found.estimate.low > 0.02 or "cannot be told" in found.words
+
+
+def test_between_its_entries_the_table_agrees_with_other_robots():
+    """Mean of eight robots in the solver, s from 0.9990 to 0.9993, servos drawn within 10 % (docs/calibrate.md)."""
+    predicted = slip.predictions("window_coarse", np.array([0.99915]))["gait"][0]
+    assert predicted == pytest.approx(0.3913, rel=0.01)
+
+
+def test_speed_and_coast_are_read_from_a_path():
+    t = np.arange(0, 9, 0.02)
+    pose = {"t": t, "x": 0.25 * t, "y": 0 * t, "yaw": 0 * t}
+    assert slip.metric("gait", pose) == pytest.approx(0.25, rel=1e-6)
+    assert slip.metric("tow_ahead", pose) == pytest.approx(1.0, rel=1e-6)
+    assert np.isnan(slip.metric("gait_slow", {k: v[:100] for k, v in pose.items()}))
+
+
+def test_a_longer_trial_has_the_same_speed():
+    """A fish still gains speed at the end: trials and table are read over the same seconds."""
+    t = np.arange(0, 12.6, 0.02)
+    pose = {"t": t, "x": 0.004 * t**2, "y": 0 * t, "yaw": 0 * t}
+    short = {k: v[t < 8.2] for k, v in pose.items()}
+    assert slip.metric("gait_slow", pose) == pytest.approx(slip.metric("gait_slow", short)) == pytest.approx(0.0472, rel=1e-3)
