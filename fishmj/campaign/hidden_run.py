@@ -24,7 +24,7 @@ from fishmj.virtual_robot.motion import Recording
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import weather
 
-CARRY = 1.5  # s that a carriage takes the fish along before it lets go: after them the drag stays within a tenth
+CARRY = 1.5  # s that a carriage takes the fish along, or holds it in a stream: after them the drag stays within a tenth
 WIDTH, PASSES = 3, 2  # of the immersed boundary
 
 
@@ -50,8 +50,18 @@ class Job:
     @property
     def steps(self) -> int:
         """Of the domain's own length."""
-        carried = CARRY if any(self.what.push) else 0.0
-        return round((self.what.seconds + carried) / self.domain.dt)
+        return round((self.what.seconds + (CARRY if self.carried else 0.0)) / self.domain.dt)
+
+    @property
+    def stream(self) -> np.ndarray:
+        """(2,) the ordered stream and a steady current, m/s."""
+        tank = self.made.tank
+        return np.array([tank.flow_x + tank.current_x, tank.flow_y + tank.current_y])
+
+    @property
+    def carried(self) -> bool:
+        """Whether a carriage takes the fish along, or holds it in a stream, before it lets go."""
+        return any(self.what.push) or bool(np.any(self.stream))
 
 
 class HiddenRun(Run):
@@ -73,7 +83,7 @@ class HiddenRun(Run):
         self.wire = Wire(made, state, Queue(packets.times, packets.commands), gust)
         coupled, edge = _coupled(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
         super().__init__(coupled, made.robot, latency=0.0, follow=edge)
-        if any(what.push):
+        if job.carried:
             try:
                 self._carry(start)
             except LeftDomain as error:
@@ -97,7 +107,7 @@ class HiddenRun(Run):
         return Recording(whole.t[:rows], whole.data[:rows])
 
     def _carry(self, start: np.ndarray) -> None:
-        """Take the fish along, joints still, until t = 0 at `start`."""
+        """Take the fish along, or hold it, joints still, until t = 0 at `start`."""
         dt, push = self.coupled.body.dt, self.job.what.push
         steps = round(CARRY / dt)
         before = carriage(start, push, CARRY)
@@ -162,7 +172,7 @@ def carriage(start: np.ndarray, push, before: float) -> np.ndarray:
 def _coupled(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> tuple[Coupled, Edge]:
     """Fish and water at the start; the stream and a steady current are the water's own."""
     made, domain = job.made, job.domain
-    stream = np.array([made.tank.flow_x + made.tank.current_x, made.tank.flow_y + made.tank.current_y])
+    stream = job.stream
     speed, direction = float(np.hypot(*stream)), float(np.arctan2(stream[1], stream[0]))
     flow = Flow(speed=speed, direction=direction, turbulence="none")
     fluid = Fluid(domain.lattice, domain.shape, device, boundaries=domain.boundaries, flow=flow)
