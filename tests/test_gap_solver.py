@@ -62,7 +62,7 @@ def test_an_experiment_that_the_sets_do_not_hold_has_no_null(trials):
     with pytest.raises(LogError, match="'mine' of record 01_mine was done by 0 of 48 fish.*The sets hold burst_and_coast, chirp"):
         Sets(folder=FOLDER / "nulls").experiment(plant, record_of(other, plant.dt))
     with pytest.raises(LogError, match="0 null sets"):
-        Sets(folder=FOLDER).experiment(plant, record_of(trials[0], plant.dt))
+        Sets(folder=FOLDER)
 
 
 def test_cases_of_the_solver_are_complete_and_leave_themselves_out_of_their_null():

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.engines import in_water
+from fishmj.engines.added import STRUCTURED
 from fishmj.gap import judge, version
 from fishmj.gap.apply import settle
 from fishmj.gap.null_runs import RUNS, Null
@@ -14,6 +15,7 @@ from fishmj.gap.records import record_of
 from fishmj.gap.search import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log import Trial
+from fishmj.log.bundle import read_bundle
 from fishmj.log.dataset import read_dataset
 from fishmj.mjcf.description import load_robot
 from fishmj.store import sha256, write_json
@@ -23,7 +25,7 @@ from fishmj.store.manifest import MANIFEST
 def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
-    add("data", type=Path, help="data set: a folder of trial folders with manifest.json (python -m fishmj.log import makes one)")
+    add("data", type=Path, help="data set: a folder of trial folders with manifest.json (fishmj.log import), or a bundle (.npz)")
     add("--model", default="fish", help="the model to question: shipped name or TOML file, with the effects it already has")
     add(
         "--water",
@@ -46,8 +48,13 @@ def main(argv: list[str]) -> int:
     inquiry = search(args)
     console.say(inquiry.verdict.text())
     if args.out:
-        written = write(inquiry, args.out, context_of(inquiry, args))
+        own = args.water == STRUCTURED and args.null is None and args.data.is_dir()
+        written = write(inquiry, args.out, context_of(inquiry, args) if own else None)
         console.say(f"written: {', '.join(written)}")
+        if not own:
+            console.say(
+                "no patched model: gap apply goes on from a model in its own water, a folder of trials and null runs made anew"
+            )
     if args.json:
         console.emit_json(inquiry.verdict.plain())
     return console.OK
@@ -57,7 +64,7 @@ def search(args) -> Inquiry:
     """Read the data set and search."""
     from fishmj.gap.plants.fish import Fish
 
-    trials = [named(name, trial) for name, trial in zip(*_trials(args.data), strict=True)]
+    trials = trials_in(args.data)
     gates = frozen() if args.most is None else replace(frozen(), most=args.most)
     plant = Fish(in_water(load_robot(args.model), args.water))
     return investigate(plant, trials, gates=gates, null=null_of(args), seed=args.seed, further=True, say=console.say)
@@ -69,9 +76,12 @@ def null_of(args) -> Null:
     return Sets(**made, folder=args.null) if args.null else Null(**made)
 
 
-def _trials(folder: Path) -> tuple[list[str], list[Trial]]:
-    data = read_dataset(folder)
-    return list(data.names), list(data)
+def trials_in(data: Path) -> list[Trial]:
+    """The trials of a data set under their folders' names, or those of a bundle."""
+    if data.suffix == ".npz":
+        return read_bundle(data)
+    found = read_dataset(data)
+    return [named(name, trial) for name, trial in zip(found.names, found, strict=True)]
 
 
 def named(name: str, trial: Trial) -> Trial:
@@ -82,7 +92,7 @@ def named(name: str, trial: Trial) -> Trial:
 def missing(args) -> "Shortage | None":
     """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
     dt = load_robot(args.model).timing.physics_dt
-    return shortage([record_of(t, dt) for t in read_dataset(args.data)], everything())
+    return shortage([record_of(t, dt) for t in trials_in(args.data)], everything())
 
 
 def context_of(inquiry: Inquiry, args) -> dict:
