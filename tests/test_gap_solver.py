@@ -8,6 +8,7 @@ import pytest
 from fishmj.errors import LogError, StoreError
 from fishmj.gap.bench import solver
 from fishmj.gap.features import Layout
+from fishmj.gap.null_runs import Null
 from fishmj.gap.null_sets import Sets
 from fishmj.gap.records import record_of
 from fishmj.log import Trial
@@ -57,10 +58,11 @@ def test_nulls_are_the_same_experiments_of_other_fish(trials):
 
 
 def test_an_experiment_that_the_sets_do_not_hold_has_no_null(trials):
-    plant = solver.plant()
+    plant, sets = solver.plant(), Sets(folder=FOLDER / "nulls")
+    assert sets.holds("gait") and not sets.holds("square") and Null().holds("square")
     other = Trial({**trials[0].meta, "excitation": "mine"}, trials[0].tables, name="01_mine")
     with pytest.raises(LogError, match="'mine' of record 01_mine was done by 0 of 48 fish.*The sets hold burst_and_coast, chirp"):
-        Sets(folder=FOLDER / "nulls").experiment(plant, record_of(other, plant.dt))
+        sets.experiment(plant, record_of(other, plant.dt))
     with pytest.raises(LogError, match="0 null sets"):
         Sets(folder=FOLDER)
 

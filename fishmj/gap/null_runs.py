@@ -57,6 +57,10 @@ class Null:
                 say(i + 1)
         return out
 
+    def holds(self, excitation: str) -> bool:
+        """Whether there can be null runs of that experiment."""
+        return True
+
     def experiment(self, plant, record: Record) -> dict[str, np.ndarray]:
         """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now."""
         what = repeated(record)

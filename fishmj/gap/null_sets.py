@@ -47,6 +47,9 @@ class Sets(Null):
             raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
         return found
 
+    def holds(self, excitation: str) -> bool:
+        return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
+
     def _run(self, what: Excitation, record: Record) -> list[Record]:
         """The experiment of every fish; noise and constants are what they were."""
         out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]

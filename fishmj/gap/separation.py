@@ -59,7 +59,7 @@ class Prospect(NamedTuple):
 def prospects(plant, sides: list[Side], like: Record, runs, null: Null, form: float = 0.1, say=None) -> list[Prospect]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
     out = []
-    for name in runs:
+    for name in filter(null.holds, runs):
         out.append(prospect(plant, sides, planned(excitation.get(name), like), null, form))
         if say:
             say(name)
