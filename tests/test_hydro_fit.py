@@ -54,7 +54,7 @@ def test_forces_of_the_strips_give_their_coefficients_back():
     robot = replace(ROBOT, water={**ROBOT.water, "stall_angle_deg": np.degrees(known.stall_angle), "stall_lag": known.stall_lag})
     made = hidden.campaign(hidden=0.0, noise=0.0, water=known, **SMALL)
     done = linear.fit_linear(robot, CHAIN, rows_of(CHAIN, made), TICK, stall=False)
-    for name, bound in (("k", 0.12), ("cn", 0.10)):
+    for name, bound in (("k", 0.08), ("cn", 0.12)):
         np.testing.assert_allclose(getattr(done.water, name), getattr(known, name), rtol=bound)
     assert done.water.suction > 0.85
     drag = lambda c: c.cf * sum(map(sum, CHAIN.strips.p)) + c.ca_forward * CHAIN.strips.frontal  # noqa: E731
@@ -210,5 +210,5 @@ def test_without_rows_no_factor_moves():
     state = correct.fresh()
     c = chain.nominal(ROBOT).water
     assert flat(correct.applied(c, state)).tolist() == flat(c).tolist()
-    assert newton.scaled(flat(c), np.zeros(8), 4, prior_of(ROBOT)).tolist() == flat(c).tolist()
+    assert newton.scaled(flat(c), np.zeros(len(newton.groups(4))), 4, prior_of(ROBOT)).tolist() == flat(c).tolist()
     assert len(learned.at_rest(4)) == 14

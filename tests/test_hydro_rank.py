@@ -167,7 +167,7 @@ def test_the_command_ranks_draws_and_says_that_it_is_a_preview(tmp_path, solver,
     *said, last = capsys.readouterr().out.strip().splitlines()
     found = json.loads(last)
     assert found["preview"] is True and any("preview, not a judgement" in line for line in said)
-    assert found["model"] == "swift" and found["origin"] == "synthetic"
+    assert found["model"] == "swift-base" and found["origin"] == "synthetic"
     judged = found[KEY]
     assert judged["of"] == 1 and [row["n"] for row in judged["controllers"]] == [6, 6, 6]
     assert code == {True: 0, False: 1, None: 3}[found["ok"]]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.hydro_fit import chain, passive
+from fishmj.hydro_fit import chain, passive, terms
 
 ROOT = Path(__file__).parent.parent
 MANUAL = (ROOT / "docs" / "water.md").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ def test_the_example_prints_the_figures_of_the_manual(tmp_path):
 
 def test_the_manual_states_every_coefficient_with_its_value():
     stated = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", MANUAL, re.MULTILINE))
-    water = {key: value for key, value in ROBOT.water.items() if key != "model"}
+    water = terms.Coefficients._field_defaults | {key: value for key, value in ROBOT.water.items() if key != "model"}
     assert stated.keys() == water.keys()
     for key, text in stated.items():
         assert [float(n) for n in re.findall(r"\d+\.?\d*", text)] == np.atleast_1d(water[key]).tolist(), key
