@@ -27,9 +27,22 @@ def solver_sha256() -> str:
 
 
 def code_of(source: str) -> str:
-    """A module's source without comments, docstrings and layout."""
+    """A module's source without comments, docstrings and layout; the same under every version of Python.
+
+    `ast.unparse` and `ast.dump` are not: one writes f-strings another way, the other names new, empty fields.
+    """
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
             node.body = node.body[1:] or [ast.Pass()]
-    return ast.unparse(tree)
+    return repr(_plain(tree))
+
+
+def _plain(node):
+    """A syntax tree as nested tuples, without what is empty."""
+    if isinstance(node, ast.AST):
+        fields = ((name, _plain(value)) for name, value in ast.iter_fields(node) if name not in ("ctx", "kind"))
+        return (type(node).__name__, *((name, value) for name, value in fields if value not in (None, ())))
+    if isinstance(node, list):
+        return tuple(_plain(item) for item in node)
+    return node
