@@ -137,9 +137,10 @@ def _too_much(args: argparse.Namespace, device: str, water: float) -> bool:
 
 def report(found: Collected) -> None:
     """What was done, in words."""
+    rate = f" ({found.bytes / found.recorded_s / 1e3:.1f} kB/s)" if found.recorded_s else ""
     console.say(
         f"{found.folder}: {found.segments - found.missing} of {found.segments} segments, {found.recorded_s:.0f} s recorded,"
-        f" {found.bytes / 1e6:.2f} MB ({found.bytes / max(found.recorded_s, 1e-9) / 1e3:.1f} kB/s);"
+        f" {found.bytes / 1e6:.2f} MB{rate};"
         f" {found.run} run now: {found.water_s:.0f} s of water in {console.duration(found.wall_s)}"
     )
     for name, why in found.stopped.items():
