@@ -1,6 +1,5 @@
 """One experiment in the flow solver with the second robot's electronics: placing, carriage, run, sensors, trial."""
 
-from collections.abc import Generator
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -10,9 +9,9 @@ from fishmj.campaign.hidden_body import HiddenBody
 from fishmj.campaign.hidden_servo import Queue, Wire
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.body import fastest
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.domain import Domain, preset
+from fishmj.lbm_oracle.drivers import Driver
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.markers import fish_markers
 from fishmj.lbm_oracle.run import LeftDomain, Run
@@ -121,34 +120,29 @@ class HiddenRun(Run):
         self.coupled.join()
         self.coupled.take_wrench(CARRY)
 
-    def _steps(self, factor: int, stop: bool = True) -> Generator[None, None, "tuple | None"]:
-        """As `Run._steps`, the joints' torque from the wire; a joint that friction holds is prescribed not to move."""
-        coupled = self.coupled if factor == 1 else self._finer[factor]
-        body, dt, corners = _hidden(coupled), coupled.body.dt, coupled.boundary.corners
-        self.wire.begin_tick(self.ticks)
-        self.wire.place(body)
-        self.fastest, count, motions = 0.0, self.steps * factor, []
-        began = self.ticks * PERIOD
-        for i in range(count):
-            self.wire.drive(body, began + i * dt)
-            held = np.concatenate([np.zeros(3), self.wire.held])
-            coupled.begin(held, np.zeros(6))
-            yield
-            coupled.finish()
-            self.wire.follow(body)
-            motions.append(body.motion(corners))
-            if stop:
-                self.fastest = max(self.fastest, fastest(motions[-1:]))
-                if self.fastest > factor * self.limit:
-                    return None
-            if self.watch.due(coupled.fluid):
-                with coupled.scope():
-                    self.watch.look(coupled.fluid)
-            if self.follow is not None:
-                self.follow(coupled)
-        coupled.join()
-        self.fastest = fastest(motions)
-        return 0.0, *coupled.take_wrench(count * dt)
+    def _driver(self, coupled: Coupled, factor: int) -> Driver:
+        return ByWire(self.wire, coupled, self.ticks)
+
+
+class ByWire:
+    """The joints' torque from the wire for one tick; a joint that friction holds is prescribed not to move."""
+
+    power = 0.0  # the wire's own record has it
+
+    def __init__(self, wire: Wire, coupled: Coupled, tick: int):
+        self.wire, self.body, self.began = wire, _hidden(coupled), tick * PERIOD
+        wire.begin_tick(tick)
+        wire.place(self.body)
+
+    def drive(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+        self.wire.drive(self.body, self.began + step * self.body.dt)
+        return np.concatenate([np.zeros(3), self.wire.held]), np.zeros(6)
+
+    def begun(self) -> None:
+        """Nothing to keep."""
+
+    def finished(self) -> None:
+        self.wire.follow(self.body)
 
 
 def _hidden(coupled: Coupled) -> HiddenBody:

@@ -78,8 +78,8 @@ class Driven(Run):
 
     root: Callable[[float], np.ndarray] | None = None
 
-    def _held(self, dt):
-        fixed, value = super()._held(dt)
+    def held(self, dt):
+        fixed, value = super().held(dt)
         if self.root is not None:
             value[:3] = (self.root(self.time + dt) - self.pose[:3]) / dt
         return fixed, value

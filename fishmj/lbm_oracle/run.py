@@ -21,6 +21,7 @@ from fishmj import __version__
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.body import fastest
 from fishmj.lbm_oracle.coupling import Coupled
+from fishmj.lbm_oracle.drivers import Driver, Servos
 from fishmj.lbm_oracle.guard import MACH, Watch
 from fishmj.lbm_oracle.substep import FACTORS, Checkpoint, checkpoint, finer, hand_over, restore
 from fishmj.log import SCHEMA, Trial, numbered
@@ -148,16 +149,14 @@ class Run:
         coupled = self.coupled if factor == 1 else self._finer[factor]
         body, dt = coupled.body, coupled.body.dt
         self.fastest, count, corners = 0.0, self.steps * factor, coupled.boundary.corners
-        drives, rates, motions = [], [], []
+        driver, motions = self._driver(coupled, factor), []
         try:
             for i in range(count):
-                if self.prescribed is None:
-                    body.data.ctrl[:] = self.arrived(self.ticks * self.steps + i // factor)
-                coupled.begin(*self._held(dt))
-                rates.append(self.rates())  # and torques, of the step's begin
-                drives.append(body.data.actuator_force.copy())
+                coupled.begin(*driver.drive(i))
+                driver.begun()
                 yield
                 coupled.finish()
+                driver.finished()
                 motions.append(body.motion(corners))
                 if stop:
                     self.fastest = max(self.fastest, fastest(motions[-1:]))
@@ -171,14 +170,11 @@ class Run:
         finally:
             coupled.join()
         self.fastest = fastest(motions)
-        return self._power(np.array(drives), np.array(rates)), *coupled.take_wrench(count * dt)
+        return driver.power, *coupled.take_wrench(count * dt)
 
-    def _power(self, drive: np.ndarray, rate: np.ndarray) -> float:
-        """Mean W that the servos draw with torques (steps, J) N m at rates (steps, J) rad/s."""
-        kb, power = self.robot.servo.kb, 0.0
-        for watts in np.maximum(drive * (drive - kb * rate) / kb, 0.0).sum(1).tolist():
-            power += watts / len(drive)
-        return power
+    def _driver(self, coupled: Coupled, factor: int) -> Driver:
+        """Who moves the joints through one tick."""
+        return Servos(self, coupled, factor)
 
     def _again(self, kept: Checkpoint) -> Generator[None, None, Tick]:
         """The tick from its checkpoint with finer steps; counted in `refined`.
@@ -209,7 +205,7 @@ class Run:
         """What the servos aim at in step `step`, (J,) rad: the newest command that is old enough."""
         return arrived(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
 
-    def _held(self, dt: float):
+    def held(self, dt: float):
         """Prescribed velocities of this step, or nothing."""
         if not (self.tethered or self.prescribed):
             return None, None
