@@ -137,6 +137,14 @@ def steered(k: int, u, robot: Robot, helms: tuple[Made, ...]) -> Made:
     return {"drive": drive | helms[k % len(helms)], "flow": flow, "pose": _heading(u[3])}
 
 
+def flapping(k: int, u, robot: Robot) -> Made:
+    """A held fish that goes through a gait to the letter, at rest or in a stream from ahead: what its beat pushes with."""
+    wave = {"frequency": within(u[0], 0.5, 1.8), "amplitude": radians(within(u[1], 10, 32)), "lag": radians(within(u[2], 30, 90))}
+    drive = {"kind": "gait", "held": True, "bias": 0.0 if k % 3 else radians(within(u[3], -25, 25))}
+    flow = Flow(speed=(0.0, 0.15, 0.3)[(k + k // 3) % 3], direction=pi)
+    return {"drive": drive | wave, "flow": flow, "pose": (0.0, 0.0, radians(within(u[4], -15, 15))), "settle": SETTLE / 2}
+
+
 def _wave(u, bias: float) -> Made:
     wave = {"frequency": within(u[0], 0.4, 2.0), "amplitude": radians(within(u[1], 6, 35)), "lag": radians(within(u[2], 30, 90))}
     return {"kind": "gait", "bias": bias} | wave
@@ -162,4 +170,5 @@ BLOCKS: dict[str, Callable[..., Made]] = {
     "manoeuvre": manoeuvre,
     "uneven": uneven,
     "policy": steered,
+    "flapping": flapping,  # draws go by the place in this table: a new block comes last
 }

@@ -96,8 +96,10 @@ def chirp(
     return Drive(lambda tick, run: wave(tick * robot.timing.bus_dt))
 
 
-def gait(segment: Segment, robot: Robot, *, frequency: float, amplitude, lag: float, bias: float, ramp: float = 1.0) -> Drive:
-    """A travelling wave by the servos; `bias` is the sum over the joints, amplitude one number or one a joint."""
+def gait(
+    segment: Segment, robot: Robot, *, frequency: float, amplitude, lag: float, bias: float, ramp: float = 1.0, held: bool = False
+) -> Drive:
+    """A travelling wave by the servos, or held and to the letter; `bias`: sum over joints, amplitude: one or one a joint."""
     made = Gait(
         joints=robot.n_joints,
         frequency=frequency,
@@ -107,12 +109,13 @@ def gait(segment: Segment, robot: Robot, *, frequency: float, amplitude, lag: fl
         ramp=ramp,
     )
 
-    def command(tick: int, run) -> np.ndarray:
-        t = tick * robot.timing.bus_dt
+    def wave(t: float) -> np.ndarray:
         still = np.broadcast_to(made.bias, robot.n_joints)
         return min(t / 0.5, 1.0) * still + (made(t) - still)  # the bias, too, comes in gradually
 
-    return Drive(command)
+    start = np.array(segment.pose)
+    command = lambda tick, run: wave(tick * robot.timing.bus_dt)  # noqa: E731
+    return Drive(command, wave, lambda t: start) if held else Drive(command)
 
 
 def targets(segment: Segment, robot: Robot, *, amplitude: float, path: str, seed: int) -> Drive:

@@ -45,6 +45,7 @@ TRAINING = (
     Part("static", 40, 15.0, 3),
     Part("oscillation", 12, 5.0, 3),
     Part("chirp", 16, 15.0, 2),
+    Part("flapping", 8, 6.0, 1),
     Part("gait", 36, 10.0, 6),
     Part("random", 24, 10.0, 2),
     Part("manoeuvre", 12, 10.0, 2),
@@ -59,9 +60,10 @@ TEST = (
     Part("manoeuvre", 4, 10.0),
     Part("uneven", 2, 15.0),
     Part("chirp", 1, 15.0),
+    Part("flapping", 6, 6.0),
     Part("policy", 2, 20.0),
 )
-REPEATED = ("straight", "turning", "random")  # the first test episode of each: how well the oracle repeats itself
+REPEATED = ("straight", "turning", "random", "flapping")  # the first test episode of each: how well the oracle repeats itself
 LONGEST_PREVIEW = 4.0  # s
 
 

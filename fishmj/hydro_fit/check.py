@@ -23,7 +23,7 @@ import numpy as np
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit import chain, learned
 from fishmj.hydro_fit.fit import band, begin
-from fishmj.hydro_fit.fit.newton import thrusts, tow_drag
+from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.prior import flat
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, fleet_of, is_free, padded, recorded
 from fishmj.hydro_fit.fit.rows import attachment, base_force, rows_of
@@ -121,7 +121,7 @@ def judge(model: HydroModel, robot: Robot, records: Sequence[Record], repeats: S
     """
     swum = Swum(model, robot, records)
     got, n = errors(swum, swum.late)
-    held = [r for r in records if not is_free(r) and r.meta["block"] in ("chirp", "gait")]
+    held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = _thrust(model, robot, held), len(held)
     far = np.linalg.norm(swum.cruise_track.q[..., :2] - swum.cruise.q[:, 1:, :2], axis=-1)
     last = swum.cruise.mask.sum(1).astype(int) - 1
@@ -212,7 +212,7 @@ def repeatability(robot: Robot, repeats: Sequence[tuple[Record, Record]]) -> dic
         pair = _Pair([b for _, b in free], _from(first, recorded(first), settled))
         figures, _ = errors(pair, _from(again, recorded(again), settled))
         out |= {key: value for key, value in figures.items() if np.isfinite(value)}
-    held = [(a, b) for a, b in repeats if not is_free(a) and a.meta["block"] in ("chirp", "gait")]
+    held = [(a, b) for a, b in repeats if flaps(a)]
     if held:
         force = [thrusts(r := rows_of(ch, [pair[i] for pair in held]), r.force) for i in (0, 1)]
         out["thrust_error"] = float(np.abs(force[0] - force[1]).mean() / tow_drag(ch, robot))

@@ -21,6 +21,7 @@ NAMES = {
     "random": "random targets",
     "uneven": "gusts and shear",
     "chirp": "chirp",
+    "flapping": "held, flapping",
     "oscillation": "oscillation",
     "static": "held",
 }

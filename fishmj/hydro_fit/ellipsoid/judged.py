@@ -9,7 +9,7 @@ from fishmj.hydro_fit import chain, check, terms
 from fishmj.hydro_fit.check import _from as late_means
 from fishmj.hydro_fit.ellipsoid.fit import Fitted, forces
 from fishmj.hydro_fit.ellipsoid.swim import Bound
-from fishmj.hydro_fit.fit.newton import thrusts, tow_drag
+from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.rollout import fleet_of, is_free, recorded
 from fishmj.hydro_fit.fit.rows import rows_of
 from fishmj.hydro_fit.record import Record
@@ -40,7 +40,7 @@ def judge(water: Fitted, robot: Robot, records: Sequence[Record]) -> dict:
     """{"figures", "n", "freerun_s"} as `check.judge` gives them, but for the error bar and the guard, which this has not."""
     swum = Swum(water, robot, records)
     got, n = check.errors(swum, swum.late)
-    held = [r for r in records if not is_free(r) and r.meta["block"] in ("chirp", "gait")]
+    held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = _thrust(water, robot, held), len(held)
     far = np.linalg.norm(swum.cruise_track.q[..., :2] - swum.cruise.q[:, 1:, :2], axis=-1)
     last = swum.cruise.mask.sum(1).astype(int) - 1

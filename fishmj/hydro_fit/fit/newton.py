@@ -14,8 +14,9 @@ import numpy as np
 from fishmj.hydro_fit import chain, terms
 from fishmj.hydro_fit.fit.identify import Identified, identify
 from fishmj.hydro_fit.fit.prior import Prior, flat, names_of, prior_of, unflat
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, recorded, repeated, windows
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, is_free, recorded, repeated, windows
 from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force
+from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
 SPREAD = 0.3  # standard deviation of ln factor: how far the swims may pull from what the forces said
@@ -23,6 +24,7 @@ STEP = 0.02  # of ln factor, for the differences
 LEAST = 0.005  # relative fall of the objective that is worth another iteration
 CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
 TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0.10, 0.03)}  # share of the record, and floor
+FLAPPING = ("chirp", "gait", "flapping")  # blocks that may hold a fish with moving joints
 THRUST = 0.10  # of the tow drag
 TOW = 0.3  # m/s, of that drag
 
@@ -115,6 +117,11 @@ class Match:
         s = self.swim.chain.strips
         got = thrusts(self.held, base_force(self.held, s, c, attachment(self.held, s, c, self.tick)))
         return np.clip((got - self.thrust) / (THRUST * self.drag), -CLIP, CLIP)
+
+
+def flaps(record: Record) -> bool:
+    """A held fish that beats its tail: what is judged by its thrust."""
+    return record.meta["block"] in FLAPPING and not is_free(record)
 
 
 def thrusts(rows: Rows, force: np.ndarray) -> np.ndarray:

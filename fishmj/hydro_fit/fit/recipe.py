@@ -210,7 +210,7 @@ class Fit:
         if len(fleet.q) > most:
             rng = np.random.default_rng([59, self.settings.seed])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False)))
-        held = [r for r in records if not rollout.is_free(r) and r.meta["block"] in ("chirp", "gait")]
+        held = [r for r in records if newton.flaps(r)]
         rows: Rows | None = rows_of(self.chain, held) if held and learnt is None else None
         return newton.Match(self.swim, fleet, self.tick, rows, newton.tow_drag(self.chain, self.robot), learnt)
 
