@@ -44,7 +44,12 @@ class Benchmark(NamedTuple):
 
 
 REGISTRY: dict[str, Benchmark] = {}
-SUITES = ("fishmj.bench.engines", "fishmj.bench.hydro", "fishmj.bench.oracle")  # modules that register benchmarks when imported
+SUITES = (
+    "fishmj.bench.engines",
+    "fishmj.bench.hydro",
+    "fishmj.bench.oracle",
+    "fishmj.bench.surrogate",
+)  # modules that register benchmarks when imported
 
 
 class NotHere(Exception):
