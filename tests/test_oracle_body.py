@@ -65,11 +65,17 @@ def test_markers_are_a_cell_apart_and_lie_inside_the_hull():
         np.testing.assert_allclose(np.linalg.norm(markers.normal, axis=1), 1.0, atol=1e-12)
 
 
-def test_markers_are_mirror_images_left_to_right_in_area_and_place():
-    markers = fish_markers("fish", 0.01)
-    point = in_straight_pose(markers, mjcf.load_robot("fish"))
-    assert abs((markers.area * point[:, 1]).sum()) < 2e-3 * (markers.area * np.abs(point[:, 1])).sum()
-    assert abs((markers.area * point[:, 2]).sum()) < 2e-3 * (markers.area * np.abs(point[:, 2])).sum()
+@pytest.mark.parametrize(("robot", "dx"), [("fish", 0.02), ("fish", 0.01), ("tendon_fish", 0.02)])
+def test_every_marker_has_a_partner_in_the_mirror(robot, dx):
+    markers = fish_markers(robot, dx)
+    place = in_straight_pose(markers, mjcf.load_robot(robot))
+    for flip in ([1, -1, 1], [1, 1, -1]):
+        apart = np.linalg.norm(place[:, None] * flip - place[None], axis=-1)
+        partner = apart.argmin(1)
+        assert apart.min(1).max() < 1e-9
+        np.testing.assert_allclose(markers.area[partner], markers.area, rtol=1e-9)
+        hull = ~markers.sheet  # a sheet's normal points to one side
+        np.testing.assert_allclose((markers.normal * flip)[hull], markers.normal[partner][hull], atol=1e-9)
 
 
 def test_the_tail_plate_and_the_side_fins_are_single_sheets():

@@ -13,37 +13,20 @@ The velocity goes back as   qfrc_applied = (M + dt D) (v+ - v) / dt - (passive +
 so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off in fishmj's models.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import sub
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import warp as wp
 
 from fishmj.errors import ConfigError, SimDiverged
+from fishmj.lbm_oracle import links
 from fishmj.lbm_oracle.corners import Corners
 from fishmj.mjcf import build, geometry_of, load_robot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
 EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
-
-
-class Motion(NamedTuple):
-    """Rotations (L, 3, 3) of the links, twists (L, 6) of their inside water in the world, `reach` of the corners."""
-
-    turn: np.ndarray
-    twist: np.ndarray
-    reach: np.ndarray
-
-
-def fastest(motions: Sequence[Motion]) -> float:
-    """Greatest speed of the corners, m/s: no marker inside the boxes that they span is faster."""
-    turn, twist = np.array([motion.turn for motion in motions]), np.array([motion.twist for motion in motions])
-    within = twist.reshape(*turn.shape[:2], 2, 3) @ turn  # R^T u and R^T w
-    speed = within.reshape(len(motions), -1).dot(motions[0].reach).reshape(-1, 3)
-    speed *= speed
-    return float(np.maximum.reduce(np.add.reduce(speed, -1))) ** 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,30 +64,23 @@ class Body:
         self.links, self.dofs = model.nbody - 1, model.nv
         if len(water.mass) != self.links:
             raise ConfigError(f"body: {self.links} moving bodies in the model, displaced water for {len(water.mass)}")
-        n, links = self.dofs, self.links
-        self.system = np.zeros((n, n))
-        self._diagonal = self.system.reshape(-1)[:: n + 1]
-        self.reach = np.array([[_moves(model, i + 1, d) for d in range(n)] for i in range(links)], float)
+        n, count = self.dofs, self.links
+        self.reach = np.array([[_moves(model, i + 1, d) for d in range(n)] for i in range(count)], float)
         self.slides = np.array([_slides(model, d) for d in range(n)], np.int32)
         self.applied = np.zeros(n)  # a push from outside, generalised, N or N m
-        hinge = np.array([_hinge_address(model, i + 1) for i in range(links)])
-        bent = np.flatnonzero(hinge >= 0)
-        self._bent, self._hinge = _span(bent), _span(hinge[bent])
-        own = np.array_equal(model.dof_jntid, np.arange(model.njnt))
-        self._joint = slice(None) if own else model.dof_jntid.copy()  # of every degree of freedom
-        self._root = next((j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE), None)
-        self.frames = np.zeros((links, 12))  # position, rotation by rows
+        self.pose = np.zeros(13 * count + 6 * n)  # frames, hinge angles, axes and anchors: what the markers follow
         self.turn = self.data.xmat[1:].reshape(-1, 3, 3)  # a view
-        self._turned = np.eye(6 * links)  # T: 1 and R of every link, its inertia's axes to the world's
-        self._blocks = _blocks(self._turned, links)[:, 3:, 3:]
-        self._inertia = _inertia(water.mass, water.inertia)
-        self._arm = np.concatenate([0 * water.centre, water.centre], 1).ravel()
-        self._jac = np.zeros((6 * links, n))
-        self.centre = np.zeros((links, 3))
-        self._rows = _rows(self._jac, self.centre)
+        self.centre, self.twist = np.zeros((count, 3)), np.zeros((count, 6))  # of the inside water, in the world
+        self.system, self._right = np.zeros((n, n)), np.zeros(n)
+        self.smooth, self.gain = np.zeros(n), np.zeros((count, 6))
+        self._now, self._last, self._weight = (np.zeros((count, 6)) for _ in range(3))
+        self._inside, self._dt = np.zeros(n), np.zeros(1)
+        self._moving, self._move = self._follow(water, centre=self.centre, twist=self.twist, now=self._now)
+        self._balance, self._gain = self._balances()
+        self._seen: tuple | None = None
         self.set_step(dt)
         self.forward()
-        self.momentum = self.water_momentum()  # (L, 6) at the end of the last step
+        self._last[:] = self._now
 
     @classmethod
     def of(cls, robot="fish", root: str = "planar", dt: float = 0.004) -> "Body":
@@ -114,8 +90,7 @@ class Body:
 
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""
-        self.dt = self.model.opt.timestep = float(dt)
-        self._dt = np.full(self.dofs, self.dt)  # a product with an array is cheaper than one with a number
+        self.dt = self.model.opt.timestep = self._dt[0] = float(dt)
         self._weigh()
 
     def place(self, qpos, qvel=None) -> None:
@@ -124,42 +99,42 @@ class Body:
         self.data.qvel[:] = 0.0 if qvel is None else qvel
         self._weigh()
         self.forward()
-        self.momentum = self.water_momentum()
+        self._last[:] = self._now
+
+    @property
+    def momentum(self) -> np.ndarray:
+        """(L, 6) of the inside water at the end of the step before; to be set, or read before the next step."""
+        return self._last
+
+    @momentum.setter
+    def momentum(self, value: np.ndarray) -> None:
+        self._last[:] = value
 
     def _weigh(self) -> None:
         """Impulse (L, 6) of the displaced water's weight over a step."""
-        self._weight = np.zeros((self.links, 6))
         self._weight[:, :3] = self.dt * self.water.mass[:, None] * self.model.opt.gravity
 
     def forward(self) -> None:
         """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the inside water."""
-        d = self.data
-        mujoco.mj_step1(self.model, d)
-        self.frames[:, :3], self.frames[:, 3:], self._blocks[:] = d.xpos[1:], d.xmat[1:], self.turn
-        self.twist = self._motion(self._arm, self._rows, self._jac, self.centre)
-        self._bounds: tuple[np.ndarray, np.ndarray] | None = None
+        mujoco.mj_step1(self.model, self.data)
+        self._move.launch()
+        self._seen = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
-        d, dt = self.data, self._dt
-        mujoco.mj_fwdActuation(self.model, d)  # ctrl may be newer than the state
-        mujoco.mj_fullM(self.model, d, self.system)
-        self._diagonal += dt * self.model.dof_damping
-        self.smooth = d.qfrc_passive + d.qfrc_actuator - d.qfrc_bias
-        inside = self.interior_impulse(interior)
-        return self.system, self.system.dot(d.qvel) + dt * (self.smooth + self.applied) + inside
+        mujoco.mj_fwdActuation(self.model, self.data)  # ctrl may be newer than the state
+        mujoco.mj_fullM(self.model, self.data, self.system)
+        self._balance[interior].launch()
+        return self.system, self._right
 
     def interior_impulse(self, interior: bool = True) -> np.ndarray:
         """I, (n,): what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
-        now = self.water_momentum()
-        self.gain = now - self.momentum  # (L, 6)
-        self.momentum = now
-        push = self.gain - self._weight if interior else -self._weight
-        return push.ravel().dot(self._jac)
+        self._gain[interior].launch()
+        return self._inside.copy()
 
     def water_momentum(self) -> np.ndarray:
         """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
-        return self._momentum(self._inertia, self.twist)
+        return self._now.copy()
 
     def solid_momentum(self) -> np.ndarray:
         """The same of the links themselves, (L, 6) kg m/s and kg m2/s."""
@@ -169,22 +144,41 @@ class Body:
             mujoco.mju_quat2Mat(axes[i], m.body_iquat[i + 1])
         axes = axes.reshape(-1, 3, 3)
         inertia = np.einsum("lab,lb,lcb->lac", axes, m.body_inertia[1:], axes)
-        jac, at = np.zeros_like(self._jac), np.zeros_like(self.centre)
-        arm = np.concatenate([0 * m.body_ipos[1:], m.body_ipos[1:]], 1).ravel()
-        return self._momentum(_inertia(m.body_mass[1:], inertia), self._motion(arm, _rows(jac, at), jac, at))
+        found = np.zeros((self.links, 6))
+        solid = Water(mass=m.body_mass[1:], centre=m.body_ipos[1:], inertia=inertia)
+        self._follow(solid, centre=np.zeros((self.links, 3)), twist=np.zeros((self.links, 6)), now=found)[1].launch()
+        return found
 
-    def _motion(self, arm: np.ndarray, rows: list, jac: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Twists (L, 6) of points (0, r) in the links' frames, (6 L,); fills `jac` (6 L, n) and their world positions (L, 3)."""
-        m, d = self.model, self.data
-        np.add(d.xpos[1:], self._turned.dot(arm).reshape(-1, 6)[:, 3:], out=at)
-        for shift, turn, point, link in rows:
-            mujoco.mj_jac(m, d, shift, turn, point, link)
-        return jac.dot(d.qvel).reshape(-1, 6)
+    def _follow(self, mass: Water, **found: np.ndarray) -> tuple[links.Links, wp.Launch]:
+        """What says how masses that sit in the links move: the arrays, and the launch that fills those in `found`."""
+        m, d, n = self.model, self.data, self.dofs
+        s, share = links.Links(), links.shared
+        s.links, s.dofs = self.links, n
+        s.place, s.turn = share(d.xpos[1:]), share(d.xmat[1:])
+        s.mujoco_axis, s.mujoco_anchor, s.qpos, s.qvel = (share(a) for a in (d.xaxis, d.xanchor, d.qpos, d.qvel))
+        root = next((j for j in range(m.njnt) if m.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE), None)
+        s.root = 0 if root is None else int(m.jnt_bodyid[root]) - 1
+        kind = np.full(n, links.HINGE, np.int32)
+        if root is not None:
+            first = m.jnt_dofadr[root]
+            kind[first : first + 6] = *(links.FIXED - np.arange(3)), 0, 1, 2  # a free joint spins about its body's axes
+        s.joint, s.kind = share(m.dof_jntid.astype(np.int32), int), share(kind, int)
+        s.slides, s.reach = share(self.slides, int), share(self.reach)
+        s.hinge = share(np.array([_hinge_address(m, i + 1) for i in range(self.links)], np.int32), int)
+        s.arm, s.mass, s.inertia = (share(np.array(a, float)) for a in (mass.centre, mass.mass, mass.inertia))
+        s.pose, s.jacobian = share(self.pose), share(np.zeros((6 * self.links, n)))
+        s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
+        return s, links.recorded(links.move, s)
 
-    def _momentum(self, inertia: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """T I T^T xi, (L, 6), of inertias (6 L, 6 L) in the links' axes and twists (L, 6) in the world's."""
-        turned = self._turned
-        return turned.dot(inertia).dot(turned.T).dot(twist.ravel()).reshape(-1, 6)
+    def _balances(self) -> tuple[list[wp.Launch], list[wp.Launch]]:
+        """The launches of the step's equation and of its inside part alone, each without and with the water's gain."""
+        d, e, share = self.data, links.Balance(), links.shared
+        e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
+        e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)
+        e.weight, e.last, e.gain, e.inside = (share(a) for a in (self._weight, self._last, self.gain, self._inside))
+        e.smooth, e.system, e.right = share(self.smooth), share(self.system), share(self._right)
+        both = [[links.recorded(kernel, self._moving, e, i) for i in (0, 1)] for kernel in (links.balance, links.gain)]
+        return both[0], both[1]
 
     def advance(self, velocity: np.ndarray) -> None:
         """MuJoCo's step to the velocity found, (n,); afterwards `forward` has been called on the new state.
@@ -199,7 +193,7 @@ class Body:
             joint = self.model.joint(self.model.dof_jntid[at]).name
             message = f"oracle: velocity of joint {joint!r} is {velocity[at]:.3g} at t = {d.time:.4g} s (limit {RUNAWAY:g})"
             raise SimDiverged(message, time=float(d.time), term="coupling", link=joint)
-        d.qfrc_applied[:] = self.system.dot(velocity - d.qvel) / self._dt - self.smooth
+        d.qfrc_applied[:] = self.system.dot(velocity - d.qvel) / self.dt - self.smooth
         mujoco.mj_step2(self.model, d)
         off = max(map(abs, map(sub, d.qvel.tolist(), found)))
         if not off < EXACT * (1 + max(map(abs, found))):
@@ -208,14 +202,19 @@ class Body:
         self.forward()
 
     def bounds(self, corners: Corners) -> tuple[np.ndarray, np.ndarray]:
-        """Low and high corner (3,) m of the upright box round `corners`; kept until the body moves."""
-        if self._bounds is None:
-            self._bounds = corners.bounds(self.frames.ravel())
-        return self._bounds
+        """Low and high corner (3,) m of the upright box round `corners`."""
+        low_high = self._look(corners)
+        return low_high[:3].copy(), low_high[3:6].copy()
 
-    def motion(self, corners: Corners) -> Motion:
-        """How those points move now; the arrays are never written again."""
-        return Motion(self.turn.copy(), self.twist, corners.reach)
+    def fastest(self, corners: Corners) -> float:
+        """Greatest speed of the corners, m/s: no marker inside the boxes that they span is faster."""
+        return float(self._look(corners)[6])
+
+    def _look(self, corners: Corners) -> np.ndarray:
+        """Both, (7,); kept until the body moves."""
+        if self._seen is None or self._seen[0] is not corners:
+            self._seen = corners, corners.look(self.pose, self.twist)
+        return self._seen[1]
 
     def largest_extent(self, corners: Corners) -> np.ndarray:
         """Size (3,) m that such a box cannot exceed, whatever the pose: the stretched chain from end to end."""
@@ -228,41 +227,6 @@ class Body:
         upright = all(self.data.xaxis[j][2] in (0.0, 1.0) for j in range(self.model.njnt)) and self.model.nq == self.model.nv
         height = np.abs(corners.at[..., 2]).max() * 2 if upright else length
         return np.array([length, length, height])
-
-    def pack(self, view: dict[str, np.ndarray]) -> None:
-        """Frames, hinge angles and motion axes into the host block (see immersed.Layout)."""
-        m, d = self.model, self.data
-        axis, anchor = view["axis"], view["anchor"]
-        view["frame"][:] = self.frames
-        view["angle"][self._bent] = d.qpos[self._hinge]
-        axis[:], anchor[:] = d.xaxis[self._joint], d.xanchor[self._joint]
-        if self._root is not None:
-            first, turn = m.jnt_dofadr[self._root], d.xmat[m.jnt_bodyid[self._root]].reshape(3, 3)
-            axis[first : first + 3], axis[first + 3 : first + 6] = np.eye(3), turn.T  # a free joint spins about its body's axes
-
-
-def _blocks(matrix: np.ndarray, links: int) -> np.ndarray:
-    """The blocks (L, 6, 6) on the diagonal of a matrix (6 L, 6 L), a view."""
-    return np.einsum("iaib->iab", matrix.reshape(links, 6, links, 6))
-
-
-def _inertia(mass: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """(6 L, 6 L) from masses (L,) and inertias (L, 3, 3) in the links' axes."""
-    whole = np.zeros((6 * len(mass), 6 * len(mass)))
-    blocks = _blocks(whole, len(mass))
-    blocks[:, :3, :3], blocks[:, 3:, 3:] = mass[:, None, None] * np.eye(3), inertia
-    return whole
-
-
-def _rows(jac: np.ndarray, at: np.ndarray) -> list[tuple]:
-    """What `mj_jac` is told of every link: the two halves of its rows of `jac` (6 L, n), its row of `at` (L, 3), its number."""
-    return [(rows[:3], rows[3:], at[i], i + 1) for i, rows in enumerate(jac.reshape(len(at), 6, -1))]
-
-
-def _span(numbers: np.ndarray) -> np.ndarray | slice:
-    """The same indices as a slice where they follow on one another."""
-    follow = len(numbers) > 0 and np.array_equal(numbers, numbers[0] + np.arange(len(numbers)))
-    return slice(int(numbers[0]), int(numbers[-1]) + 1) if follow else numbers
 
 
 def _moves(model, body: int, dof: int) -> bool:

@@ -94,12 +94,13 @@ class Boundary:
         heard = self.inbox.numpy()
         self.found, self._impulse = heard[: self.dofs], heard[self.dofs :].reshape(self.links, 6)  # views
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
+        self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
 
     def fill(self, body, system, right, fixed=None, value=None) -> None:
         """Write this step's numbers into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
         view, dx = self.view, self.lattice.dx
-        body.pack(view)
+        view["pose"][:] = body.pose
         low, high = body.bounds(self.corners)
         ends = zip(low.tolist(), high.tolist(), self.lattice.corner, self.box_shape, strict=True)
         view["box"][:] = [round((0.5 * (a + b) - corner) / dx - 0.5 * n) for a, b, corner, n in ends]

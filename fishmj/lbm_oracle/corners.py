@@ -1,40 +1,57 @@
 """The boxes round the markers of every link: which part of the water they span, and how fast their corners move.
 
-    ends   = max over links and corners of (-x, x),   x = p_l + R_l c        low and high corner of the upright box round all
-    speed  = |R_l^T u_l + (R_l^T w_l) x (c - r_l)|                           of corner c, from the twist (u, w) at r_l
-
-Both are linear in the numbers of a pose or a twist, so that each is one product with a matrix made once.
+    x = p_l + R_l c                    low and high corner of the upright box round all
+    speed = |u_l + w_l x R_l (c - r_l)|          of corner c, from the twist (u, w) at r_l
 """
 
 import numpy as np
+import warp as wp
 
+from fishmj.lbm_oracle.links import nine, recorded, shared, three
 from fishmj.lbm_oracle.markers import Markers
 
-CROSS = np.zeros((3, 3, 3))  # w x r = sum_ai w_a r_i CROSS[a, i]
-CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0, -1.0
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def surround(
+    links: int,
+    corner: wp.array(dtype=wp.float64),  # 24 L, c
+    arm: wp.array(dtype=wp.float64),  # 3 L, r
+    pose: wp.array(dtype=wp.float64),  # 12 L and more, (p, R)
+    twist: wp.array(dtype=wp.float64),  # 6 L
+    seen: wp.array(dtype=wp.float64),  # low, high, speed
+):
+    """One thread: a few hundred multiplications."""
+    first = three(pose, 0) + nine(pose, 3) * three(corner, 0)
+    low, high, fast = first, first, wp.float64(0.0)
+    for l in range(links):
+        place, turn, r = three(pose, 12 * l), nine(pose, 12 * l + 3), three(arm, 3 * l)
+        u, w = three(twist, 6 * l), three(twist, 6 * l + 3)
+        for k in range(8):
+            c = three(corner, 24 * l + 3 * k)
+            x = place + turn * c
+            low, high = wp.min(low, x), wp.max(high, x)
+            v = u + wp.cross(w, turn * (c - r))
+            fast = wp.max(fast, wp.dot(v, v))
+    for i in range(3):
+        seen[i] = low[i]
+        seen[3 + i] = high[i]
+    seen[6] = wp.sqrt(fast)
 
 
 class Corners:
-    """Eight for every link.
+    """Eight for every link of one body.
 
     Args:
         at: (L, 8, 3) m, in the frames of the links. centre: (L, 3) m, the points whose twists are known, in the same frames.
-
-    Attributes:
-        reach: (6 L, 24 L) velocities of the corners from the twists, both in the axes of the links.
     """
 
     def __init__(self, at: np.ndarray, centre: np.ndarray):
-        self.at, links = at, len(at)
-        self.reach = np.zeros((6 * links, 24 * links))
-        ends = np.zeros((links, 8, 6, links, 12))  # (-x, x) from the frames (L, 12): position, rotation by rows
-        reach, arm = self.reach.reshape(links, 6, links, 8, 3), at - centre[:, None]
-        for i in range(links):
-            reach[i, :3, i], reach[i, 3:, i] = np.eye(3)[:, None], np.einsum("aij,ki->akj", CROSS, arm[i])
-            for axis in range(3):
-                ends[i, :, 3 + axis, i, axis], ends[i, :, 3 + axis, i, 3 + 3 * axis : 6 + 3 * axis] = 1.0, at[i]
-        ends[:, :, :3] = -ends[:, :, 3:]
-        self._ends = ends.reshape(-1, 12 * links)
+        self.at, self.centre = np.array(at, float), np.array(centre, float)
+        self._seen = np.zeros(7)
+        self._at: tuple = ()
+        self._surround: wp.Launch | None = None
 
     @classmethod
     def of(cls, markers: Markers, centre: np.ndarray) -> "Corners":
@@ -47,7 +64,14 @@ class Corners:
                 at[i] = [[ends[a, 0], ends[b, 1], ends[c, 2]] for a in (0, 1) for b in (0, 1) for c in (0, 1)]
         return cls(at, centre)
 
-    def bounds(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Low and high corner (3,) m of the upright box round all of them, links at `frames` (12 L,)."""
-        ends = np.maximum.reduce(self._ends.dot(frames).reshape(-1, 6))
-        return -ends[:3], ends[3:]
+    def look(self, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """Low and high corner [m] of the upright box round all of them and their greatest speed [m/s], (7,), written anew.
+
+        Args:
+            pose: links' positions and rotations by rows, (12 L,) and more. twist: (L, 6). Both are remembered as places in memory.
+        """
+        if self._surround is None or self._at[0] is not pose or self._at[1] is not twist:
+            given = [shared(values) for values in (self.at, self.centre, pose, twist, self._seen)]
+            self._at, self._surround = (pose, twist), recorded(surround, len(self.at), *given)
+        self._surround.launch()
+        return self._seen

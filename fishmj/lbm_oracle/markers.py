@@ -167,6 +167,11 @@ def _body(robot: Robot, g: Geometry, inset: float, step: float, dx: float):
     return np.stack([x, y, z], -1), np.stack([nx, ny, nz], -1), area, x, sheet.astype(bool)
 
 
+def _even(count: float) -> int:
+    """The nearest even number: one marker more on one side, and a fish and its mirror image differ by 2.6 % in force."""
+    return 2 * round(count / 2)
+
+
 def _ellipse(a: float, b: float, n: int):
     """n angles at equal arc length on the ellipse of half-axes a (z) and b (y), and its perimeter."""
     fine = np.linspace(0, 2 * pi, 721)
@@ -176,7 +181,7 @@ def _ellipse(a: float, b: float, n: int):
 
 def _ring(s, a, b, slope, ds, step):
     """One elliptical ring; `slope` are the derivatives of half-height and half-width along the body."""
-    n = max(6, round(_ellipse(a, b, 1)[1] / step))
+    n = max(6, _even(_ellipse(a, b, 1)[1] / step))
     turn, perimeter = _ellipse(a, b, n)
     c, sn = np.cos(turn), np.sin(turn)
     across = np.stack([c * a, sn * b], -1)
@@ -194,7 +199,7 @@ def _cap(s, a, b, step):
     cols = []
     for r in range(rings):
         share, area = (r + 0.5) / rings, pi * a * b * (2 * r + 1) / rings**2
-        n = max(1, round(area / step**2))
+        n = 1 if r == 0 and area < 1.5 * step**2 else max(2, _even(area / step**2))
         turn, one = _ellipse(share * a, share * b, n)[0], np.ones(n)
         if n == 1:
             share = 0.0

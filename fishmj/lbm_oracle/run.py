@@ -19,7 +19,6 @@ import numpy as np
 
 from fishmj import __version__
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
-from fishmj.lbm_oracle.body import fastest
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.drivers import Driver, Servos
 from fishmj.lbm_oracle.guard import MACH, Watch
@@ -149,7 +148,7 @@ class Run:
         coupled = self.coupled if factor == 1 else self._finer[factor]
         body, dt = coupled.body, coupled.body.dt
         self.fastest, count, corners = 0.0, self.steps * factor, coupled.boundary.corners
-        driver, motions = self._driver(coupled, factor), []
+        driver = self._driver(coupled, factor)
         try:
             for i in range(count):
                 coupled.begin(*driver.drive(i))
@@ -157,11 +156,9 @@ class Run:
                 yield
                 coupled.finish()
                 driver.finished()
-                motions.append(body.motion(corners))
-                if stop:
-                    self.fastest = max(self.fastest, fastest(motions[-1:]))
-                    if self.fastest > factor * self.limit:
-                        return None
+                self.fastest = max(self.fastest, body.fastest(corners))
+                if stop and self.fastest > factor * self.limit:
+                    return None
                 if self.watch.due(coupled.fluid):
                     with coupled.scope():
                         self.watch.look(coupled.fluid)
@@ -169,7 +166,6 @@ class Run:
                     self.follow(coupled)
         finally:
             coupled.join()
-        self.fastest = fastest(motions)
         return driver.power, *coupled.take_wrench(count * dt)
 
     def _driver(self, coupled: Coupled, factor: int) -> Driver:
