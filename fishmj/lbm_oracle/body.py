@@ -76,7 +76,7 @@ class Body:
         self._now, self._last, self._weight = (np.zeros((count, 6)) for _ in range(3))
         self._inside, self._dt = np.zeros(n), np.zeros(1)
         self._moving, self._move = self._follow(water, centre=self.centre, twist=self.twist, now=self._now)
-        self._balance, self._gain = self._balances()
+        self._balance, self._gain = zip(self._balances(0), self._balances(1), strict=True)  # without and with the water's gain
         self._seen: tuple | None = None
         self.set_step(dt)
         self.forward()
@@ -170,15 +170,15 @@ class Body:
         s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
         return s, links.recorded(links.move, s)
 
-    def _balances(self) -> tuple[list[wp.Launch], list[wp.Launch]]:
-        """The launches of the step's equation and of its inside part alone, each without and with the water's gain."""
+    def _balances(self, interior: int) -> tuple[wp.Launch, wp.Launch]:
+        """The launches of the step's equation and of its inside part alone."""
         d, e, share = self.data, links.Balance(), links.shared
+        e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
         e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)
         e.weight, e.last, e.gain, e.inside = (share(a) for a in (self._weight, self._last, self.gain, self._inside))
         e.smooth, e.system, e.right = share(self.smooth), share(self.system), share(self._right)
-        both = [[links.recorded(kernel, self._moving, e, i) for i in (0, 1)] for kernel in (links.balance, links.gain)]
-        return both[0], both[1]
+        return links.recorded(links.balance, e), links.recorded(links.gain, e)
 
     def advance(self, velocity: np.ndarray) -> None:
         """MuJoCo's step to the velocity found, (n,); afterwards `forward` has been called on the new state.

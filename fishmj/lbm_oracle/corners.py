@@ -1,7 +1,7 @@
 """The boxes round the markers of every link: which part of the water they span, and how fast their corners move.
 
-    x = p_l + R_l c                    low and high corner of the upright box round all
-    speed = |u_l + w_l x R_l (c - r_l)|          of corner c, from the twist (u, w) at r_l
+x = p_l + R_l c                    low and high corner of the upright box round all
+speed = |u_l + w_l x R_l (c - r_l)|          of corner c, from the twist (u, w) at r_l
 """
 
 import numpy as np
@@ -13,31 +13,36 @@ from fishmj.lbm_oracle.markers import Markers
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.struct
+class Boxes:
+    """Of L links, all float64."""
+
+    links: int
+    corner: wp.array(dtype=wp.float64)  # 24 L, c
+    arm: wp.array(dtype=wp.float64)  # 3 L, r
+    pose: wp.array(dtype=wp.float64)  # 12 L and more, (p, R)
+    twist: wp.array(dtype=wp.float64)  # 6 L
+    seen: wp.array(dtype=wp.float64)  # low, high, speed
+
+
 @wp.kernel
-def surround(
-    links: int,
-    corner: wp.array(dtype=wp.float64),  # 24 L, c
-    arm: wp.array(dtype=wp.float64),  # 3 L, r
-    pose: wp.array(dtype=wp.float64),  # 12 L and more, (p, R)
-    twist: wp.array(dtype=wp.float64),  # 6 L
-    seen: wp.array(dtype=wp.float64),  # low, high, speed
-):
+def surround(b: Boxes):
     """One thread: a few hundred multiplications."""
-    first = three(pose, 0) + nine(pose, 3) * three(corner, 0)
-    low, high, fast = first, first, wp.float64(0.0)
-    for l in range(links):
-        place, turn, r = three(pose, 12 * l), nine(pose, 12 * l + 3), three(arm, 3 * l)
-        u, w = three(twist, 6 * l), three(twist, 6 * l + 3)
+    far, fast = wp.float64(wp.inf), wp.float64(0.0)
+    low, high = wp.vec3d(far, far, far), wp.vec3d(-far, -far, -far)
+    for l in range(b.links):
+        place, turn, r = three(b.pose, 12 * l), nine(b.pose, 12 * l + 3), three(b.arm, 3 * l)
+        u, w = three(b.twist, 6 * l), three(b.twist, 6 * l + 3)
         for k in range(8):
-            c = three(corner, 24 * l + 3 * k)
+            c = three(b.corner, 24 * l + 3 * k)
             x = place + turn * c
             low, high = wp.min(low, x), wp.max(high, x)
             v = u + wp.cross(w, turn * (c - r))
             fast = wp.max(fast, wp.dot(v, v))
     for i in range(3):
-        seen[i] = low[i]
-        seen[3 + i] = high[i]
-    seen[6] = wp.sqrt(fast)
+        b.seen[i] = low[i]
+        b.seen[3 + i] = high[i]
+    b.seen[6] = wp.sqrt(fast)
 
 
 class Corners:
@@ -68,10 +73,12 @@ class Corners:
         """Low and high corner [m] of the upright box round all of them and their greatest speed [m/s], (7,), written anew.
 
         Args:
-            pose: links' positions and rotations by rows, (12 L,) and more. twist: (L, 6). Both are remembered as places in memory.
+            pose: links' positions and rotations by rows, (12 L,) and more. twist: (L, 6). Their places in memory are remembered.
         """
         if self._surround is None or self._at[0] is not pose or self._at[1] is not twist:
-            given = [shared(values) for values in (self.at, self.centre, pose, twist, self._seen)]
-            self._at, self._surround = (pose, twist), recorded(surround, len(self.at), *given)
+            boxes = Boxes()
+            boxes.links, boxes.corner, boxes.arm = len(self.at), shared(self.at), shared(self.centre)
+            boxes.pose, boxes.twist, boxes.seen = shared(pose), shared(twist), shared(self._seen)
+            self._at, self._surround = (pose, twist), recorded(surround, boxes)
         self._surround.launch()
         return self._seen

@@ -1,0 +1,170 @@
+"""How the links of a body and the water inside them move: the host's arithmetic of a step, compiled.
+
+    c_l = p_l + R_l r_l                            centre of link l's water, at r_l in its frame
+    (u_l, w_l) = J_l v                             its motion; columns (a x (c_l - o), a) of a hinge, (a, 0) of a slide
+    h_l = (m_l u_l, R_l I_l R_l^T w_l)             its momentum
+    right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
+
+A few hundred multiplications take about as long as one call of NumPy does; so each kernel is one call, and one thread. The
+arrays are MuJoCo's own or the `Body`'s: nothing is copied.
+"""
+
+import numpy as np
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; or along one of the world's (FIXED - i); or a free root's own (0, 1, 2)
+
+
+@wp.struct
+class Links:
+    """L links, n degrees of freedom, Q coordinates; all float64 but the tables of integers."""
+
+    links: int
+    dofs: int
+    root: int  # link that a free joint carries, if there is one
+    place: wp.array(dtype=wp.float64)  # 3 L, p
+    turn: wp.array(dtype=wp.float64)  # 9 L, R by rows
+    mujoco_axis: wp.array(dtype=wp.float64)  # 3 a joint
+    mujoco_anchor: wp.array(dtype=wp.float64)
+    qpos: wp.array(dtype=wp.float64)
+    qvel: wp.array(dtype=wp.float64)
+    joint: wp.array(dtype=int)  # n, of every degree of freedom
+    kind: wp.array(dtype=int)  # n, HINGE, FIXED - i or 0, 1, 2
+    slides: wp.array(dtype=int)  # n
+    hinge: wp.array(dtype=int)  # L, where in qpos; -1 for none
+    reach: wp.array(dtype=wp.float64)  # L n, whether the degree of freedom moves the link
+    arm: wp.array(dtype=wp.float64)  # 3 L, r
+    mass: wp.array(dtype=wp.float64)  # L
+    inertia: wp.array(dtype=wp.float64)  # 9 L
+    pose: wp.array(dtype=wp.float64)  # 12 L + L + 3 n + 3 n: frames, angles, axes a, anchors o
+    centre: wp.array(dtype=wp.float64)  # 3 L, c
+    jacobian: wp.array(dtype=wp.float64)  # 6 L n, J
+    twist: wp.array(dtype=wp.float64)  # 6 L, (u, w)
+    now: wp.array(dtype=wp.float64)  # 6 L, h
+
+
+@wp.struct
+class Balance:
+    """What the equation of a step adds to them; `interior`: whether the inside water's gain counts."""
+
+    body: Links
+    interior: int
+    dt: wp.array(dtype=wp.float64)  # 1
+    damping: wp.array(dtype=wp.float64)  # n
+    passive: wp.array(dtype=wp.float64)
+    actuator: wp.array(dtype=wp.float64)
+    bias: wp.array(dtype=wp.float64)
+    applied: wp.array(dtype=wp.float64)
+    weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
+    last: wp.array(dtype=wp.float64)  # 6 L, h of the step before
+    gain: wp.array(dtype=wp.float64)  # 6 L
+    inside: wp.array(dtype=wp.float64)  # n, I
+    smooth: wp.array(dtype=wp.float64)  # n, f
+    system: wp.array(dtype=wp.float64)  # n n, M on entry, then M + dt D
+    right: wp.array(dtype=wp.float64)  # n
+
+
+@wp.func
+def three(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d:
+    return wp.vec3d(a[at], a[at + 1], a[at + 2])
+
+
+@wp.func
+def nine(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
+    return wp.mat33d(a[at], a[at + 1], a[at + 2], a[at + 3], a[at + 4], a[at + 5], a[at + 6], a[at + 7], a[at + 8])
+
+
+@wp.func
+def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
+    for i in range(3):
+        a[at + i] = v[i]
+
+
+@wp.kernel
+def move(s: Links):
+    """Pose, centres, J, twists and momenta from what `mj_step1` left."""
+    frames, angles = s.pose, 12 * s.links
+    axes = angles + s.links
+    anchors = axes + 3 * s.dofs
+    for d in range(s.dofs):
+        axis, kind = three(s.mujoco_axis, 3 * s.joint[d]), s.kind[d]
+        if kind <= FIXED:
+            axis = wp.vec3d()
+            axis[FIXED - kind] = wp.float64(1.0)
+        if kind >= 0:
+            own = nine(s.turn, 9 * s.root)
+            axis = wp.vec3d(own[0, kind], own[1, kind], own[2, kind])
+        put(s.pose, axes + 3 * d, axis)
+        put(s.pose, anchors + 3 * d, three(s.mujoco_anchor, 3 * s.joint[d]))
+    for l in range(s.links):
+        place, turn = three(s.place, 3 * l), nine(s.turn, 9 * l)
+        put(frames, 12 * l, place)
+        for i in range(9):
+            frames[12 * l + 3 + i] = s.turn[9 * l + i]
+        if s.hinge[l] >= 0:
+            s.pose[angles + l] = s.qpos[s.hinge[l]]
+        centre = place + turn * three(s.arm, 3 * l)
+        put(s.centre, 3 * l, centre)
+        u, w = wp.vec3d(), wp.vec3d()
+        for d in range(s.dofs):
+            along = s.reach[l * s.dofs + d] * three(s.pose, axes + 3 * d)
+            shift = wp.where(s.slides[d] == 1, along, wp.cross(along, centre - three(s.pose, anchors + 3 * d)))
+            spin = wp.where(s.slides[d] == 1, wp.vec3d(), along)
+            for i in range(3):
+                s.jacobian[(6 * l + i) * s.dofs + d] = shift[i]
+                s.jacobian[(6 * l + 3 + i) * s.dofs + d] = spin[i]
+            u += s.qvel[d] * shift
+            w += s.qvel[d] * spin
+        put(s.twist, 6 * l, u)
+        put(s.twist, 6 * l + 3, w)
+        put(s.now, 6 * l, s.mass[l] * u)
+        put(s.now, 6 * l + 3, turn * (nine(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
+
+
+@wp.func
+def gained(e: Balance):
+    """I: what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
+    s = e.body
+    for d in range(s.dofs):
+        e.inside[d] = wp.float64(0.0)
+    for k in range(6 * s.links):
+        e.gain[k] = s.now[k] - e.last[k]
+        e.last[k] = s.now[k]
+        push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
+        for d in range(s.dofs):
+            e.inside[d] += push * s.jacobian[k * s.dofs + d]
+
+
+@wp.kernel
+def gain(e: Balance):
+    gained(e)
+
+
+@wp.kernel
+def balance(e: Balance):
+    """M + dt D and the right-hand side."""
+    gained(e)
+    s = e.body
+    n, dt = s.dofs, e.dt[0]
+    for i in range(n):
+        e.system[i * n + i] += dt * e.damping[i]
+        e.smooth[i] = e.passive[i] + e.actuator[i] - e.bias[i]
+        total = dt * (e.smooth[i] + e.applied[i]) + e.inside[i]
+        for j in range(n):
+            total += e.system[i * n + j] * s.qvel[j]
+        e.right[i] = total
+
+
+def shared(values: np.ndarray, dtype=wp.float64) -> wp.array:
+    """The same memory as a flat Warp array."""
+    flat = values.reshape(-1)
+    if not np.shares_memory(flat, values):
+        raise ValueError("links: only contiguous arrays are shared")
+    return wp.array(flat, dtype=dtype, device="cpu", copy=False)
+
+
+def recorded(kernel: wp.Kernel, given) -> wp.Launch:
+    """One thread of a kernel on the host, to be launched again and again."""
+    return wp.launch(kernel, dim=1, inputs=[given], device="cpu", record_cmd=True)
