@@ -25,6 +25,7 @@ from fishmj.lbm_oracle.units import Lattice
 SUBGRID = ("wale", "none")
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
+STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
@@ -97,7 +98,7 @@ class Fluid:
             self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
         self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
         self._launches: list[list[Any]] | None = None
-        self._graph: Any = None
+        self._graphs: dict[int, wp.Graph] = {}
         self.set_flow(self.flow)
         self.settle()
 
@@ -133,7 +134,7 @@ class Fluid:
         """Change the background flow from now on; the water inside follows through the sponge."""
         self.flow = flow
         self._inflow = inflow_of(flow, self.lattice, self.device)
-        self._launches = self._graph = None
+        self._launches, self._graphs = None, {}
 
     def settle(self) -> None:
         """Undisturbed background flow everywhere, at the present time."""
@@ -185,26 +186,26 @@ class Fluid:
             if self.parity:
                 self.advance()
                 steps -= 1
-            graph = self._captured()
-            for _ in range(steps // 2):
-                wp.capture_launch(graph)
-            self.steps += steps // 2 * 2
-            steps %= 2
+            for stride in STRIDES:
+                for _ in range(steps // stride):
+                    wp.capture_launch(self._captured(stride))
+                self.steps += steps // stride * stride
+                steps %= stride
         for _ in range(steps):
             if before is not None:
                 before()
             self.advance()
 
-    def _captured(self) -> wp.Graph:
-        """A graph of two steps from even parity; capturing does not run them."""
-        if self._graph is None:
+    def _captured(self, stride: int) -> wp.Graph:
+        """A graph of an even number of steps from even parity; capturing does not run them."""
+        if stride not in self._graphs:
             self._kernels.advance.module.load(self.device)
             steps = self.steps
             with wp.ScopedCapture(self.device) as capture:
-                for _ in range(2):
+                for _ in range(stride):
                     self.advance()
-            self._graph, self.steps = capture.graph, steps
-        return self._graph
+            self._graphs[stride], self.steps = capture.graph, steps
+        return self._graphs[stride]
 
     def predict(self, box: Box, out_u: wp.array, out_rho: wp.array) -> None:
         """Velocity [lu] and density that the next step would find without a body, at the nodes of a box.
@@ -262,12 +263,8 @@ class Fluid:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
-        return {
-            "f": self.f.numpy().copy(),
-            "u": self.u.numpy().copy(),
-            "origin": self.origin_lu.copy(),
-            "steps": np.array(self.steps),
-        }
+        f, u = self.f.numpy().copy(), self.u.numpy().copy()
+        return {"f": f, "u": u, "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue from a snapshot, bit for bit.
