@@ -5,7 +5,8 @@
              F = F0 + sum v_j F_j -> link wrenches       v and wrenches go to the host in one copy
     answer   F -> G                                      the force field of this step
 
-All three are queues of launches without a look at the host; a GPU captures them in one graph.
+All three are queues of launches without a look at the host; a GPU captures each as a graph. `listen` needs the body's place only,
+and the host makes up its equation meanwhile. What the host sends is free to be written again once the velocity has come back.
 """
 
 import numpy as np
@@ -96,15 +97,21 @@ class Boundary:
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
         self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
+        first = self.layout.system  # the place of the body goes ahead of its equation
+        self._sent = [(self.host[:first], self.staging[:first]), (self.host[first:], self.staging[first:])]
 
-    def fill(self, body, system, right, fixed=None, value=None) -> None:
-        """Write this step's numbers into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
+    def place(self, body) -> None:
+        """Write where the body is into the staging block."""
         view, dx = self.view, self.lattice.dx
         view["pose"][:] = body.pose
         low, high = body.bounds(self.corners)
         ends = zip(low.tolist(), high.tolist(), self.lattice.corner, self.box_shape, strict=True)
         view["box"][:] = [round((0.5 * (a + b) - corner) / dx - 0.5 * n) for a, b, corner, n in ends]
-        view["system"][:], view["momentum"][:], view["before"][:] = system, right, body.data.qvel
+
+    def fill(self, system, right, velocity, fixed=None, value=None) -> None:
+        """Write the body's equation into it; `fixed` (n,) marks velocities that are prescribed by `value`."""
+        view = self.view
+        view["system"][:], view["momentum"][:], view["before"][:] = system, right, velocity
         if fixed is not None or self._holds:
             view["fixed"][:] = 0.0 if fixed is None else fixed
             view["value"][:] = 0.0 if value is None else value
@@ -112,26 +119,16 @@ class Boundary:
         view["fresh"][:], self._taken, self._heard = self._taken, False, True
 
     def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
-        """Queue everything up to K and b0.
+        """Queue everything up to K and b0, after `place`.
 
         Args:
             f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
             acts: (6,) world nodes between which the fluid looks for a force; written here.
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
-        wp.copy(self.host, self.staging)
-        pose_in = [
-            self.host,
-            self.layout,
-            self.rest,
-            self.rest_normal,
-            self.pivot,
-            self.before,
-            self.after,
-            self.share,
-            self.moves,
-        ]
-        pose_in += [self.slides, lat.dx, lat.dt, w, shape]
+        wp.copy(*self._sent[0])
+        pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
+        pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
         pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
         self._launch(immersed.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
         read_in = [f, self.directions, self.drive, self.cell, self.store, w, shape]
@@ -147,8 +144,9 @@ class Boundary:
         self._launch(solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
 
     def decide(self, implicit: bool = True) -> None:
-        """Queue the solve, the wrench on every link, and the copy of both to the host."""
+        """Queue the solve, the wrench on every link, and the copy of both to the host, after `fill`."""
         lat = self.lattice
+        wp.copy(*self._sent[1])
         self._launch(
             solve.solve, 1, [self.host, self.layout, self.water, int(implicit)], [self.matrix, self.velocity, self.target]
         )

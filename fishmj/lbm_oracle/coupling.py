@@ -1,9 +1,10 @@
 """The coupled step: fish and water find their common velocity together.
 
-    body:    M, forces, interior water         ->  one block of numbers to the device
-    device:  listen (K, b0), decide (v+)       ->  v+ to the host, while the device goes on with
+    host:    where the body is                 ->  to the device
+    device:  listen (K, b0)                        while the host makes up M, forces, interior water  ->  to the device
+             decide (v+)                       ->  v+ to the host, while the device goes on with
              answer (force), fluid step
-    host:    mj_step to v+                     ->  the next block
+    host:    mj_step to v+                     ->  the next place
 
 The solve is implicit in the velocity of the joints, so that a body as light as water, or a thin light tail, is stable; the
 explicit scheme diverges there (docs/oracle_coupling.md). `Coupled.step` is the main loop.
@@ -80,36 +81,45 @@ class Coupled:
 
     def begin(self, fixed=None, value=None) -> None:
         """The host's half: the body's equation, and the launches of the whole step. Several tanks begin before one finishes."""
-        system, right = self.body.equation(interior=self.interior)
-        self.boundary.fill(self.body, system, right, fixed, value)
-        if self._graphs is None:
-            self.listen()
-            self.answer()
-        else:
-            self._graphs.launch()
+        body, edge = self.body, self.boundary
+        edge.place(body)
+        self._queue("listen")
+        system, right = body.equation(interior=self.interior)
+        edge.fill(system, right, body.data.qvel, fixed, value)
+        self._queue("decide")
+        self._queue("answer")
         if self.interior:  # what no launch waits for comes behind them
-            self.gain += self.body.gain
+            self.gain += body.gain
 
     def finish(self) -> np.ndarray:
         """Wait for the velocity, (n,), and let MuJoCo take it."""
         if self._graphs is not None:
             self._graphs.wait()
-        velocity = self.boundary.found.copy()
+        velocity = self.boundary.found.copy()  # the device writes there again in the next step
         self.body.advance(velocity)
         self.steps += 1
         return velocity
 
     def listen(self) -> None:
-        """Queue the first half: up to the velocity on its way to the host."""
-        fluid = self.fluid
-        self.boundary.listen(fluid.f.flatten(), fluid.origin, fluid.box)
+        """Launch what the water would answer to any velocity."""
+        self.boundary.listen(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
+
+    def decide(self) -> None:
+        """Launch the search for the velocity, up to its way to the host."""
         self.boundary.decide(self.scheme == "implicit")
 
     def answer(self) -> None:
-        """Queue the second half: the force, and the fluid's step under it."""
+        """Launch the force, and the fluid's step under it."""
         self.boundary.answer(self.fluid.force)
         self.fluid.advance()
         self.boundary.clear(self.fluid.force)
+
+    def _queue(self, part: str) -> None:
+        """Launch one of these three, from a graph where there are graphs."""
+        if self._graphs is None:
+            getattr(self, part)()
+        else:
+            self._graphs.launch(part)
 
     def take_wrench(self, seconds: float) -> tuple[np.ndarray, np.ndarray]:
         """Mean wrench of the water on every link over the last `seconds` (since the last call), each (L, 6).
@@ -125,54 +135,53 @@ class Coupled:
 
 
 class _Graphs:
-    """Two captured halves for each parity of the fluid's copies, on a stream of their own."""
+    """The three parts of a step, captured for each parity of the fluid's copies, on a stream of their own."""
 
     def __init__(self, coupled: Coupled):
         self.coupled, self.device = coupled, coupled.fluid.device
         self.stream, self.decided = wp.Stream(self.device), wp.Event(self.device)
-        self.here = wp.ScopedDevice(self.device)
-        self.warm: set[int] = set()
-        self.halves: dict[int, tuple] = {}
+        self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
+        self.warm: set[tuple[str, int]] = set()
+        self.graphs: dict[tuple[str, int], wp.Graph] = {}
         self.flow, self.joined = coupled.fluid.flow, True
         wp.synchronize_device(self.device)  # the arrays were made on another stream
 
-    def launch(self) -> None:
+    def launch(self, part: str) -> None:
+        """Queue it: launch by launch the first time, which loads the modules, and from a graph ever after."""
         fluid = self.coupled.fluid
         if fluid.flow is not self.flow:  # a new background flow has new launches
-            self.flow, self.halves = fluid.flow, {}
-        parity = fluid.parity
-        if parity not in self.halves:
+            self.flow, self.graphs = fluid.flow, {}
+        if self.joined:
+            self.stream.wait_stream(self.device.stream)  # what was queued outside `scope` since
+            self.joined = False
+        key = part, fluid.parity
+        if key not in self.graphs:
             with wp.ScopedStream(self.stream):
-                if parity not in self.warm:  # loads the modules, which a capture must not
-                    self.coupled.listen()
-                    wp.record_event(self.decided)
-                    self.coupled.answer()
-                    self.warm.add(parity)
-                    return
-                self.halves[parity] = self._capture()
-        first, second = self.halves[parity]
-        with self.here:
-            if self.joined:
-                self.stream.wait_stream(self.device.stream)  # what was queued outside `scope` since
-                self.joined = False
-            wp.capture_launch(first, self.stream)
+                if key in self.warm:
+                    self.graphs[key] = self._capture(part)
+                else:
+                    getattr(self.coupled, part)()
+        if key in self.graphs:
+            with self.here:
+                wp.capture_launch(self.graphs[key], self.stream)
+            if part == "answer":  # has moved the fluid on
+                fluid.parity, fluid.steps = 1 - fluid.parity, fluid.steps + 1
+        self.warm.add(key)
+        if part == "decide":
             self.stream.record_event(self.decided)
-            wp.capture_launch(second, self.stream)
-        fluid.parity, fluid.steps = 1 - parity, fluid.steps + 1
 
     def join(self) -> None:
         self.device.stream.wait_stream(self.stream)
         self.joined = True
 
     def wait(self) -> None:
+        """Until the velocity is on the host."""
         wp.synchronize_event(self.decided)
 
-    def _capture(self) -> tuple:
+    def _capture(self, part: str) -> wp.Graph:
         fluid = self.coupled.fluid
         parity, steps = fluid.parity, fluid.steps
-        with wp.ScopedCapture(self.device, stream=self.stream) as first:
-            self.coupled.listen()
-        with wp.ScopedCapture(self.device, stream=self.stream) as second:
-            self.coupled.answer()
+        with wp.ScopedCapture(self.device, stream=self.stream) as captured:
+            getattr(self.coupled, part)()
         fluid.parity, fluid.steps = parity, steps
-        return first.graph, second.graph
+        return captured.graph
