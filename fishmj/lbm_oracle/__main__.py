@@ -13,6 +13,7 @@ VERBS = {
     "cases": "fishmj.lbm_oracle.ladder",
     "converge": "fishmj.lbm_oracle.converge",
     "swim": "fishmj.lbm_oracle.swim",
+    "speeds": "fishmj.lbm_oracle.speeds",
     "forcemap": "fishmj.lbm_oracle.forcemap",
     "drift": "fishmj.lbm_oracle.drift",
 }

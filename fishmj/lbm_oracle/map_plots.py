@@ -81,3 +81,21 @@ def drifts(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
         turn.axhline(limit, color="#B3392F", lw=0.8, ls="--")
     turn.set(xlabel="time since release [s]", ylabel="heading [deg]", title="dashed: one full turn")
     return _save(figure, path)
+
+
+def swims(rows: Sequence[dict], path: Path, title: str) -> Path:
+    """Speed of free swims against the slip ratio, a line a frequency and depth; the slip axis is stretched towards 1."""
+    plt = pyplot()
+    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    lines = sorted({(row["frequency"], row["depth"]) for row in rows})
+    slips = sorted({row["slip"] for row in rows})
+    for i, line in enumerate(lines):
+        here = sorted((row for row in rows if (row["frequency"], row["depth"]) == line), key=lambda row: row["slip"])
+        label = f"{line[0]:g} Hz" + (f", {line[1]:g} m deep" if len({depth for _, depth in lines}) > 1 else "")
+        places, speeds = [slips.index(row["slip"]) for row in here], [row["speed_m_s"] for row in here]
+        axis.plot(places, speeds, marker="o", ms=4, lw=1.4, color=COLOURS[i % len(COLOURS)], label=label)
+    axis.set_xticks(range(len(slips)), [f"{slip:g}" for slip in slips])
+    axis.set(xlabel="slip ratio, at the paper's grid", ylabel="speed [m/s]", ylim=(0, None))
+    axis.set_title(title, loc="left")
+    axis.legend(frameon=False, fontsize=8)
+    return _save(figure, path)
