@@ -6,7 +6,7 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle import speeds
 
-CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.2", "--device", "cpu", "--json"]
+CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]
 
 
 def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, monkeypatch, capsys):
@@ -17,7 +17,7 @@ def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, m
     assert speeds.main([*call, "--slips", "0.98", "1"]) == console.OK
     assert swum == [(30, 2.0, 1.0), (30, 2.0, 0.98)]
     assert (tmp_path / "speeds.png").stat().st_size > 1000
-    rows = speeds.Book(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.2}).rows
+    rows = speeds.Book(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.6}).rows
     assert all(row["status"] == "ok" and row["speed_m_s"] > 0 for row in rows.values())
     with pytest.raises(ConfigError, match="Take another --out"):
         speeds.main([*call, "--slips", "1", "--beats", "0.4"])
