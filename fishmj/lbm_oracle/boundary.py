@@ -21,7 +21,7 @@ from fishmj.lbm_oracle.lattice import C
 from fishmj.lbm_oracle.markers import Markers
 from fishmj.lbm_oracle.units import Lattice
 
-GPU_CHUNKS = 32  # partial sums over the markers; one on the CPU
+GPU_CHUNKS = 16  # partial sums over the markers; one on the CPU
 MARGIN = 4  # cells of the scratch box round the markers: half a kernel, rounding, the bend of the skin
 
 
@@ -85,10 +85,9 @@ class Boundary:
         chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
-        self.matrix = empty((self.dofs, self.rhs), wp.float64)
         self.told, self.target = empty(told, wp.float64), empty(self.dofs, wp.float64)
         self.velocity, self._wrench = self.told[: self.dofs], self.told[self.dofs :].reshape((self.links, 6))
-        self.wrench_part = empty((chunks, self.links), wp.spatial_vectord)
+        self.wrench_part = empty((chunks, self.links, 6), wp.float64)
         self._holds = False  # velocities were prescribed in the last step
         self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
         self._heard = True  # `inbox` holds what is in `_wrench`
@@ -137,7 +136,7 @@ class Boundary:
         self._launch(immersed.aim, (n, self.rhs), aim_in, [self.wanted, self.force])
         for _ in range(self.passes - 1):
             self.scratch.zero_()
-            self._launch(immersed.spread, (n, self.rhs), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
+            self._launch(immersed.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
             self._launch(immersed.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(solve.weigh, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
@@ -147,20 +146,19 @@ class Boundary:
         """Queue the solve, the wrench on every link, and the copy of both to the host, after `fill`."""
         lat = self.lattice
         wp.copy(*self._sent[1])
-        self._launch(
-            solve.solve, 1, [self.host, self.layout, self.water, int(implicit)], [self.matrix, self.velocity, self.target]
-        )
+        args = [self.host, self.layout, self.water, int(implicit)]
+        self._launch(solve.solver(self.dofs), 1, args, [self.velocity, self.target])
         self._launch(immersed.combine, self.count, [self.force, self.target], [self.final])
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
-        self._launch(solve.wrench, self.wrench_part.shape, args, [self.wrench_part])
+        self._launch(solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
         args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]
-        self._launch(solve.add_wrench, self.links, args, [self._wrench])
+        self._launch(solve.add_wrench, (self.links, 6), args, [self._wrench])
         wp.copy(self.inbox, self.told)
 
     def answer(self, acceleration: wp.array) -> None:
         """Queue the final force into the fluid's `acceleration`."""
         args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
-        self._launch(immersed.push, self.count, args, [acceleration])
+        self._launch(immersed.push, (self.count, self.width), args, [acceleration])
 
     def clear(self, acceleration: wp.array) -> None:
         """Queue G = 0 where the last answer pushed."""

@@ -13,7 +13,7 @@ Departures from the textbook (Wang, Fan, Luo 2008; Kang, Hassan 2011):
     1. the slip target is frozen over the passes, so that the tangential force does not depend on their number;
     2. the spread force is divided by the local density, so that sum(rho G) = sum(V F) to round-off;
     3. no marker is ever looped over in Python, and nothing but v crosses to the host in a step.
-The kernels below run one marker (and right-hand side) a thread, on CPU and GPU alike.
+The kernels below run one marker (and right-hand side, and plane of its cells) a thread, on CPU and GPU alike.
 """
 
 from typing import Any
@@ -21,9 +21,10 @@ from typing import Any
 import warp as wp
 
 from fishmj.lbm_oracle.delta import first, phi, weight, wrap
+from fishmj.lbm_oracle.lattice import Q
 from fishmj.lbm_oracle.memory import STORAGE, peek
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": Q})
 
 
 @wp.struct
@@ -133,7 +134,7 @@ def read_cells(
     at = store[k]
     x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
     rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
-    for q in range(directions.shape[0]):
+    for q in range(wp.static(Q)):  # unrolled: nineteen loads under way at once
         c = directions[q]
         px, py, pz = wrap(x - c[0], shape[0]), wrap(y - c[1], shape[1]), wrap(z - c[2], shape[2])
         value = peek(f, ((q * shape[0] + px) * shape[1] + py) * shape[2] + pz)
@@ -184,17 +185,16 @@ def spread(
     box_rho: wp.array3d(dtype=float),
     scratch: wp.array4d(dtype=wp.vec3),
 ):
-    """scratch(x) += V_k F_k d(x - X_k) / rho(x), right-hand sides innermost."""
-    k, r = wp.tid()
+    """scratch(x) += V_k F_k d(x - X_k) / rho(x) in plane i of the cells that marker k touches, right-hand sides innermost."""
+    k, r, i = wp.tid()
     p, push = cell[k], volume[k] * force[k, r]
     x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
-    for i in range(width):
-        wx = phi(p[0] - float(x + i), width)
-        for j in range(width):
-            wy = wx * phi(p[1] - float(y + j), width)
-            for l in range(width):
-                w = wy * phi(p[2] - float(z + l), width)
-                wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
+    wx = phi(p[0] - float(x + i), width)
+    for j in range(width):
+        wy = wx * phi(p[1] - float(y + j), width)
+        for l in range(width):
+            w = wy * phi(p[2] - float(z + l), width)
+            wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
 
 
 @wp.kernel
@@ -239,16 +239,15 @@ def push(
     box_rho: wp.array3d(dtype=float),
     acceleration: wp.array3d(dtype=wp.vec3),
 ):
-    """G(x) += V_k F_k d(x - X_k) / rho(x) in the fluid's own array."""
-    k = wp.tid()
+    """G(x) += V_k F_k d(x - X_k) / rho(x) in the fluid's own array, in plane i of the cells that marker k touches."""
+    k, i = wp.tid()
     p, at, whole = cell[k], store[k], volume[k] * final[k]
     x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
-    for i in range(width):
-        for j in range(width):
-            for l in range(width):
-                w = weight(p, x + i, y + j, z + l, width) / box_rho[x + i, y + j, z + l]
-                sx, sy, sz = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
-                wp.atomic_add(acceleration, sx, sy, sz, w * whole)
+    for j in range(width):
+        for l in range(width):
+            w = weight(p, x + i, y + j, z + l, width) / box_rho[x + i, y + j, z + l]
+            sx, sy, sz = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
+            wp.atomic_add(acceleration, sx, sy, sz, w * whole)
 
 
 @wp.kernel

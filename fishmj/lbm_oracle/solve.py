@@ -4,6 +4,8 @@ Sums run in float64 and in a fixed order (chunks of markers, then chunks), so th
 no atomics of these sums differ on a GPU.
 """
 
+from functools import cache
+
 import warp as wp
 
 from fishmj.lbm_oracle.immersed import Layout
@@ -38,58 +40,66 @@ def gather(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total: wp.arra
     total[i, r] = scale * s
 
 
-@wp.kernel
-def solve(
-    host: wp.array(dtype=wp.float64),
-    at: Layout,
-    water: wp.array2d(dtype=wp.float64),
-    implicit: int,
-    a: wp.array2d(dtype=wp.float64),
-    v: wp.array(dtype=wp.float64),
-    target: wp.array(dtype=wp.float64),
-):
-    """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
+@cache
+def solver(n: int) -> wp.Kernel:
+    """The kernel for n degrees of freedom. Every index is known beforehand: its one thread keeps the matrix in registers."""
+    rows = wp.types.matrix(shape=(n, n + 1), dtype=wp.float64)
+    column = wp.types.vector(length=n, dtype=wp.float64)
+    module = wp.get_module(f"{__name__}.{n}")  # by name: Warp's own do not see static expressions that depend on an unrolled loop
+    wp.set_module_options({"enable_backward": False, "max_unroll": n + 1}, module)
 
-    implicit = 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
-    """
-    n = at.dofs
-    for i in range(n):
-        right = host[at.momentum + i] - water[i, 0]
-        for j in range(n):
-            a[i, j] = host[at.system + n * i + j]
-            if implicit == 1:
-                a[i, j] = a[i, j] + water[i, j + 1]
-            else:
-                right -= water[i, j + 1] * host[at.before + j]
-        if host[at.fixed + i] > wp.float64(0.5):
-            for j in range(n):
-                a[i, j] = wp.float64(0.0)
-            a[i, i] = wp.float64(1.0)
-            right = host[at.value + i]
-        a[i, n] = right
-    for p in range(n):
-        best = int(p)
-        for i in range(p + 1, n):
-            if wp.abs(a[i, p]) > wp.abs(a[best, p]):
-                best = i
-        for j in range(p, n + 1):
-            keep = a[p, j]
-            a[p, j] = a[best, j]
-            a[best, j] = keep
-        for i in range(p + 1, n):
-            ratio = a[i, p] / a[p, p]
-            for j in range(p, n + 1):
-                a[i, j] = a[i, j] - ratio * a[p, j]
-    for back in range(n):
-        i = n - 1 - back
-        s = a[i, n]
-        for j in range(i + 1, n):
-            s -= a[i, j] * v[j]
-        v[i] = s / a[i, i]
-    for i in range(n):
-        target[i] = v[i]
-        if implicit == 0 and host[at.fixed + i] < wp.float64(0.5):
-            target[i] = host[at.before + i]
+    @wp.kernel(module=module)
+    def solve(
+        host: wp.array(dtype=wp.float64),
+        at: Layout,
+        water: wp.array2d(dtype=wp.float64),
+        implicit: int,
+        v: wp.array(dtype=wp.float64),
+        target: wp.array(dtype=wp.float64),
+    ):
+        """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
+
+        implicit = 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
+        """
+        a, x = rows(), column()
+        for i in range(wp.static(n)):
+            free = host[at.fixed + i] < wp.float64(0.5)
+            right = host[at.momentum + i] - water[i, 0]
+            for j in range(wp.static(n)):
+                answer = water[i, j + 1]
+                entry = host[at.system + n * i + j]
+                if implicit == 1:
+                    entry += answer
+                else:
+                    right -= answer * host[at.before + j]
+                a[i, j] = wp.where(free, entry, wp.where(wp.static(i == j), wp.float64(1.0), wp.float64(0.0)))
+            a[i, wp.static(n)] = wp.where(free, right, host[at.value + i])
+        for p in range(wp.static(n)):
+            for i in range(wp.static(n)):
+                if wp.static(i > p):
+                    swap = wp.abs(a[i, p]) > wp.abs(a[p, p])  # after the last of them, row p has the greatest
+                    for j in range(wp.static(n + 1)):
+                        upper, lower = wp.where(swap, a[i, j], a[p, j]), wp.where(swap, a[p, j], a[i, j])
+                        a[p, j] = upper
+                        a[i, j] = lower
+            for i in range(wp.static(n)):
+                if wp.static(i > p):
+                    ratio = a[i, p] / a[p, p]
+                    for j in range(wp.static(n + 1)):
+                        if wp.static(j >= p):
+                            a[i, j] = a[i, j] - ratio * a[p, j]
+        for back in range(wp.static(n)):
+            rest = a[wp.static(n - 1 - back), wp.static(n)]
+            for j in range(wp.static(n)):
+                if wp.static(j > n - 1 - back):
+                    rest -= a[wp.static(n - 1 - back), j] * x[j]
+            x[wp.static(n - 1 - back)] = rest / a[wp.static(n - 1 - back), wp.static(n - 1 - back)]
+        for i in range(wp.static(n)):
+            v[i] = x[i]
+            old = implicit == 0 and host[at.fixed + i] < wp.float64(0.5)
+            target[i] = wp.where(old, host[at.before + i], x[i])
+
+    return solve
 
 
 @wp.kernel
@@ -102,11 +112,11 @@ def wrench(
     final: wp.array(dtype=wp.vec3),
     host: wp.array(dtype=wp.float64),
     at: Layout,
-    part: wp.array2d(dtype=wp.spatial_vectord),
+    part: wp.array3d(dtype=wp.float64),
 ):
-    """part[c, l] = impulse of the water on link l and its moment about the link's origin, before scaling to SI.
+    """part[c, l] = impulse (3) of the water on link l and its moment (3) about the link's origin, before scaling to SI.
 
-    A marker of the bend zone pushes on its two links by its share. spatial_vectord holds (force, moment).
+    A marker of the bend zone pushes on its two links by its share.
     """
     c, l = wp.tid()
     push, turn = wp.vec3d(), wp.vec3d()
@@ -123,22 +133,23 @@ def wrench(
             push += f
             turn += wp.cross(world[k] - origin, f)
         k += part.shape[0]
-    part[c, l] = wp.spatial_vectord(push[0], push[1], push[2], turn[0], turn[1], turn[2])
+    for i in range(3):
+        part[c, l, i] = push[i]
+        part[c, l, 3 + i] = turn[i]
 
 
 @wp.kernel
 def add_wrench(
-    part: wp.array2d(dtype=wp.spatial_vectord),
+    part: wp.array3d(dtype=wp.float64),
     scale: wp.float64,
     host: wp.array(dtype=wp.float64),
     at: Layout,
     total: wp.array2d(dtype=wp.float64),
 ):
     """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far."""
-    l = wp.tid()
-    s = wp.spatial_vectord()
+    l, i = wp.tid()
+    s = wp.float64(0.0)
     for c in range(part.shape[0]):
-        s += part[c, l]
-    for i in range(6):
-        before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
-        total[l, i] = before + scale * s[i]
+        s += part[c, l, i]
+    before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
+    total[l, i] = before + scale * s
