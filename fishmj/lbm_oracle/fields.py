@@ -86,14 +86,17 @@ def survey(
     s: Numbers,
     f: wp.array(dtype=Any),
     u: wp.array3d(dtype=wp.vec3),
-    extremes: wp.array(dtype=float),
+    planes: int,
+    least: wp.array(dtype=float),
+    greatest: wp.array(dtype=float),
+    fastest: wp.array(dtype=float),
     mass: wp.array(dtype=wp.float64),
     lost: wp.array(dtype=int),
 ):
-    """Least and greatest drho and greatest speed squared, sum of drho, number of nodes that are not finite."""
-    y, z = wp.tid()
+    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; a thread for some planes."""
+    part, y, z = wp.tid()
     low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)  # noqa: UP018  variables to Warp
-    for x in range(s.nx):
+    for x in range(part * planes, wp.min((part + 1) * planes, s.nx)):
         drho = density(_loaded(f, s, x, y, z))
         speed2 = wp.length_sq(u[x, y, z])
         if wp.isfinite(drho) and wp.isfinite(speed2):
@@ -101,12 +104,12 @@ def survey(
             total += wp.float64(drho)
         else:
             bad += 1
-    wp.atomic_min(extremes, 0, low)
-    wp.atomic_max(extremes, 1, high)
-    wp.atomic_max(extremes, 2, fast)
-    wp.atomic_add(mass, 0, total)
+    wp.atomic_min(least, y, low)
+    wp.atomic_max(greatest, y, high)
+    wp.atomic_max(fastest, y, fast)
+    wp.atomic_add(mass, y, total)
     if bad > 0:
-        wp.atomic_add(lost, 0, bad)
+        wp.atomic_add(lost, y, bad)
 
 
 @wp.kernel

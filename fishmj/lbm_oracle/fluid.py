@@ -5,7 +5,7 @@ n % 2 and writes the other, so a captured graph holds an even number of steps.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,6 +20,7 @@ from fishmj.lbm_oracle.inflow import inflow_of
 from fishmj.lbm_oracle.lattice import Q
 from fishmj.lbm_oracle.memory import STORAGE
 from fishmj.lbm_oracle.stream import Numbers, box_array, kernels
+from fishmj.lbm_oracle.survey import Survey, Surveyor
 from fishmj.lbm_oracle.units import Lattice
 
 SUBGRID = ("wale", "none")
@@ -29,16 +30,6 @@ STRIDES = (20, 2)  # steps in a captured graph: between two of them the device p
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
-
-
-class Survey(NamedTuple):
-    """What the watch looks at, lattice units."""
-
-    rho_min: float
-    rho_max: float
-    speed: float  # greatest |u|
-    mass: float  # sum of rho - 1
-    lost: int  # nodes that are not finite
 
 
 class Fluid:
@@ -99,6 +90,7 @@ class Fluid:
         self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
         self._launches: list[list[Any]] | None = None
         self._graphs: dict[int, wp.Graph] = {}
+        self._surveyor = Surveyor(shape, self.device)
         self.set_flow(self.flow)
         self.settle()
 
@@ -254,12 +246,17 @@ class Fluid:
 
     def survey(self) -> Survey:
         """Extremes of density and speed, mass, and nodes that are not finite."""
-        with wp.ScopedDevice(self.device):
-            extremes, mass, lost = wp.zeros(3, dtype=float), wp.zeros(1, dtype=wp.float64), wp.zeros(1, dtype=int)
-            outputs = [self._numbers, _flat(self.f), self.u, extremes, mass, lost]
-            wp.launch(fields.survey, dim=self.shape[1:], inputs=outputs)
-        low, high, fast = extremes.numpy()
-        return Survey(1 + float(low), 1 + float(high), float(np.sqrt(fast)), float(mass.numpy()[0]), int(lost.numpy()[0]))
+        self.begin_survey()
+        wp.synchronize_device(self.device)
+        return self.surveyed()
+
+    def begin_survey(self) -> None:
+        """Queue a survey on the present stream; the host goes on."""
+        self._surveyor.start(self._numbers, _flat(self.f), self.u)
+
+    def surveyed(self) -> Survey:
+        """What the last one found; to be asked once the device is through with it."""
+        return self._surveyor.result()
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""

@@ -151,14 +151,17 @@ def _verdict(cells: float) -> str:
 class Watch:
     """Looks at a fluid every `every` steps and stops it before nonsense is written.
 
+    `look` waits for the device; `begin` does not, and `end` judges what it saw once the device has gone on.
+
     Raises:
-        OracleUnstable: at `look`, with `limit` one of lost, speed, density, mass.
+        OracleUnstable: at `look` and `end`, with `limit` one of lost, speed, density, mass.
     """
 
     every: int = EVERY
     fastest: float = 0.0  # greatest speed seen, m/s
     densest: float = 0.0  # greatest |rho - 1| seen
     looks: int = 0
+    pending: tuple | None = None  # fluid and step of a look that was begun
 
     def due(self, fluid) -> bool:
         """Whether this is a step to look after."""
@@ -173,7 +176,21 @@ class Watch:
 
     def look(self, fluid):
         """One survey, judged."""
-        found = fluid.survey()
+        self.pending = None
+        return self._judged(fluid, fluid.steps, fluid.survey())
+
+    def begin(self, fluid) -> None:
+        """Queue a survey, to be judged at `end`."""
+        fluid.begin_survey()
+        self.pending = fluid, fluid.steps
+
+    def end(self):
+        """The one that was begun, judged; a step of the same fluid that was begun later has been waited for."""
+        if self.pending is not None:
+            (fluid, step), self.pending = self.pending, None
+            return self._judged(fluid, step, fluid.surveyed())
+
+    def _judged(self, fluid, step: int, found):
         self.looks += 1
         mean = found.mass / fluid.cells
         speed = found.speed * fluid.lattice.velocity
@@ -189,13 +206,13 @@ class Watch:
             else ""
         )
         if limit:
-            raise OracleUnstable(_said(limit, fluid, found, speed, mean), limit=limit, step=fluid.steps, figures=found)
+            raise OracleUnstable(_said(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
         self.fastest = max(self.fastest, speed)
         self.densest = max(self.densest, 1 - found.rho_min, found.rho_max - 1)
         return found
 
 
-def _said(limit: str, fluid, found, speed: float, mean: float) -> str:
+def _said(limit: str, fluid, step: int, found, speed: float, mean: float) -> str:
     lat = fluid.lattice
     slower = lat.dt / 2
     what = {
@@ -204,4 +221,4 @@ def _said(limit: str, fluid, found, speed: float, mean: float) -> str:
         "density": f"density {found.rho_min:.3f} to {found.rho_max:.3f}; expected {RHO[0]} to {RHO[1]}",
         "mass": f"mean density is off by {mean:+.4f}; expected less than {MEAN_DRHO}",
     }[limit]
-    return f"fluid: at step {fluid.steps}, t = {fluid.time:.3f} s: {what}. dt = {slower:.4g} s would halve every Mach number"
+    return f"fluid: at step {step}, t = {step * lat.dt:.3f} s: {what}. dt = {slower:.4g} s would halve every Mach number"

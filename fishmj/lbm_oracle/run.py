@@ -16,6 +16,7 @@ from importlib.metadata import version
 from typing import cast
 
 import numpy as np
+import warp as wp
 
 from fishmj import __version__
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
@@ -148,7 +149,7 @@ class Run:
         coupled = self.coupled if factor == 1 else self._finer[factor]
         body, dt = coupled.body, coupled.body.dt
         self.fastest, count, corners = 0.0, self.steps * factor, coupled.boundary.corners
-        driver = self._driver(coupled, factor)
+        driver, ended = self._driver(coupled, factor), False
         try:
             for i in range(count):
                 coupled.begin(*driver.drive(i))
@@ -156,16 +157,20 @@ class Run:
                 yield
                 coupled.finish()
                 driver.finished()
+                self.watch.end()
                 self.fastest = max(self.fastest, body.fastest(corners))
                 if stop and self.fastest > factor * self.limit:
                     return None
                 if self.watch.due(coupled.fluid):
                     with coupled.scope():
-                        self.watch.look(coupled.fluid)
+                        self.watch.begin(coupled.fluid)
                 if self.follow is not None:
                     self.follow(coupled)
+            ended = True
         finally:
             coupled.join()
+            if not ended:
+                self.watch.pending = None  # of an attempt that was given up
         return driver.power, *coupled.take_wrench(count * dt)
 
     def _driver(self, coupled: Coupled, factor: int) -> Driver:
@@ -178,6 +183,8 @@ class Run:
         Raises:
             OracleUnstable: too fast for the finest ones, too. SimDiverged: it was not for the time step.
         """
+        wp.synchronize_device(self.coupled.fluid.device)
+        self.watch.end()  # of the tick before, where no step of this one was done
         for factor in FACTORS:
             restore(self.coupled, kept)
             if factor not in self._finer:
