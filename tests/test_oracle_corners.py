@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fishmj.errors import SimDiverged
 from fishmj.lbm_oracle.body import Body
 from fishmj.lbm_oracle.corners import Corners
 from fishmj.lbm_oracle.markers import fish_markers
@@ -41,3 +42,14 @@ def test_the_fastest_corner_is_found_and_looked_for_anew_when_the_body_moves(swi
         body.place(body.data.qpos.copy(), factor * np.arange(1.0, body.dofs + 1))
         expected = max(np.linalg.norm(v) for _, v in one_by_one(body, corners))
         assert body.fastest(corners) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("at", range(6))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1001.0, -1001.0])
+def test_a_velocity_that_is_no_number_or_runs_away_is_refused_wherever_it_stands(at, value):
+    body, velocity = Body.of("fish"), np.linspace(-1.0, 1.0, 6)
+    body.equation()
+    before, velocity[at] = body.data.qpos.copy(), value
+    with pytest.raises(SimDiverged, match=body.model.joint(at).name):
+        body.advance(velocity)
+    np.testing.assert_array_equal(body.data.qpos, before)

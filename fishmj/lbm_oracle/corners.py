@@ -7,7 +7,7 @@ speed = |u_l + w_l x R_l (c - r_l)|          of corner c, from the twist (u, w) 
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.links import nine, recorded, shared, three
+from fishmj.lbm_oracle.links import Recorded, nine, shared, three
 from fishmj.lbm_oracle.markers import Markers
 
 wp.set_module_options({"enable_backward": False})
@@ -56,7 +56,7 @@ class Corners:
         self.at, self.centre = np.array(at, float), np.array(centre, float)
         self._seen = np.zeros(7)
         self._at: tuple = ()
-        self._surround: wp.Launch | None = None
+        self._surround: Recorded | None = None
 
     @classmethod
     def of(cls, markers: Markers, centre: np.ndarray) -> "Corners":
@@ -79,6 +79,6 @@ class Corners:
             boxes = Boxes()
             boxes.links, boxes.corner, boxes.arm = len(self.at), shared(self.at), shared(self.centre)
             boxes.pose, boxes.twist, boxes.seen = shared(pose), shared(twist), shared(self._seen)
-            self._at, self._surround = (pose, twist), recorded(surround, boxes)
+            self._at, self._surround = (pose, twist), Recorded(surround, boxes)
         self._surround.launch()
         return self._seen

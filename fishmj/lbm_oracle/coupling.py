@@ -65,7 +65,8 @@ class Coupled:
         Raises:
             SimDiverged: the body's velocity is not finite.
         """
-        self.begin(fixed, value)
+        self.ask()
+        self.tell(fixed, value)
         velocity = self.finish()
         self.join()
         return velocity
@@ -79,13 +80,16 @@ class Coupled:
         if self._graphs is not None:
             self._graphs.join()
 
-    def begin(self, fixed=None, value=None) -> None:
-        """The host's half: the body's equation, and the launches of the whole step. Several tanks begin before one finishes."""
-        body, edge = self.body, self.boundary
-        edge.place(body)
+    def ask(self) -> None:
+        """Where the body is; the water begins to work out what it would answer to any velocity."""
+        self.boundary.place(self.body)
         self._queue("listen")
+
+    def tell(self, fixed=None, value=None) -> None:
+        """The body's equation, and the launches of the rest of the step. Several tanks come so far before one finishes."""
+        body = self.body
         system, right = body.equation(interior=self.interior)
-        edge.fill(system, right, body.data.qvel, fixed, value)
+        self.boundary.fill(system, right, body.data.qvel, fixed, value)
         self._queue("decide")
         self._queue("answer")
         if self.interior:  # what no launch waits for comes behind them

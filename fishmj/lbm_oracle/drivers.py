@@ -18,7 +18,7 @@ class Driver(Protocol):
         """Mean W that the servos drew."""
 
     def drive(self, step: int) -> tuple:
-        """Push the joints in this step of the tick; returns what the coupled step is begun with (`Coupled.begin`)."""
+        """Push the joints in this step of the tick; returns what `Coupled.tell` is given."""
 
     def begun(self) -> None:
         """The step's equation stands and its launches are under way."""

@@ -152,7 +152,8 @@ class Run:
         driver, ended = self._driver(coupled, factor), False
         try:
             for i in range(count):
-                coupled.begin(*driver.drive(i))
+                coupled.ask()
+                coupled.tell(*driver.drive(i))
                 driver.begun()
                 yield
                 coupled.finish()
