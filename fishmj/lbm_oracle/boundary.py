@@ -2,7 +2,7 @@
 
     listen   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
     decide   (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
-             F = F0 + sum v_j F_j -> link wrenches       v and wrenches go to the host in one copy
+             F = F0 + sum v_j F_j -> link wrenches       v and wrenches are written into the host's memory
     answer   F -> G                                      the force field of this step
 
 All three are queues of launches without a look at the host; a GPU captures each as a graph. `listen` needs the body's place only,
@@ -73,8 +73,7 @@ class Boundary:
         empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)  # noqa: E731
         self.host = empty(self.layout.size, wp.float64)
         self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        told = self.dofs + 6 * self.links
-        self.inbox = wp.zeros(told, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.inbox = wp.zeros(self.dofs + 6 * self.links, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
         self.outbox = self.inbox[: self.dofs]  # the velocity on the host
         self.world, self.cell, self.normal = empty(n, wp.vec3d), empty(n, wp.vec3), empty(n, wp.vec3)
         self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
@@ -85,8 +84,11 @@ class Boundary:
         chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
-        self.told, self.target = empty(told, wp.float64), empty(self.dofs, wp.float64)
-        self.velocity, self._wrench = self.told[: self.dofs], self.told[self.dofs :].reshape((self.links, 6))
+        self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
+        sent, told = (_reached(array, device) for array in (self.staging, self.inbox))
+        first = self.layout.system  # the place of the body goes ahead of its equation
+        self._sent = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
+        self._told = told[: self.dofs], told[self.dofs :].reshape((self.links, 6))
         self.wrench_part = empty((chunks, self.links, 6), wp.float64)
         self._holds = False  # velocities were prescribed in the last step
         self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
@@ -96,8 +98,6 @@ class Boundary:
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
         self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
-        first = self.layout.system  # the place of the body goes ahead of its equation
-        self._sent = [(self.host[:first], self.staging[:first]), (self.host[first:], self.staging[first:])]
 
     def place(self, body) -> None:
         """Write where the body is into the staging block."""
@@ -125,7 +125,7 @@ class Boundary:
             acts: (6,) world nodes between which the fluid looks for a force; written here.
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
-        wp.copy(*self._sent[0])
+        self._fetch(*self._sent[0])
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
         pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
@@ -143,17 +143,16 @@ class Boundary:
         self._launch(solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
 
     def decide(self, implicit: bool = True) -> None:
-        """Queue the solve, the wrench on every link, and the copy of both to the host, after `fill`."""
+        """Queue the solve and the wrench on every link, which write into the host's memory, after `fill`."""
         lat = self.lattice
-        wp.copy(*self._sent[1])
+        self._fetch(*self._sent[1])
         args = [self.host, self.layout, self.water, int(implicit)]
-        self._launch(solve.solver(self.dofs), 1, args, [self.velocity, self.target])
+        self._launch(solve.solver(self.dofs), 1, args, [self._told[0], self.target])
         self._launch(immersed.combine, self.count, [self.force, self.target], [self.final])
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
         args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]
-        self._launch(solve.add_wrench, (self.links, 6), args, [self._wrench])
-        wp.copy(self.inbox, self.told)
+        self._launch(solve.add_wrench, (self.links, 6), args, [self._wrench, self._told[1]])
 
     def answer(self, acceleration: wp.array) -> None:
         """Queue the final force into the fluid's `acceleration`."""
@@ -192,8 +191,16 @@ class Boundary:
         water = self.water.numpy()
         return water[:, 1:].copy(), water[:, 0].copy()
 
+    def _fetch(self, sent: wp.array, host: wp.array) -> None:
+        self._launch(solve.fetch, len(sent), [sent], [host])
+
     def _launch(self, kernel, dim, inputs, outputs) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def _reached(array: wp.array, device) -> wp.array:
+    """A pinned array of the host as the device sees it: at the same address, so that no copy stands between two kernels."""
+    return wp.array(ptr=array.ptr, dtype=array.dtype, shape=array.shape, device=device)
 
 
 def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:

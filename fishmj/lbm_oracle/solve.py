@@ -14,6 +14,13 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
+def fetch(sent: wp.array(dtype=wp.float64), host: wp.array(dtype=wp.float64)):
+    """What the host sent, out of its own memory."""
+    k = wp.tid()
+    host[k] = sent[k]
+
+
+@wp.kernel
 def weigh(
     jacobian: wp.array2d(dtype=wp.vec3),
     volume: wp.array(dtype=float),
@@ -145,11 +152,13 @@ def add_wrench(
     host: wp.array(dtype=wp.float64),
     at: Layout,
     total: wp.array2d(dtype=wp.float64),
+    heard: wp.array2d(dtype=wp.float64),
 ):
-    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far."""
+    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `heard` is the host's copy."""
     l, i = wp.tid()
     s = wp.float64(0.0)
     for c in range(part.shape[0]):
         s += part[c, l, i]
     before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
     total[l, i] = before + scale * s
+    heard[l, i] = before + scale * s
