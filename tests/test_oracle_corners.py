@@ -36,6 +36,16 @@ def test_the_bounds_are_those_of_all_corners(swimming):
     assert np.ptp(where, 0).min() > 0.05
 
 
+def test_the_box_of_cells_lies_round_the_middle_of_all(swimming):
+    body, corners = swimming
+    dx, corner, size = 0.02, np.array([-2.0, -1.5, -0.5]), np.array([41, 42, 15])
+    corners.set_grid(dx, corner, size)
+    first, (low, high) = body.first_cell(corners), body.bounds(corners)
+    middle = corner + dx * (first + size / 2)
+    assert (first == np.round(first)).all()
+    np.testing.assert_array_less(np.abs(middle - (low + high) / 2), 0.5 * dx + 1e-12)
+
+
 def test_the_fastest_corner_is_found_and_looked_for_anew_when_the_body_moves(swimming):
     body, corners = swimming
     for factor in (0.5, 2.0, 1.0):

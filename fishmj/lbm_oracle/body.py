@@ -212,10 +212,14 @@ class Body:
 
     def fastest(self, corners: Corners) -> float:
         """Greatest speed of the corners, m/s: no marker inside the boxes that they span is faster."""
-        return float(self._look(corners)[6])
+        return float(self._look(corners)[9])
+
+    def first_cell(self, corners: Corners) -> np.ndarray:
+        """(3,) of the box of cells round them (`Corners.set_grid`); to be read before the body moves."""
+        return self._look(corners)[6:9]
 
     def _look(self, corners: Corners) -> np.ndarray:
-        """Both, (7,); kept until the body moves."""
+        """All of it, (10,); kept until the body moves."""
         if self._seen is None or self._seen[0] is not corners:
             self._seen = corners, corners.look(self.pose, self.twist)
         return self._seen[1]

@@ -60,6 +60,7 @@ class Boundary:
         self.corners = Corners.of(markers, body.water.centre)
         size = body.largest_extent(self.corners)
         self.box_shape = tuple(int(np.ceil(s / lattice.dx)) + 2 * MARGIN for s in size)
+        self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)  # noqa: E731
         self.rest = make(markers.rest, wp.vec3d)
         self.rest_normal = make(markers.normal, wp.vec3d)
@@ -101,11 +102,7 @@ class Boundary:
 
     def place(self, body) -> None:
         """Write where the body is into the staging block."""
-        view, dx = self.view, self.lattice.dx
-        view["pose"][:] = body.pose
-        low, high = body.bounds(self.corners)
-        ends = zip(low.tolist(), high.tolist(), self.lattice.corner, self.box_shape, strict=True)
-        view["box"][:] = [round((0.5 * (a + b) - corner) / dx - 0.5 * n) for a, b, corner, n in ends]
+        self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
 
     def fill(self, system, right, velocity, fixed=None, value=None) -> None:
         """Write the body's equation into it; `fixed` (n,) marks velocities that are prescribed by `value`."""

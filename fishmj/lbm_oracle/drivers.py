@@ -51,8 +51,5 @@ class Servos:
     @property
     def power(self) -> float:
         """P = sum max(tau (tau - k_b w) / k_b, 0), mean over the steps."""
-        torque, rate = np.array(self.torques), np.array(self.rates)
-        kb, power = self.run.robot.servo.kb, 0.0
-        for watts in np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum(1).tolist():
-            power += watts / len(torque)
-        return power
+        torque, rate, kb = np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb
+        return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
