@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from fishmj.campaign import hybrid_trial, plan, rounds
-from fishmj.campaign.hybrid import Hybrid, Stretch, Surrogate
+from fishmj.campaign.hybrid import Hybrid, Surrogate
+from fishmj.campaign.stretch import Path, Stretch
 from fishmj.campaign.tank import Finished, Setup
 from fishmj.errors import ConfigError, MissingExtra
-from fishmj.hydro_fit import chain, correct
+from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.ablation import unfitted
 from fishmj.lbm_oracle.domain import preset
 from fishmj.mjcf import load_robot
@@ -19,28 +20,20 @@ COMMANDS = [0.4 * min(1.0, k * 0.02) * np.sin(2 * np.pi * 0.02 * k - 1.0 * np.ar
 
 
 class Made:
-    """An oracle: the strip water with the true coefficients, wrenches as a solver gives them."""
+    """An oracle: the strip water with the true coefficients."""
 
     def __init__(self):
         self.asked = []
 
-    def stretch(self, q, v, past, commands):
+    def stretch(self, path, past, commands):
         fish = Surrogate(ROBOT, CHAIN, TRUE)
-        fish.q, fish.v, fish.commands, fish.ticks = np.array(q), np.array(v), [np.array(c) for c in past], len(past) - 1
-        states, wrench = [(fish.q, fish.v)], []
+        fish.q, fish.v, fish.commands, fish.ticks = path.q[-1], path.v[-1], [np.array(c) for c in past], len(past) - 1
+        states = [(fish.q, fish.v)]
         for command in commands:
             fish.tick(command)
             states.append((fish.q, fish.v))
-            wrench.append(self.wrench(*states[-2], *states[-1], fish.attached))
-        self.asked.append(len(commands))
-        return Stretch(*(np.array(column) for column in zip(*states, strict=True)), np.array(wrench))
-
-    def wrench(self, q, v, q_new, v_new, attached):
-        none = np.zeros((4, 3))
-        row = correct.rows_between(CHAIN, q, v, q_new, v_new, np.zeros((4, 2)), none, attached, none.T, 0.02)
-        ft, fn, moment = correct.parts(CHAIN.strips, TRUE, row).sum(0)
-        turn = (q[2] + q_new[2]) / 2 + np.cumsum([0.0, *(q[3:] + q_new[3:]) / 2])
-        return np.stack([np.cos(turn) * ft - np.sin(turn) * fn, np.sin(turn) * ft + np.cos(turn) * fn, moment], -1)
+        self.asked.append((len(path.q) - 1, len(commands)))
+        return Stretch(*(np.array(column) for column in zip(*states, strict=True)))
 
 
 def swum(water, commands=COMMANDS):
@@ -51,21 +44,40 @@ def swum(water, commands=COMMANDS):
 
 
 def run(oracle, **options):
-    hybrid = Hybrid(Surrogate(ROBOT, CHAIN, WRONG), oracle, (0.0, 0.0, 0.0), every=1.0, lead=0.0, span=0.1, **options)
+    hybrid = Hybrid(Surrogate(ROBOT, CHAIN, WRONG), oracle, **{"first": 2.0, "every": 20.0, "lead": 0.1, "span": 0.5} | options)
     for command in COMMANDS:
         hybrid.tick(command)
     return hybrid
 
 
 def test_stretches_of_a_better_water_halve_the_error_of_a_wrong_one():
-    """Three times the friction, half the tail's cross-flow drag; a tenth of 6 s in the better water."""
+    """Three times the friction, half the tail's cross-flow drag; a tenth of 6 s in the better water, under way."""
     oracle = Made()
     hybrid = run(oracle)
     found = hybrid.episode()
     truth = swum(TRUE)[:2]
     before, after = (np.linalg.norm(swum(water)[:2] - truth) for water in (WRONG, hybrid.surrogate.water))
-    assert found["covered"] <= 0.1 and oracle.asked == [5] * 5 and not found["off"]
+    assert found["covered"] <= 0.1 + 1e-9 and oracle.asked == [(25, 25)] and not found["off"]
     assert before > 0.05 and after < 0.5 * before, (before, after, found["factors"])
+
+
+def test_a_stretch_from_rest_has_no_lead():
+    oracle = Made()
+    hybrid = run(oracle, first=0.0, every=20.0)
+    assert oracle.asked == [(0, 30)] and hybrid.episode()["covered"] == pytest.approx(0.1)
+
+
+def test_a_right_surrogate_is_left_alone():
+    hybrid = Hybrid(Surrogate(ROBOT, CHAIN, TRUE), Made(), first=0.0, every=6.0, lead=0.3, span=0.3)
+    for command in COMMANDS:
+        hybrid.tick(command)
+    np.testing.assert_allclose(hybrid.state.factors, 1.0, atol=1e-9)
+
+
+def test_a_path_is_followed_in_straight_lines():
+    path = Path(np.array([[0.0] * 6, [1.0] * 6, [3.0] * 6]), np.zeros((3, 6)), 0.004)
+    for t, at in ((-1.0, 0.0), (0.002, 0.5), (0.006, 2.0), (0.009, 3.0)):
+        np.testing.assert_allclose(path.at(t), at)
 
 
 def test_the_swim_itself_has_no_jumps():
@@ -86,11 +98,11 @@ def test_a_solver_that_is_missing_or_fails_is_switched_off_and_the_fish_swims_on
 
 def test_a_solver_that_is_too_slow_is_switched_off_and_what_was_learnt_stays():
     oracle = Made()
-    hybrid = run(oracle, patience=1e-9)
+    hybrid = run(oracle, patience=1e-9, first=1.0, every=1.0, span=0.3)
     assert "a stretch took" in hybrid.off and len(oracle.asked) == 2  # the first one sets it up
     assert hybrid.surrogate.water != WRONG
     with pytest.raises(ConfigError, match="within"):
-        Hybrid(Surrogate(ROBOT, CHAIN, WRONG), oracle, (0.0, 0.0, 0.0), every=0.1, lead=0.1, span=0.1)
+        run(oracle, every=0.1, span=0.1)
 
 
 def test_the_shorter_tail_is_another_water_on_the_same_body():
@@ -128,8 +140,8 @@ def test_rounds_end_when_the_returns_agree(tmp_path):
     """Ten times the friction: the first round disagrees, the refit is used, the second agrees; the data grow by both."""
     pool, asked = Tanks(), []
 
-    def refit():
-        asked.append(len(list((tmp_path / "data" / "segments").glob("*.npz"))))
+    def refit(model, solver):
+        asked.append(len(list((solver / "segments").glob("*.npz"))))
         return model_in(TRUE)
 
     slow = model_in(TRUE._replace(cf=30 * TRUE.cf, ke=0.1 * TRUE.ke))
@@ -147,7 +159,7 @@ def test_rounds_end_when_the_returns_agree(tmp_path):
 def test_rounds_that_never_agree_say_so(tmp_path):
     slow = model_in(TRUE._replace(cf=30 * TRUE.cf, ke=0.1 * TRUE.ke))
     setup = Setup(domain=preset("laptop"), device="cpu")
-    given = dict(refit=lambda: slow, episodes=1, seconds=6.0, rounds=1, pool=Tanks())
+    given = dict(refit=lambda model, solver: slow, episodes=1, seconds=6.0, rounds=1, pool=Tanks())
     found = rounds.correct("dob", ROBOT, slow, tmp_path, setup, **given)
     assert not found["agreed"] and len(found["rounds"]) == 1 and found["model"] is slow
 

@@ -5,99 +5,32 @@
         hybrid.tick(command)
     hybrid.episode(), hybrid.state, hybrid.off        what it did, the factors, why it was switched off ("" while it is on)
 
-    surrogate   |---------- every ----------|---------- every ----------|
-    solver      |lead|span|                 |lead|span|                    re-seeded from the surrogate's state, same commands
+    surrogate   |first|---------- every ----------|---------- every ----------|
+    solver            |lead|span|                 |lead|span|                    re-seeded from the surrogate's state
 
-The solver's water stays as its fish left it and the fish is put where the surrogate's is: during `lead` the water gets used to
-it, only rows of `span` count. The surrogate's own state is never moved, so a corrected swim has no jumps. A solver that is
-missing, fails or takes longer than `patience` seconds a stretch switches itself off once, with one warning; what was learnt
-stays. Uniform streams only.
+The solver's water stays as its fish left it and the fish is put where the surrogate's is: during `lead` it is led along the
+surrogate's own path, to the letter, until the water has got used to it, then it swims the same commands by its servos. How far
+the two drift apart within `span` moves the factors (`correct.matched`). A fish that begins at rest in still water needs no lead.
+The surrogate's own state is never moved, so a corrected swim has no jumps. A solver that is missing, fails or takes longer than
+`patience` seconds a stretch switches itself off once, with one warning; what was learnt stays. Uniform streams only.
 """
 
 import time
+from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, cast
 
 import numpy as np
 
 from fishmj import console
-from fishmj.errors import ConfigError, FishmjError, MissingExtra
-from fishmj.flow import Flow
+from fishmj.campaign.stretch import Oracle, Path, Stretch
+from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit import chain, correct, learned, terms
 from fishmj.mjcf.bus import arrived, on_the_bus
 from fishmj.mjcf.description import Robot
 
-
-class Stretch(NamedTuple):
-    """n ticks in the solver: states before the first and after each, and mean wrenches on the links over each."""
-
-    q: np.ndarray  # (n + 1, 3 + J)
-    v: np.ndarray  # (n + 1, 3 + J)
-    wrench: np.ndarray  # (n, N, 3) F_x, F_y [N], M_z [N m], tank frame
-
-
-class Oracle(Protocol):
-    """A better water."""
-
-    def stretch(self, q, v, past: list[np.ndarray], commands: np.ndarray) -> Stretch:
-        """Swim `commands` (n, J) from q, v (3 + J,); `past`: commands on the bus before, oldest first."""
-
-
-class Solver:
-    """The flow solver, set up at the first stretch and kept.
-
-    Args:
-        flow: a uniform stream. slip, device: of the solver.
-    """
-
-    def __init__(self, robot: Robot, domain, *, flow: Flow | None = None, slip: float = 1.0, device: str = "cpu"):
-        self.robot, self.domain, self.flow, self.slip, self.device = robot, domain, flow or Flow(), slip, device
-        self.run: Any = None
-
-    def stretch(self, q, v, past, commands) -> Stretch:
-        """As `Oracle.stretch`.
-
-        Raises:
-            MissingExtra: the solver's packages are absent. LeftDomain, SimDiverged, OracleUnstable, ConfigError: it fails.
-        """
-        run = self._placed(np.asarray(q, float), np.asarray(v, float))
-        run.commands = [np.array(command) for command in past]
-        run.ticks = len(past) - 1
-        first = len(run.rows)
-        for command in commands:
-            run.tick(command)
-        _, _, _, pose, joint, rate, _, _, whole = (np.array(column) for column in zip(*run.rows[first:], strict=True))
-        after = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
-        places, rates = (np.concatenate([[start], rows]) for start, rows in zip((q, v), after, strict=True))
-        return Stretch(places, rates, whole[:, :, [0, 1, 5]])
-
-    def _placed(self, q: np.ndarray, v: np.ndarray):
-        """The run with its fish in this state."""
-        try:
-            from fishmj.lbm_oracle.run import Run
-            from fishmj.lbm_oracle.stage import Edge, Stage
-            from fishmj.lbm_oracle.state import reseed
-            from fishmj.mjcf.model import reference_qpos
-        except ModuleNotFoundError as error:
-            raise MissingExtra(str(error.name), "oracle", "the flow solver") from error
-
-        pose, joints = tuple(q[:3].tolist()), tuple(q[3:].tolist())
-        if self.run is None:
-            stage = Stage(
-                domain=self.domain, robot=self.robot, flow=self.flow, slip=self.slip, pose=pose, joints=joints, device=self.device
-            )
-            coupled = stage.coupled()
-            coupled.body.place(reference_qpos(coupled.body.model, pose, joints), v)
-            self.run = Run(coupled, self.robot, follow=Edge(self.domain, pose[2]))
-            return self.run
-        run = self.run
-        coupled = run.coupled
-        reseed(coupled, reference_qpos(coupled.body.model, pose, joints), v)
-        edge = Edge(self.domain, pose[2])
-        while self.domain.follows and edge.follow(coupled):  # the window goes where the fish is
-            pass
-        run.follow, run.fastest = edge, 0.0
-        return run
+WINDOW = 0.5  # s, over which movement is compared
+SHARE, SLOW, TURN, STILL = 0.03, 0.004, 0.05, np.radians(1.0)  # tolerances as in the fit: share and m/s, share and rad/s
 
 
 class Surrogate:
@@ -116,8 +49,10 @@ class Surrogate:
         self.delay = round(robot.timing.command_latency / ch.dt)
         self.swimmer = chain.nominal(robot)
         self.q, self.v = np.array([*pose, *np.zeros(ch.n - 1)], float), np.zeros(ch.n + 2)
-        self.attached, self.memory = 0.5, learned.at_rest(ch.n)
+        self.attached: Any = 0.5
+        self.memory = learned.at_rest(ch.n)
         self.commands, self.ticks = [np.zeros(ch.n - 1)], 0
+        self.trail: list | None = None  # states after every physics step, while someone wants them
 
     def tick(self, command, flow=None) -> None:
         """20 ms on, after sending `command`, (J,) rad; `flow` (N, 2) m/s at the links in place of the uniform stream."""
@@ -131,7 +66,56 @@ class Surrogate:
             s = chain.step(np, self.chain, sw, *given)
             self.q, self.v, self.attached = np.array(s.q), np.array(s.v), s.attached
             self.memory = list(s.memory) if hooks else self.memory
+            if self.trail is not None:
+                self.trail.append((self.q, self.v))
         self.ticks += 1
+
+
+@dataclass
+class Opened:
+    """A stretch under way: ticks at its start and of its lead, and the surrogate where the lead ends."""
+
+    at: int
+    lead: int
+    start: Surrogate | None = None
+
+
+class Misses:
+    """How differently a surrogate with other factors moves over a stretch, in tolerances of a right one.
+
+    Means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s: (R, B) for factors (10, B).
+    """
+
+    def __init__(self, start: Surrogate, base: terms.Coefficients, seen: Stretch, commands, own: float):
+        self.start, self.base, self.commands = start, base, commands
+        self.window = max(1, min(round(WINDOW / start.robot.timing.bus_dt), len(commands)))
+        self.seen = self._means(np.stack([_body(q, v) for q, v in zip(seen.q[1:], seen.v[1:], strict=True)])[..., None])
+        speed = SHARE * np.hypot(self.seen[:, 0], self.seen[:, 1]) + SLOW
+        wide = np.stack([speed, speed, TURN * np.abs(self.seen[:, 2]) + STILL], 1)
+        self.wide = wide * np.sqrt(own)
+
+    def __call__(self, factors: np.ndarray) -> np.ndarray:
+        fish, count = copy(self.start), factors.shape[1]
+        wide = lambda a: np.repeat(np.asarray(a, float)[..., None], count, -1)  # noqa: E731
+        fish.q, fish.v, fish.attached, fish.memory = wide(fish.q), wide(fish.v), wide(fish.attached), list(wide(fish.memory))
+        fish.commands, fish.trail = list(fish.commands[: fish.ticks + 1]), None
+        fish.water = correct.applied(self.base, correct.fresh()._replace(factors=factors))
+        out = []
+        for command in self.commands:
+            fish.tick(command)
+            out.append(_body(fish.q, fish.v))
+        return ((self._means(np.stack(out)) - self.seen) / self.wide).reshape(-1, count)
+
+    def _means(self, values: np.ndarray) -> np.ndarray:
+        """(T, 3, B) -> (K, 3, B)."""
+        k = len(values) // self.window
+        return values[: k * self.window].reshape(k, self.window, *values.shape[1:]).mean(1)
+
+
+def _body(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Velocity ahead, to the left, and yaw rate."""
+    c, s = np.cos(q[2]), np.sin(q[2])
+    return np.stack([c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]])
 
 
 @dataclass
@@ -139,76 +123,75 @@ class Hybrid:
     """A surrogate with a solver that corrects it.
 
     Attributes:
-        every, lead, span: s of bus ticks; the solver runs for (lead + span) of every `every`.
-        own: (3,) error of a right surrogate, `HydroModel.scores["own"]`. patience: wall-clock s that a stretch may take.
+        first, every, lead, span: s of bus ticks; from `first` on the solver runs for (lead + span) of every `every`. A stretch
+            that begins at rest has no lead, but as long a span.
+        own: mean square error of a right surrogate's movement in tolerances, `HydroModel.scores["validation"]`.
+        patience: wall-clock s that a stretch may take.
     """
 
     surrogate: Surrogate
     oracle: Oracle | None
-    own: tuple | list | np.ndarray
-    every: float = 8.0
-    lead: float = 0.6
-    span: float = 0.2
+    own: float = 1.0
+    every: float = 20.0
+    first: float = 0.0
+    lead: float = 1.2
+    span: float = 0.8
     patience: float = 60.0
     off: str = ""
     state: correct.Correction = field(default_factory=correct.fresh)
-    rows: list = field(default_factory=list)  # (t, excess, wall s) of every stretch
+    rows: list = field(default_factory=list)  # (t, rms difference of movement before and after, wall s) of every stretch
     path: list = field(default_factory=list)  # q after every tick
 
     def __post_init__(self):
-        if not (self.span > 0 and self.lead >= 0 and self.lead + self.span <= self.every):
-            raise ConfigError(
-                f"hybrid: lead {self.lead} s and span {self.span} s; expected span > 0 and both within {self.every} s"
-            )
+        if not (self.span > 0 and self.lead >= 0 and self.first >= 0 and self.lead + self.span <= self.every):
+            got = f"first {self.first}, lead {self.lead} and span {self.span} s"
+            raise ConfigError(f"hybrid: {got}; expected first >= 0, span > 0, and lead and span within {self.every} s")
         self.base = self.surrogate.water
         self.size = self.surrogate.robot.timing.bus_dt
-        self._open: dict | None = None
+        self._open: Opened | None = None
         if self.oracle is None:
             self._switch_off("there is no solver")
 
     def tick(self, command) -> None:
-        """One bus tick; at the end of a stretch the solver swims the same commands and the coefficients follow."""
-        fish, now = self.surrogate, self.surrogate.ticks
-        if not self.off and now and now % round(self.every / self.size) == 0:
-            self._open = {"q": fish.q.copy(), "v": fish.v.copy(), "x": fish.attached, "memory": list(fish.memory), "at": now}
+        """One bus tick; at the end of a stretch the solver swims it, too, and the coefficients follow."""
+        fish, since = self.surrogate, self.surrogate.ticks - round(self.first / self.size)
+        if not self.off and since >= 0 and since % round(self.every / self.size) == 0:
+            still = not np.any(fish.v) and not np.any(fish.stream)
+            self._open = Opened(fish.ticks, 0 if still else round(self.lead / self.size))
+            fish.trail = [(fish.q, fish.v)]
+        opened = self._open
+        if opened is not None and fish.ticks == opened.at + opened.lead:
+            opened.start = copy(fish)
         fish.tick(command)
         self.path.append(fish.q.copy())
-        if self._open is not None and fish.ticks - self._open["at"] == round((self.lead + self.span) / self.size):
-            self._look(self._open)
-            self._open = None
+        if opened is not None and fish.ticks == opened.at + round((self.lead + self.span) / self.size):
+            self._look(opened)
+            self._open, fish.trail = None, None
 
-    def _look(self, start: dict) -> None:
-        fish, at, began = self.surrogate, start["at"], time.perf_counter()
-        oracle = self.oracle
+    def _look(self, opened: "Opened") -> None:
+        began, oracle, fish, start = time.perf_counter(), self.oracle, self.surrogate, cast(Surrogate, opened.start)
         if oracle is None or self.off:
             return
+        led = list(fish.trail or ())[: opened.lead * fish.steps + 1]
+        q, v = (np.array(column) for column in zip(*led, strict=True))
+        path = Path(q, v, fish.chain.dt)
+        commands = np.array(fish.commands[start.ticks + 1 :])
         try:
-            seen = oracle.stretch(start["q"], start["v"], fish.commands[: at + 1], np.array(fish.commands[at + 1 :]))
+            seen = oracle.stretch(path, fish.commands[: start.ticks + 1], commands)
         except (FishmjError, ArithmeticError, RuntimeError) as error:  # a device that is gone raises RuntimeError
             self._switch_off(" ".join(str(error).split()))
             return
         wall = time.perf_counter() - began
-        self._learn(seen, start)
-        self.rows.append((at * self.size, self.state.excess(self.own), wall))
+        misses = Misses(start, self.base, seen, commands, max(1.0, self.own))
+        before = misses(self.state.factors[:, None])
+        idle = self.every if self.rows else 0.0
+        self.state = correct.matched(self.state, misses, idle=idle)
+        fish.water = correct.applied(self.base, self.state)
+        after = misses(self.state.factors[:, None])
+        rms = [float(np.sqrt(np.mean(r**2))) for r in (before, after)]
+        self.rows.append((opened.at * self.size, *rms, wall))
         if wall > self.patience and len(self.rows) > 1:  # the first one sets the solver up
             self._switch_off(f"a stretch took {wall:.1f} s of the {self.patience:g} s that it may")
-
-    def _learn(self, seen: Stretch, start: dict) -> None:
-        fish, x, memory, lead = self.surrogate, start["x"], start["memory"], round(self.lead / self.size)
-        s, ch = fish.chain.strips, fish.chain
-        idle = self.every - self.span
-        for k, wrench in enumerate(seen.wrench):
-            states = (seen.q[k], seen.v[k], seen.q[k + 1], seen.v[k + 1])
-            row = correct.rows_between(ch, *states, np.array(fish.stream), wrench, x, np.zeros((3, ch.n)), self.size)
-            if fish.learnt is not None:
-                hooks = learned.Learned(np, ch, fish.learnt, memory)
-                force = hooks.advance(s, self.base, chain.Links([], [], list(row.omega), list(row.u), list(row.w), []), self.size)
-                row, memory = row._replace(extra=np.array(force).T), list(hooks.end(ch, None, None, None))
-            x = terms.attachment(np, s, self.base, row.u[-1], row.w[-1], row.omega[-1], x, self.size)
-            if k >= lead:
-                gap = idle if k == lead and self.rows else 0.0
-                self.state = correct.update(self.state, s, self.base, row, own=self.own, tick=self.size, idle=gap)
-        fish.water = correct.applied(self.base, self.state)
 
     def _switch_off(self, why: str) -> None:
         self.off = why
@@ -221,7 +204,7 @@ class Hybrid:
         return {
             "seconds": seconds,
             "covered": covered / max(seconds, self.size),
-            "stretches": [{"t": t, "excess": excess, "wall_s": wall} for t, excess, wall in self.rows],
+            "stretches": [dict(zip(("t", "before", "after", "wall_s"), row, strict=True)) for row in self.rows],
             "factors": self.state.factors.tolist(),
             "off": self.off,
         }

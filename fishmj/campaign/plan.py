@@ -166,7 +166,8 @@ def on_policy(
     robot = load_robot(robot)
     steer = _steering(robot, (controller,))
     made = _episodes(Part("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
-    segments = tuple(replace(s, slip=slip, id=_id(s.episode, slip)) for s in made)
+    split = lambda k: "val" if 0 < k == episodes - 1 else "train"  # noqa: E731  the last of several validates
+    segments = tuple(replace(s, slip=slip, id=_id(s.episode, slip), split=split(k)) for k, s in enumerate(made))
     return Plan(label=f"on policy, round {seed}", robot=robot, seed=seed, segments=segments)
 
 

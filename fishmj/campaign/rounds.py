@@ -6,10 +6,12 @@
 
 Each episode yields two segments: the whole of it, steered by the policy in the solver from the same start, from which the return
 is judged, and a short one from the state that the surrogate was in half-way, where the solver may never have taken the policy.
+The last episode of a round validates. Segments, models and rows of finished rounds are kept: the same call goes on with them.
 
-    python -m fishmj.hydro_fit correct POLICY --data data/hydro/swift --device cuda
+    python -m fishmj.hydro_fit correct POLICY --domain window_coarse --device cuda --out runs/correct
 """
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +22,6 @@ import numpy as np
 from fishmj import console
 from fishmj.campaign import plan as plans
 from fishmj.campaign.collect import Pool, collect
-from fishmj.campaign.command import ON_GPU, Local
 from fishmj.campaign.drives import drive, ticks_of
 from fishmj.campaign.hybrid import Surrogate
 from fishmj.campaign.plan import Plan
@@ -29,10 +30,10 @@ from fishmj.campaign.tank import Setup, flow_at_links
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.fit.prior import flat
 from fishmj.hydro_fit.model import HydroModel
-from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import preset
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.store import read_json, write_json
 from fishmj.tasks import station_hold as task
 
 AGREED = 0.05  # of the solver's mean return
@@ -100,13 +101,14 @@ def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rolled]], n
 
 
 def correct(
-    policy: str, robot: Robot, model: HydroModel, folder: Path, setup: Setup, *, refit: Callable[[], HydroModel],
+    policy: str, robot: Robot, model: HydroModel, folder: Path, setup: Setup, *, refit: Callable[[HydroModel, Path], HydroModel],
     rounds: int = 5, episodes: int = 4, seconds: float = 20.0, pool: Pool | None = None,
 ) -> dict:  # fmt: skip
     """Collect, compare, refit, until the returns agree within `AGREED` or the rounds are over.
 
     Args:
-        model: the surrogate at the start. folder: data set that grows. refit: fits a model to the data set as it is then.
+        model: the surrogate at the start. folder: of the rounds: `solver`, a data set that grows, and a model and a row of each.
+        refit: from the model of a round and the rounds' data set, the next model.
     Returns:
         rounds (a row each: returns of solver and surrogate, gap), agreed, model (the last one).
     Raises:
@@ -114,21 +116,49 @@ def correct(
     """
     if rounds < 1 or episodes < 1:
         raise ConfigError(f"correct: {rounds} rounds of {episodes} episodes; expected 1 or more of each")
-    rows = []
+    rows: list[dict] = []
     for number in range(1, rounds + 1):
-        plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
-        rolls = [(segment, roll(robot, model, segment)) for segment in plan.segments]
-        collect(round_plan(robot, policy, rolls, number), folder, setup, pool=pool, quiet=True)
-        rows.append({"round": number} | compared(robot, folder, rolls))
-        agreed = rows[-1]["gap"] <= AGREED
+        kept = folder / f"round-{number}.json"
+        row = read_json(kept) if kept.is_file() else {}
+        if row.get("model") != (made := sha256_of(model)):
+            row = {"round": number} | _round(policy, robot, model, folder / "solver", setup, number, episodes, seconds, pool)
+            write_json(kept, row | {"model": made})
+        rows.append(row := {key: value for key, value in row.items() if key != "model"})
         console.say(
-            f"round {number}: return {rows[-1]['solver']:.3f} in the solver, {rows[-1]['surrogate']:.3f} in the surrogate"
-            f" ({100 * rows[-1]['gap']:.1f} % apart)"
+            f"round {number}: return {row['solver']:.3f} in the solver, {row['surrogate']:.3f} in the surrogate"
+            f" ({100 * row['gap']:.1f} % apart)"
         )
-        if agreed or number == rounds:
+        if row["gap"] <= AGREED or number == rounds:
             break
-        model = refit()
-    return {"rounds": rows, "agreed": agreed, "model": model}
+        model = _next(model, folder, number, refit)
+    return {"rounds": rows, "agreed": rows[-1]["gap"] <= AGREED, "model": model}
+
+
+def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, number: int, episodes, seconds, pool) -> dict:
+    """Roll, solve, compare."""
+    plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
+    rolls = [(segment, roll(robot, model, segment)) for segment in plan.segments]
+    collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool, quiet=True)
+    return compared(robot, solver, rolls)
+
+
+def _next(model: HydroModel, folder: Path, number: int, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
+    """The model after a round, as it is kept; refitted where none is kept for this model and these data."""
+    place = folder / f"round-{number}"
+    made = {"from": sha256_of(model), "data": open_dataset(folder / "solver").sha256}
+    note = place / "made.json"
+    if note.is_file() and read_json(note) == made:
+        return HydroModel.load(place / f"{model.name}.toml")
+    model = refit(model, folder / "solver")
+    model.save(place)
+    write_json(note, made)
+    return model
+
+
+def sha256_of(model: HydroModel) -> str:
+    """Of what decides how a fish swims in it."""
+    parts: list = [flat(model.base), *(() if model.learnt is None else (*model.learnt.net, *model.learnt.reach))]
+    return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()
 
 
 def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rolled]]) -> dict:
@@ -145,38 +175,3 @@ def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rolled]]) ->
         raise DatasetError(f"{folder}: the solver kept no episode of this round: {data.lost()}")
     solver, surrogate = np.mean(pairs, 0).tolist()
     return {"n": len(pairs), "solver": solver, "surrogate": surrogate, "gap": abs(surrogate - solver) / max(abs(solver), 1e-9)}
-
-
-def main(argv: list[str]) -> int:
-    """The verb `correct`; exit code 1 where the returns do not agree after the last round."""
-    from fishmj.hydro_fit.fit.recipe import Fit, Settings
-
-    parser = console.parser("hydro_fit correct", "Correct a surrogate where a policy takes it.")
-    parser.add_argument("policy", metavar="POLICY", help="name of a controller or a policy file")
-    parser.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    parser.add_argument("--model", default="swift", help="the surrogate to begin with: name or .toml")
-    parser.add_argument("--data", required=True, help="data set that the rounds are added to; copy a shipped one first")
-    parser.add_argument("--out", required=True, help="folder of the corrected model")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--episodes", type=int, default=4)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--domain", default="window")
-    parser.add_argument("--device", default="auto")
-    args = parser.parse_args(argv)
-    robot, folder, began = load_robot(args.fish), Path(args.data), HydroModel.load(args.model)
-    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
-
-    def refit() -> HydroModel:
-        data = open_dataset(folder)
-        parts = [[r for r in data.records(split, slip=began.slip)] for split in ("train", "val")]
-        settings = Settings(residual=began.learnt is not None)
-        return replace(Fit(robot, *parts, dataset={"sha256": data.sha256}, settings=settings).run(), name=began.name)
-
-    sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
-    pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)
-    found = correct(args.policy, robot, began, folder, setup, refit=refit, pool=pool, **sized)
-    path = found["model"].save(args.out)
-    console.say(console.table(found["rounds"]), f"model: {path}")
-    if args.json:
-        console.emit_json({"rounds": found["rounds"], "agreed": found["agreed"], "model": str(path)})
-    return console.OK if found["agreed"] else console.FAILED_CHECK

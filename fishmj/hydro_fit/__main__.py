@@ -40,9 +40,9 @@ def main(argv: list[str]) -> int | None:
 
         return hybrid_trial.main(rest)
     if verb == "correct":
-        from fishmj.campaign import rounds
+        from fishmj.campaign import rounds_command
 
-        return rounds.main(rest)
+        return rounds_command.main(rest)
     if verb == "rank":
         from fishmj.evaluate import rank_command
 
@@ -138,6 +138,14 @@ def records_of(data: Dataset, robot: Robot, split: str, slip: float) -> list[Rec
     return found
 
 
+def fitted_parts(data: Dataset, robot: Robot, slip: float) -> tuple[list[Record], list[Record]]:
+    """Training and validation records at one slip ratio; where none validate there, every fifth training record does."""
+    train = records_of(data, robot, "train", slip)
+    if data.names("val", slip=slip):
+        return train, records_of(data, robot, "val", slip)
+    return [r for k, r in enumerate(train) if k % 5 != 2], train[2::5]
+
+
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
     from fishmj.hydro_fit.fit.keep import keep, standing_model
@@ -145,7 +153,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     from fishmj.hydro_fit.fit.recipe import Fit, Settings
 
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
-    train, val = (records_of(data, robot, split, args.slip) for split in ("train", "val"))
+    train, val = fitted_parts(data, robot, args.slip)
     about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": train[0].meta["grid"].get("domain", "")}
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:

@@ -11,6 +11,7 @@ far as the uncorrected error exceeds it, from `CALM` times (not at all) to `ALAR
 out of coefficients that were fitted to whole swims.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +21,14 @@ from fishmj.hydro_fit import chain, terms
 DRAGS = [1, 2, 3, 6, 9]  # of the ten factors: all but added mass, whose force may be any
 KINDS = ("added_mass", "cross_flow", "friction", "form", "edge")
 BOUNDS = (0.3, 3.0)
+WIDER = (0.001, 30.0)  # of friction, which is all of a hull that holds the water and next to none of one that lets it slide
+LIMITS = np.array([[b if kind != "friction" else w for kind in 2 * KINDS] for b, w in zip(BOUNDS, WIDER, strict=True)])[..., None]
 SPREAD = np.array([0.15, 0.5, 1.0, 0.7, 0.5])  # standard deviation of each factor before any row
 MEMORY = 30.0  # s of rows, after which they count for 1/e
 HANG = 15.0  # rows that one error lasts, as in the fit
 CALM, ALARM = 0.7, 1.1  # uncorrected mean square error over the surrogate's own
+FREE = [0, 1, 2, 3, 5, 6, 9]  # factors of the ten that touch a coefficient
+ROUNDS, NUDGE, DAMPING, LEAST = 4, 0.05, (0.0, 0.1, 1.0, 10.0), 0.01  # Gauss-Newton: of ln factor, of the objective
 FAINT = np.array([2e-3, 2e-3, 2e-4])  # N, N, N m: a tenth of the drags of a gentle swim; nobody needs such errors corrected
 
 
@@ -121,6 +126,42 @@ def update(
     step = np.linalg.solve(information, (rows * w) @ error.ravel())
     factors = np.clip(state.factors + step, *BOUNDS)
     return new._replace(factors=factors, information=information, rows=seen)
+
+
+def matched(state: Correction, misses: Callable[[np.ndarray], np.ndarray], *, idle: float = 0.0) -> Correction:
+    """Follow a stretch that was swum by both: factors with which the surrogate moves as the better water's fish did.
+
+        min |r(s)|^2 + (ln s - ln s')^T P^-1 (ln s - ln s')             Gauss-Newton; s', P: before, P grown by forgetting
+    Speed is what large forces leave over, each wrong by a few per cent in a right model, too: so movement is compared.
+
+    Args:
+        misses: (10, B) factors of B surrogates -> (R, B) differences of movement over what a right one differs by. idle: s since
+            the stretch before.
+    """
+    prior = np.diag(1 / np.tile(SPREAD, 2) ** 2)
+    belief = prior + np.exp(-idle / MEMORY) * (state.information - prior)
+    start = x = np.log(state.factors)
+    free = FREE
+    held, jacobian = belief[np.ix_(free, free)], np.zeros((0, len(free)))
+    for _ in range(ROUNDS):
+        tries = np.repeat(x[:, None], len(free) + 1, 1)
+        tries[free, np.arange(1, len(free) + 1)] += NUDGE
+        r = misses(np.exp(tries))
+        jacobian, off = (r[:, 1:] - r[:, :1]) / NUDGE, (x - start)[free]
+        normal, slope = jacobian.T @ jacobian + held, jacobian.T @ r[:, 0] + held @ off
+        tries = np.repeat(x[:, None], len(DAMPING), 1)
+        tries[free] -= np.stack([np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in DAMPING], 1)
+        tries = np.clip(tries, *np.log(LIMITS))
+        off = (tries - start[:, None])[free]
+        costs = (misses(np.exp(tries)) ** 2).sum(0) + np.einsum("ib,ij,jb->b", off, held, off)
+        best, now = int(np.argmin(costs)), float(r[:, 0] @ r[:, 0] + (x - start)[free] @ held @ (x - start)[free])
+        if not costs[best] < now:  # nan, too
+            break
+        x = tries[:, best]
+        if costs[best] > (1 - LEAST) * now:
+            break
+    belief[np.ix_(free, free)] += jacobian.T @ jacobian
+    return state._replace(factors=np.exp(x), information=belief)
 
 
 def rows_between(ch: chain.Chain, q, v, q_new, v_new, flow, wrench, attached: float, extra: np.ndarray, tick: float) -> Row:
