@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import console
+from fishmj.calib import constant
 from fishmj.campaign import plan as plans
 from fishmj.campaign.collect import Pool, collect
 from fishmj.campaign.drives import drive, ticks_of
@@ -37,6 +38,7 @@ from fishmj.store import read_json, write_json
 from fishmj.tasks import station_hold as task
 
 AGREED = 0.05  # of the solver's mean return
+LEAST = 0.1  # of the reward at the target: a return near zero, where approach and effort cancel, is no yardstick
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
 
 
@@ -173,5 +175,5 @@ def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rolled]]) ->
             pairs.append([returned(robot, segment, q[:n], v[:n]) for q, v in ((record.q, record.v), (rolled.q, rolled.v))])
     if not pairs:
         raise DatasetError(f"{folder}: the solver kept no episode of this round: {data.lost()}")
-    solver, surrogate = np.mean(pairs, 0).tolist()
-    return {"n": len(pairs), "solver": solver, "surrogate": surrogate, "gap": abs(surrogate - solver) / max(abs(solver), 1e-9)}
+    (solver, surrogate), least = np.mean(pairs, 0).tolist(), LEAST * constant("reward", "wG")
+    return {"n": len(pairs), "solver": solver, "surrogate": surrogate, "gap": abs(surrogate - solver) / max(abs(solver), least)}

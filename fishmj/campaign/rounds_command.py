@@ -6,6 +6,7 @@ Nothing is written outside --out: the data set of the first fit is read, the rou
 """
 
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 
 from fishmj import console
@@ -13,12 +14,13 @@ from fishmj.campaign.collect import Local
 from fishmj.campaign.command import ON_GPU
 from fishmj.campaign.rounds import correct
 from fishmj.campaign.tank import Setup
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.model import HydroModel
-from fishmj.hydro_fit.record import Record
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import preset
 from fishmj.mjcf.description import Robot, load_robot
+
+SWIMS = 600.0  # s of swims in a fit
 
 
 def main(argv: list[str]) -> int:
@@ -54,19 +56,18 @@ def main(argv: list[str]) -> int:
     return console.OK if found["agreed"] else console.FAILED_CHECK
 
 
-def refitted(robot: Robot, model: HydroModel, first, solver: Path) -> HydroModel:
-    """The model with its factors fitted again to the free swims of the first data set and of all rounds.
-
-    Rounds weigh as much as they swim; the swims of the first fit are thinned to twice that, so that the rounds are heard.
-    """
+def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path) -> HydroModel:
+    """Its factors fitted again to the free swims of all rounds and, thinned to `SWIMS` s, of the first data set."""
     from fishmj.hydro_fit.fit.again import Again
+    from fishmj.hydro_fit.fit.newton import flaps
+    from fishmj.hydro_fit.fit.rollout import is_free
 
+    keep = lambda r: not r.meta.get("replicate_of") and (is_free(r) or flaps(r))  # noqa: E731
+    of = lambda data, split: [r for r in data.records(split, slip=model.slip) if keep(r)]  # noqa: E731
     added = open_dataset(solver)
-    parts: dict[str, list[Record]] = {}
-    for split in ("train", "val"):
-        new = list(added.records(split, slip=model.slip))
-        old = [r for r in first.records(split, slip=model.slip) if not r.meta.get("replicate_of")]
-        every = max(1, int(sum(r.seconds for r in old) / max(2 * sum(r.seconds for r in new), 1.0)))
-        parts[split] = new + (old[::every] if split == "train" else old)
+    new, old = ({split: of(data, split) for split in ("train", "val")} for data in (added, first))
+    room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
+    every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
     made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"}
-    return replace(Again(robot, model, parts["train"], parts["val"], dataset=made).run(), name=model.name)
+    again = Again(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made)
+    return replace(again.run(), name=model.name)

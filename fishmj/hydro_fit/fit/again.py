@@ -23,22 +23,29 @@ class Again(Fit):
     """One more fit of a model.
 
     Args:
-        train, val: records at the model's slip ratio. dataset: as in `Fit`.
+        train: records at the model's slip ratio. val: those of the first fit, and new ones, which count for half however few
+            they are: what was added is what the model is fitted again for. dataset: as in `Fit`.
     """
 
-    def __init__(self, robot: Robot, model: HydroModel, train: Sequence[Record], val: Sequence[Record], *, dataset: dict):
-        members = len(model.members)
-        super().__init__(
-            robot, train, val, dataset=dataset, settings=Settings(members=members, residual=model.learnt is not None)
-        )
-        self.model = model
+    def __init__(
+        self, robot: Robot, model: HydroModel, train: Sequence[Record], val: tuple[Sequence[Record], Sequence[Record]], *,
+        dataset: dict,
+    ):  # fmt: skip
+        settings = Settings(members=len(model.members), residual=model.learnt is not None)
+        super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings)
+        self.model, self.parts = model, [self._match(part, None) for part in val if part]
 
     def run(self) -> HydroModel:
-        """Factors of the model as it swims, and of the strips alone where there is a residual; then the error bar."""
+        """The factors of the model as it swims, then the error bar; strips fitted without the residual stay as they are."""
         model, still = self.model, np.zeros((self.settings.members, len(groups(self.chain.n))))
-        state: dict[str, Any] = {"water": model.alone[0], "factors": still, "alone": model.alone[0], "alone_factors": still}
-        state |= self._newton(state, None, "rollout")
-        if model.learnt is not None:
-            state |= {"water": flat(model.base), "factors": still} | packed(model.learnt)
+        state: dict[str, Any] = {"water": flat(model.base), "factors": still, "alone": model.alone[0], "alone_factors": still}
+        if model.learnt is None:
+            state |= self._newton(state, None, "rollout")
+        else:
+            state |= packed(model.learnt)
             state |= self._newton(state, model.learnt, "retune")
         return self._model(state | self._finish(state))
+
+    def score(self, water: np.ndarray, learnt) -> float:
+        """As in the first fit, the mean of the parts."""
+        return float(np.mean([self.score_of(part, water, learnt) for part in self.parts]))

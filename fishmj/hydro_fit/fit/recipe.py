@@ -192,7 +192,10 @@ class Fit:
 
     def score(self, water: np.ndarray, learnt) -> float:
         """Mean squared error of the validation swims, in tolerances."""
-        match = self._validation
+        return self.score_of(self._validation, water, learnt)
+
+    def score_of(self, match: newton.Match, water: np.ndarray, learnt) -> float:
+        """The same of some of them."""
         match.learnt = learnt
         error = match.residuals(np.asarray(water)[None])[0]
         return float(error @ error / len(error) * match.seen.surge.shape[1])
