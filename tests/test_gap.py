@@ -8,11 +8,14 @@ pytest.importorskip("numba")
 from fishmj import effects  # noqa: E402
 from fishmj.gap import evidence  # noqa: E402
 from fishmj.gap.features import Layout  # noqa: E402
+from fishmj.gap.folds import split  # noqa: E402
+from fishmj.gap.gates import frozen  # noqa: E402
+from fishmj.gap.nearby import settled  # noqa: E402
 from fishmj.gap.null import leftover, unexplained, whitening  # noqa: E402
 from fishmj.gap.null_runs import Null  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.search import frozen, pruned, settled, split  # noqa: E402
+from fishmj.gap.search import pruned  # noqa: E402
 from fishmj.gap.workflow import investigate, unrepeatable  # noqa: E402
 from fishmj.sim import Sim  # noqa: E402
 
@@ -80,12 +83,13 @@ def test_a_repeatable_gap_is_repeatable(plant):
     assert unrepeatable(trials, evidence_of(plant, records, NULL)) == ""
 
 
-def test_split_keeps_one_replicate_to_fit(plant):
+def test_folds_share_the_records_and_part_replicates(plant):
     records = [record_of(t, plant.dt) for t in hidden({}, 1, ("drift_north", "drift_north", "gait_fast", "gait_fast"))]
     for seed in range(8):
-        held = split(records, seed)
-        assert held.sum() == 1
-        assert not held[:2].all() and not held[2:].all()
+        folds = split(records, seed)
+        assert (folds.sum(0) == 1).all() and sorted(folds.sum(1)) == [1, 1, 2]
+        assert not folds[:, :2].all(1).any() and not folds[:, 2:].all(1).any()
+    assert split(records[1:3]).tolist() in ([[True, False], [False, True]], [[False, True], [True, False]])
 
 
 def test_whitening_makes_its_own_scatter_white():
@@ -161,15 +165,16 @@ def test_what_makes_the_fish_fickle_is_charged_for_it(plant):
 
 
 def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
-    held = np.arange(len(SHORT)) == 1
+    folds = np.arange(len(SHORT)) % 2 == np.arange(2)[:, None]
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 53)
     row = row_of(plant, "command_latency", delay=0.04)
     row[plant.index("camera_scale", "scale")] = 0.002
     names = ("camera_scale", "command_latency")
-    c = e.part(~held).at(row, names, tuple(plant.index(n, p.name) for n in names for p in effects.get(n).parameters))
-    near, best, fitted = pruned(e, held, *settled(e, held, c, c), frozen())
-    assert best.names == fitted.names == ("command_latency",)
-    assert best.row[plant.index("command_latency", "delay")] == pytest.approx(0.04, abs=0.004)
+    places = tuple(plant.index(n, p.name) for n in names for p in effects.get(n).parameters)
+    c = e.part(e.everything).at(row, names, places)
+    found = pruned(e, folds, settled(e, folds, c, (c, c)), frozen())
+    assert {found.best.names, *(fit.names for fit in found.fits)} == {("command_latency",)}
+    assert found.best.row[plant.index("command_latency", "delay")] == pytest.approx(0.04, abs=0.004)
 
 
 def test_what_the_records_leave_open_stays_near_its_null(plant):
@@ -179,3 +184,26 @@ def test_what_the_records_leave_open_stays_near_its_null(plant):
     place = plant.index("coulomb_friction", "torque")
     start = search.at(row_of(plant, "coulomb_friction", torque=0.15), ("coulomb_friction",), (place,))
     assert search.refine([start])[0].row[place] < 0.05
+
+
+def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(plant):
+    e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
+    right, wrong = row_of(plant, "command_latency", delay=0.04), row_of(plant, "servo_gain", gain=-0.4)
+    assert e.trusted(right).form <= 0.05
+    assert e.trusted(right).strained(right, 0.22) == 0.0
+    assert e.trusted(wrong).form > 0.22
+    assert e.trusted(wrong).strained(wrong, 0.22) > 30.0
+
+
+def test_what_a_fold_leaves_open_counts_where_it_is_predicted(plant):
+    """Only a beat tells how late commands are: predicted from a drift it is uncertain; a drift predicted from a beat is not."""
+    e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 56, ("gait_fast", "drift_north"))
+    row = row_of(plant, "command_latency", delay=0.04)
+    folds = np.eye(2, dtype=bool)
+    c = e.part(e.everything).at(row, ("command_latency",), (plant.index("command_latency", "delay"),))
+    found = settled(e, folds, c, (c, c))
+    (beat, _), (drift, _) = found.unseen(folds)
+    known = [found.near.part(f).whiten.logdet for f in folds]
+    assert beat.whiten.logdet > known[0] + 2.0
+    assert drift.whiten.logdet == pytest.approx(known[1], abs=0.5)
+    assert found.loss(folds) == pytest.approx(sum(c.cost + s.whiten.logdet for s, c in found.unseen(folds)))

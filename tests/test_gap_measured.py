@@ -7,6 +7,8 @@ import pytest
 
 from fishmj import console
 from fishmj.gap.__main__ import main
+from fishmj.gap.bench import logs
+from fishmj.gap.bench.score import score
 from fishmj.gap.measured import command, servo_xl330, tail_fish, tendon_fish, usv_coastdown
 from fishmj.gap.measured.answer import answer, report
 from fishmj.gap.measured.folder import trials
@@ -80,3 +82,27 @@ def test_a_left_out_frequency_of_the_tendon_fish_is_predicted_within_15_per_cent
     said, figures = tendon_fish.predicted(beats, choices=[tendon_fish.CHOSEN])
     assert figures["holds"] and max(map(abs, figures["choices"][0]["errors"])) <= 0.15, said
     assert max(abs(b / s - 1) for b, s in zip(figures["speed_before"], figures["speed"], strict=True)) > 0.15  # it took a fit
+
+
+def test_deleted_terms_come_up_in_turn_with_other_records_kept_aside():
+    drawn = logs.draw(12, 3)
+    assert len({c.id for c in drawn}) == 12 and {c.seed for c in drawn} == {3, 4, 5}
+    assert [c.kind for c in drawn].count("none") == sum(c.term == "" for c in drawn) == 2
+    assert len({(c.set, c.term) for c in drawn[:5]}) == 5
+
+
+@measured
+def test_a_term_deleted_from_the_fitted_model_is_looked_for():
+    row = logs.run(logs.Deletion("log-tail_fish-body_lift-0", "single", "tail_fish", "body_lift", 0))
+    assert row["answer"] == "NAMED" and [e["name"] for e in row["said"]] == ["body_lift"]
+    assert row["true_gap"] > 3 and score([row])["coverage_all_magnitudes"]["value"] == 1.0
+    value, low, high = row["said"][0]["values"]["coefficient"]
+    assert low <= row["truth"]["body_lift"]["coefficient"] <= high and high - low < 0.2 * value
+
+
+@measured
+def test_a_deleted_constant_is_neither_in_the_model_nor_fitted():
+    study = tail_fish.study(without="yaw_drag")
+    assert "yaw_drag" not in [c.name for c in study.plant.constants] and study.plant.hull.yaw_drag == 0.0
+    study = servo_xl330.study(aside=1, without="viscous")
+    assert study.plant.motor.viscous == 0.0 and len(study.aside) == 3

@@ -10,9 +10,10 @@ import numpy as np
 
 from fishmj.gap.candidates import Candidate
 from fishmj.gap.contest import replaced
+from fishmj.gap.evidence import Evidence
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.null_runs import Null
-from fishmj.gap.search import Evidence, Found
+from fishmj.gap.search import Found
 from fishmj.gap.separation import Prospect, Side, evenly, hinted, prospects
 from fishmj.gap.verdict import Verdict
 

@@ -12,7 +12,9 @@ import numpy as np
 from fishmj.effects.classes import containing
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, Search, bounds
-from fishmj.gap.search import Found, Gates, moved, without
+from fishmj.gap.gates import Gates
+from fishmj.gap.nearby import moved, without
+from fishmj.gap.search import Found
 
 ON_BOUND = 1e-3  # of the typical size
 
@@ -37,7 +39,7 @@ class Standing:
 
 def standings(found: Found, gates: Gates) -> dict[str, Standing]:
     """Every effect of what was found."""
-    whole = found.near.part(np.ones(len(found.near.records), bool))
+    whole = found.near.part(found.near.everything)
     best = moved(whole, found.best)
     rivals = [c for step in found.steps if step.accepted for c in step.ranked]
     return {name: standing(whole, best, name, rivals, gates) for name in best.names}

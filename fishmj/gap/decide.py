@@ -1,15 +1,19 @@
-"""From what was found to one of the five answers: seven gates, each a reason that a reader can check.
+"""From what was found to one of the five answers: eight gates, each a reason that a reader can check.
 
-    G1 adequacy     |z|^2 / m, held out or over all, is beyond every null run  else AGREES
-    G2 gain         held-out drop of |z|^2 that no null run gives away          else UNEXPLAINED
+    G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
+    G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
     G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
     G4 rest         what is left lies within the form error of what was found   else UNEXPLAINED, the best shown as tentative
-    G5 transfer     no more than a fifth of the held-out records get worse      else UNEXPLAINED
-    G6 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G7 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
+    G5 form         the formula need not be more wrong than a formula may be    else UNEXPLAINED, the best shown as tentative
+    G6 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
+    G7 uniqueness   no rival nearly as good, P(best) high                       else CLASS
+    G8 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
+
+The form error is measured (evidence.py): the relative error of what the effects change that makes the records most likely. A
+right name leaves a few per cent; a name that stands in for something else leaves as much as is tried.
 
 An effect that brings little and fails G6 or G7 is not named, and does not spoil the name of those that bring much. Nor is a
-lesser effect named that is smaller than usual: what another's formula leaves may look like it.
+lesser effect named that is much smaller than usual: what another's formula leaves may look like it.
 """
 
 import numpy as np
@@ -17,47 +21,43 @@ import numpy as np
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
+from fishmj.gap.evidence import Evidence
+from fishmj.gap.gates import Gates
 from fishmj.gap.intervals import HALF, estimate
-from fishmj.gap.search import Evidence, Found, Gates
+from fishmj.gap.search import Found
 from fishmj.gap.verdict import Named, Value, Verdict
 
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
-SLIGHT = 0.15  # of the gain over all held-out records, by which one may get worse
+SLIGHT = 0.15  # of the gain over all records, by which one may get worse
+STRAIN = 30.0, 1e-3  # drop of the loss, and its share of the gain, from which a larger form error is not chance
 MINOR = 0.05  # share of the gain below which an effect brings little
-LESSER = 0.5  # the same for one that must be of usual size
+LESSER = 0.5  # the same for one that must not be much smaller than usual
+USUAL = 0.4  # of the least typical size
 
 
-def decide(e: Evidence, found: Found, gates: Gates, held: np.ndarray) -> Verdict:
+def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     """The answer with its gates."""
     before, parts = e.gap(found.base.row)
-    checks: dict = {"adequacy": found.held_before / found.held_size, "gap_by_channel": parts}
+    checks: dict = {"adequacy": found.base.cost / e.layout.size, "gap_by_channel": parts}
     steps = tuple(described(s) for s in found.steps)
     plain: dict = dict(gap_before=before, gap_after=before, gates=checks, steps=steps)
-    checks["adequacy_all"] = found.base.cost / e.layout.size
     first = found.steps[0] if found.steps else None
-    quiet = max(checks["adequacy"], checks["adequacy_all"]) <= gates.adequacy
-    if first is None or (not first.accepted and quiet):
+    if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
         tentative = named(found, first.ranked[0], {}) if first.gain > 0 else ()
-        why = f"there is a gap, but the best candidate gains {first.gain:.0f} on held-out records, less than {gates.gain:.0f}"
+        why = f"there is a gap, but the best candidate gains {first.gain:.0f} on records not seen, less than {gates.gain:.0f}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
     doubts = {n.name: sanity(e, found.best, n) for n in effects}
     brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
     weak = {n for n, s in stand.items() if s.rivals or doubts[n] or s.p_best < gates.p_best}
-    faint = {n.name for n in effects if small(e, n, 1.0)}
+    faint = {n.name for n in effects if small(e, n, USUAL)}
     spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in faint}
-    rest = found.near.part(held)
-    after, ideal = rest.loss(found.best_fit.row), rest.whiten.logdet + found.held_size
-    before_loss = e.part(held).loss(found.base.row)
-    checks["gain"] = before_loss - after
-    checks["closure"] = evidence.closure(before_loss - ideal, after - ideal, 0)
-    checks["rest"] = rest.at(found.best_fit.row).cost / found.held_size
-    checks["transfer"] = transfer(e, found, held)
+    checks |= unseen(e, found) | {"form": found.near.form, "strain": found.near.strained(found.best.row, gates.form)}
     kept = tuple(n for n in effects if n.name not in spoilt)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
@@ -78,21 +78,40 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     if checks["rest"] > gates.rest:
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
         return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
+    if strained(checks):
+        return "UNEXPLAINED", f"the best would have to be wrong by {checks['form']:.0%} of what it changes; it is tentative"
     if checks["transfer"] < gates.transfer:
-        return "UNEXPLAINED", f"{1 - checks['transfer']:.0%} of the held-out records get worse; the best is tentative"
+        return "UNEXPLAINED", f"{1 - checks['transfer']:.0%} of the records get worse, unseen; the best is tentative"
     if rivals or any(stand[n.name].p_best < gates.p_best for n in kept):
         return "CLASS", "these records cannot tell apart what is listed"
     if warnings:
         return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
-    return "NAMED", "explains records that it was not fitted to, and nothing else does"
+    return "NAMED", "explains records that it has not seen, and nothing else does"
 
 
-def transfer(e: Evidence, found: Found, held: np.ndarray) -> float:
-    """Share of the held-out records that do not get less likely, but for chance and a little of what all of them gain."""
+def strained(checks: dict) -> bool:
+    """Whether the records ask for a larger form error than a formula may have."""
+    return checks.get("strain", 0.0) > max(STRAIN[0], STRAIN[1] * checks.get("gain", 0.0))
+
+
+def unseen(e: Evidence, found: Found) -> dict[str, float]:
+    """Gates on records that are predicted without their fold: gain, closure, rest, transfer."""
+    parts = found.fitted.unseen(found.folds)
+    before = sum(e.part(f).loss(found.base.row) for f in found.folds)
+    ideal = sum(search.whiten.logdet for search, _ in parts) + e.layout.size
+    left = sum(c.cost for _, c in parts)
+    after = left + ideal - e.layout.size
+    closed = evidence.closure(before - ideal, after - ideal, 0)
+    return {"gain": before - after, "closure": closed, "rest": left / e.layout.size, "transfer": transfer(e, found)}
+
+
+def transfer(e: Evidence, found: Found) -> float:
+    """Share of the records that do not get less likely, but for chance and a little of what all of them gain."""
     rises, allowed = [], []
-    for i in np.flatnonzero(held):
-        alone = np.arange(len(held)) == i
-        rises.append(found.near.part(alone).loss(found.best_fit.row) - e.part(alone).loss(found.base.row))
+    for i in range(len(e.records)):
+        alone = np.arange(len(e.records)) == i
+        fit = next(c for f, c in zip(found.folds, found.fitted.fits, strict=True) if f[i])
+        rises.append(found.near.part(alone).loss(fit.row) - e.part(alone).loss(found.base.row))
         allowed.append(CHANCE * np.sqrt(2.0 * np.sum(e.layout.record == i)))
     rise = np.array(rises)
     return float(np.mean(rise < np.maximum(allowed, -SLIGHT * np.sum(rise))))
@@ -102,8 +121,7 @@ def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named
     """The effects of a candidate with values, intervals and what all of them close together."""
     e = found.near
     value, spread = estimate(e, c)
-    everything = np.ones(len(e.records), bool)
-    near, base = e.part(everything), found.base.cost + found.start_logdet
+    near, base = e.part(e.everything), found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
     closed = evidence.closure(base - ideal, near.loss(c.row) - ideal, 0)
     out = []

@@ -6,9 +6,120 @@ closure   gain / (|z_0|^2 - m): share of what is unexpected that an effect expla
 p_best    share of Bayesian bootstrap draws over records (Rubin 1981) in which a candidate has the least cost
 """
 
+from copy import copy
+
 import numpy as np
 
+from fishmj.gap.candidates import STEP, Candidate, Search, bounds
+from fishmj.gap.features import Layout
+from fishmj.gap.null import leftover, smooth, whitening
+from fishmj.gap.records import Record
+
 DRAWS = 2000
+TURNS = 16  # draws of the constants, to see what is not linear in them
+FORM = 0.1  # relative error of a formula where the records have not told
+FORMS = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)  # those that are tried
+
+
+class Evidence:
+    """Records with their null, and searches on any part of them.
+
+    null: (n, m) residuals of null runs on the layout of all records. form: relative error of the effects' own signature in the
+    evidence around a candidate. origin: the evidence around the model as it is.
+    """
+
+    def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = FORM):
+        self.plant, self.records, self.form, self.origin = plant, records, form, self
+        self.layout = Layout(records)
+        self._draws = np.random.default_rng(0).standard_normal((TURNS, len(plant.constants)))
+        tangents, self._bent = self._constants(plant.null)
+        self.factors = np.concatenate([null / np.sqrt(len(null)), tangents])
+        self.d = leftover(null, tangents, self.layout)
+        self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
+        self._known, self._changed = self.d**2, np.zeros(self.layout.size)
+
+    @property
+    def everything(self) -> np.ndarray:
+        """(L,) bool: all records."""
+        return np.ones(len(self.records), bool)
+
+    def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the constants' tolerance does to the residual of a parameter row: (C, m) tangents, (m,) mean square of what is
+        not linear in them."""
+        sigma = np.array([constant.sigma for constant in self.plant.constants])
+        draws = np.concatenate([np.zeros((1, len(sigma))), np.eye(len(sigma)), self._draws])
+        rows = np.tile(row, (len(draws), 1))
+        rows[:, : len(sigma)] += draws * sigma
+        residuals = self._residuals(rows)
+        moved = residuals[1:] - residuals[0]
+        tangents = moved[: len(sigma)]
+        bent = np.mean((moved[len(sigma) :] - self._draws @ tangents) ** 2, 0)
+        return tangents, smooth(np.sqrt(bent), self.layout) ** 2
+
+    def _residuals(self, rows) -> np.ndarray:
+        return np.nan_to_num(self.layout.residuals(self.plant.predict(self.records, rows)))
+
+    def around(self, row: np.ndarray, form: float | None = None) -> "Evidence":
+        """The same for a fish that has the effects of `row`, right to within `form` of what they change.
+
+        D also grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them,
+        and no two fish do it at the same moments.
+        """
+        there, start = copy(self), self.origin
+        tangents, bent = self._constants(row)
+        there.factors = np.concatenate([start.factors[: -len(tangents)], tangents])
+        ours, changed = self._residuals(np.stack([self.plant.null, row]))
+        there._known = start.d**2 + np.maximum(bent - self._bent, 0.0)
+        there._changed = smooth(changed - ours, self.layout)
+        return there.within(start.form if form is None else form)
+
+    def within(self, form: float) -> "Evidence":
+        """The same effects, trusted to within another relative error."""
+        there = copy(self)
+        there.form, there.d = form, np.sqrt(self._known + (form * self._changed) ** 2)
+        return there
+
+    def trusted(self, row: np.ndarray) -> "Evidence":
+        """Evidence around a row with the form error that makes the records most likely: how far a formula holds is measured."""
+        there = self.around(row)
+        residual = self._residuals(row[None])[0]
+        losses = [there.within(form).unlikely(residual) for form in FORMS]
+        return there.within(FORMS[int(np.argmin(losses))])
+
+    def unlikely(self, residual: np.ndarray) -> float:
+        """|z|^2 + log det S of a residual over all records (m,)."""
+        white = whitening(self.factors, self.d)
+        z = white(residual)
+        return float(z @ z) + white.logdet
+
+    def strained(self, row: np.ndarray, most: float) -> float:
+        """Drop of that when the effects of the row, around which this is, may be wrong by more than `most`."""
+        residual = self._residuals(row[None])[0]
+        return max(self.within(most).unlikely(residual) - self.unlikely(residual), 0.0) if self.form > most else 0.0
+
+    def part(self, keep: np.ndarray, more: np.ndarray | None = None) -> Search:
+        """A search on the records where keep (L,) is true. more: (K, n) further factors of S there."""
+        records = [r for r, k in zip(self.records, keep, strict=True) if k]
+        columns = keep[self.layout.record]
+        factors = self.factors[:, columns]
+        factors = factors if more is None else np.concatenate([factors, more])
+        return Search(self.plant, records, Layout(records), whitening(factors, self.d[columns]))
+
+    def slopes(self, c: Candidate) -> np.ndarray:
+        """(K, m) what a typical size of each parameter of a candidate does to the residual, about its values."""
+        _, high, size = bounds(self.plant)
+        rows = np.tile(c.row, (1 + len(c.places), 1))
+        for row, place in zip(rows[1:], c.places, strict=True):
+            step = STEP * size[place]
+            row[place] += step if row[place] + step <= high[place] else -step
+        residuals = self._residuals(rows)
+        moves = np.array([(row[p] - c.row[p]) / size[p] for row, p in zip(rows[1:], c.places, strict=True)])
+        return (residuals[1:] - residuals[0]) / moves.reshape(-1, 1)
+
+    def gap(self, row) -> tuple[float, dict]:
+        """The gap of a parameter row over all records and by channel, in units of the floor."""
+        residual = self.layout.residuals(self.plant.predict(self.records, row))[0]
+        return gap(residual, self.scale, self.layout), by_channel(residual, self.scale, self.layout)
 
 
 def gap(residual: np.ndarray, scale: np.ndarray, layout) -> float:

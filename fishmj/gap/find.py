@@ -8,11 +8,11 @@ from fishmj.engines import in_water
 from fishmj.engines.added import STRUCTURED
 from fishmj.gap import judge, version
 from fishmj.gap.apply import settle
+from fishmj.gap.gates import frozen
 from fishmj.gap.null_runs import RUNS, Null
 from fishmj.gap.null_sets import Sets
 from fishmj.gap.quiet import Shortage, everything, shortage
 from fishmj.gap.records import record_of
-from fishmj.gap.search import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log import Trial
 from fishmj.log.bundle import read_bundle

@@ -12,7 +12,7 @@ formula is the robot's.
 import numpy as np
 
 from fishmj.gap.candidates import Candidate, bounds
-from fishmj.gap.search import Evidence
+from fishmj.gap.evidence import Evidence
 
 STEP = 0.02  # of the typical size
 FORM = 0.08

@@ -85,12 +85,20 @@ class Kernel:
         rollouts = (tidy(which, np.int64), tidy(inputs, float), tidy(lengths, np.int64), tidy(parameters, float))
         given: tuple = (*rollouts, tidy(start, float), tidy(delay, float), int(stride), out)
         blocks = -(-rows // native.LANES)
-        workers = max(1, min(os.cpu_count() or 1, blocks // CHUNK))
+        workers = max(1, min(cores(), blocks // CHUNK))
+        if workers == 1:
+            self._roll(0, rows, *given)
+            return out
         edges = [native.LANES * (blocks * i // workers) for i in range(workers)] + [rows]
         with ThreadPoolExecutor(workers) as pool:
             for job in [pool.submit(self._roll, a, b, *given) for a, b in zip(edges[:-1], edges[1:], strict=True)]:
                 job.result()
         return out
+
+
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def loops() -> str:

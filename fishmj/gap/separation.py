@@ -16,11 +16,11 @@ import numpy as np
 from fishmj import excitation
 from fishmj.effects.classes import together
 from fishmj.excitation import Excitation
+from fishmj.gap.evidence import Evidence
 from fishmj.gap.features import Layout
 from fishmj.gap.null import smooth, whitening
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, Sensor
-from fishmj.gap.search import Evidence
 
 HINTS = 6  # experiments that a quick look tries
 

@@ -10,16 +10,18 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.gap.decide import decide
+from fishmj.gap.evidence import Evidence
 from fishmj.gap.features import Layout
+from fishmj.gap.folds import split
+from fishmj.gap.gates import Gates, frozen
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
-from fishmj.gap.search import Evidence, Found, Gates, find, frozen, split
+from fishmj.gap.search import Found, find
 from fishmj.gap.verdict import Verdict
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
 
 SEEN = 4.0  # mean square over the floor from which a channel shows a gap
-TURNS = 3  # ways to hold a third of the records out, while there is a gap and nothing is accepted
 GROWN = 0.1  # by which a gap of chance may grow
 UNSEEN = 9  # records from which on a quarter is set aside for the last figure only
 
@@ -29,7 +31,8 @@ class Inquiry:
     """Everything that one search leaves behind, for the report.
 
     unseen: (L,) bool over `records`, those that took no part in any decision; `apart` is their evidence. held: bool over the
-    others, which are those of `evidence`. synthetic: a trial says that it was simulated.
+    others, which are those of `evidence`: the first fold, for the report's pictures. synthetic: a trial says that it was
+    simulated.
     """
 
     verdict: Verdict
@@ -69,12 +72,8 @@ def investigate(
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
     e = evidence_of(plant, seen, null)
-    for turn in range(TURNS):  # a gap that these held-out records cannot show may show in others
-        held = split(seen, seed + turn)
-        found = find(e, gates, held, progress=lambda step: say(_round(step)))
-        verdict = decide(e, found, gates, held)
-        if found.best.names or verdict.answer == "AGREES":
-            break
+    found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)))
+    verdict = decide(e, found, gates)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
@@ -97,7 +96,7 @@ def investigate(
             why = f"the gap grows from {before:.2f} to {after:.2f} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
     synthetic = any(t.value("origin") == "synthetic" for t in trials)
-    return Inquiry(verdict, e, found, records, held, unseen, apart, synthetic)
+    return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic)
 
 
 def evidence_of(plant, records: list[Record], null: Null) -> Evidence:
@@ -140,4 +139,4 @@ def unrepeatable(trials: list[Trial], e: Evidence) -> str:
 def _round(step) -> str:
     best = step.ranked[0]
     verdict = "accepted" if step.accepted else "not enough"
-    return f"{' + '.join(best.names)}: held-out gain {step.gain:.0f}, {verdict}"
+    return f"{' + '.join(best.names)}: gain {step.gain:.0f} on records not seen, {verdict}"

@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from fishmj import console
-from fishmj.gap.bench import cases, solver
+from fishmj.gap.bench import cases, logs, solver
 from fishmj.gap.bench.rows import kept
 from fishmj.gap.bench.run import run
 from fishmj.gap.bench.score import score
+from fishmj.gap.gates import frozen
 from fishmj.gap.null_runs import Null
-from fishmj.gap.search import frozen
 from fishmj.store import write_text
 
-GENERATORS = ("second", "lbm")
+GENERATORS = ("second", "lbm", "log")
+GENERATED = "second: the second robot; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a term deleted"
 ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
 
 
@@ -23,22 +25,16 @@ def main(argv: list[str]) -> int:
     add("--cases", type=int, default=400, help="how many")
     add("--seed", type=int, default=0, help="draws everything anew: effects, sizes, fish, noise")
     add("--kinds", default="", metavar="KIND,..", help=f"only {', '.join(cases.KINDS)}; default all, in their shares")
-    add(
-        "--generator", choices=GENERATORS, default="second", help="second: the second robot; lbm: shipped sets of the flow solver"
-    )
+    add("--generator", choices=GENERATORS, default="second", help=GENERATED)
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
     add("--shard", default="0/1", metavar="I/N", help="every N-th case from the I-th: for several machines")
     add("--out", type=Path, help="folder for rows.jsonl and score.json; the same command continues where it stopped")
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
     args = parser.parse_args(argv)
     index, shards = map(int, args.shard.split("/"))
-    if args.generator == "lbm":
-        given = [one for one in solver.draw() if one.case.kind in (args.kinds or ",".join(cases.KINDS)).split(",")]
-        rows = judged(given[index : args.cases : shards], args.out, solver.plant)
-    else:
-        kinds = {k: cases.KINDS[k] for k in args.kinds.split(",")} if args.kinds else None
-        todo = cases.draw(args.cases, args.seed, kinds, small=args.small)[index::shards]
-        rows = judged([solver.Given(case, None, Null(noise=case.noise)) for case in todo], args.out)
+    todo, ask = asked(args)
+    todo = todo[: args.cases][index::shards]
+    rows = judged(todo, args.out, ask)
     result = score(list(rows))
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
@@ -46,7 +42,7 @@ def main(argv: list[str]) -> int:
     if args.baselines and args.generator == "second":
         from fishmj.gap.baselines import beside, compared
 
-        console.say(compared(rows, beside(todo, rows, args.out)))
+        console.say(compared(rows, beside([one.case for one in todo], rows, args.out)))
     if args.json:
         flat = {k: v["value"] if isinstance(v, dict) else v for k, v in result.items()}
         console.emit_json(flat | {"detail": result})
@@ -55,23 +51,40 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if args.small and fails else console.OK
 
 
-def judged(todo: list[solver.Given], out: Path | None, make: Callable | None = None) -> list[dict]:
-    """Rows of all cases, those that `out` holds already read from there; `make` makes the plant, by default the shipped fish."""
+def asked(args) -> tuple[list, Callable]:
+    """(cases of the generator, what makes a row of one)."""
+    kinds = {k: cases.KINDS[k] for k in args.kinds.split(",")} if args.kinds else cases.KINDS
+    if args.generator == "log":
+        return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
+    if args.generator == "lbm":
+        return [one for one in solver.draw() if one.case.kind in kinds], seen_by(solver.plant)
     from fishmj.gap.plants.fish import Fish
 
-    plant, gates, rows = (make or Fish)(), frozen(), {}
+    drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
+    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], seen_by(Fish)
+
+
+def seen_by(make: Callable) -> Callable:
+    """What asks the search, with the plant made once, when it is needed."""
+    plant, gates = cache(make), frozen()
+    return lambda one: run(plant(), one.case, gates, one.null, one.trials)
+
+
+def judged(todo: list, out: Path | None, ask: Callable) -> list[dict]:
+    """Rows of all cases, those that `out` holds already read from there."""
+    rows = {}
     if out:
         out.mkdir(parents=True, exist_ok=True)
         rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
     with console.Progress(len(todo), "bench", unit="cases") as bar:
-        for i, (case, trials, null) in enumerate(todo):
-            if case.id not in rows:
-                rows[case.id] = console.plain(run(plant, case, gates, null, trials))
+        for i, one in enumerate(todo):
+            if one.id not in rows:
+                rows[one.id] = console.plain(ask(one))
                 if out:
                     with (out / "rows.jsonl").open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(rows[case.id]) + "\n")
+                        file.write(json.dumps(rows[one.id]) + "\n")
             bar.update(i + 1)
-    return [rows[one.case.id] for one in todo]
+    return [rows[one.id] for one in todo]
 
 
 def told(result: dict) -> list[str]:

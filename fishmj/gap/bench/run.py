@@ -7,10 +7,10 @@ import numpy as np
 from fishmj.errors import SimDiverged
 from fishmj.gap.bench.cases import Case
 from fishmj.gap.features import Layout
+from fishmj.gap.gates import Gates
 from fishmj.gap.null import turned
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
-from fishmj.gap.search import Gates
 from fishmj.gap.verdict import Named
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial

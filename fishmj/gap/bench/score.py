@@ -34,6 +34,13 @@ def same(a: str, b: str) -> bool:
     return a == b or any({a, b} <= set(c.effects) for c in CLASSES)
 
 
+def twin(row: dict) -> bool:
+    """Whether all that a CLASS lists are the hidden effect and those that are the same by construction."""
+    hidden = next(iter(row["truth"]))
+    listed = names(row) | set(row["rivals"])
+    return hidden in listed and all(same(name, hidden) for name in listed)
+
+
 def score(rows: list[dict]) -> dict:
     """All figures of a benchmark."""
     rows = [r for r in rows if r["answer"] != "DIVERGED"]
@@ -45,6 +52,7 @@ def score(rows: list[dict]) -> dict:
     everything = [r for r in kind["single"] if r["answer"] == "NAMED" and names(r) == set(r["truth"])]
     beyond = [r for r in kind["single"] if r["beyond_gap"] > DETECTABLE]
     listed = [r for r in beyond if r["answer"] in ("NAMED", "CLASS") and set(r["truth"]) <= names(r) | set(r["rivals"])]
+    twins = [r for r in singles if r["answer"] == "CLASS" and twin(r)]
     said = [r for r in singles if r["answer"] != "AGREES" and r["said"]]
     top = [r for r in said if same(r["said"][0]["name"], next(iter(r["truth"])))]
     pairs = [r for r in kind["pair"] if min(r["each_gap"].values()) > DETECTABLE]  # of either alone
@@ -59,6 +67,8 @@ def score(rows: list[dict]) -> dict:
         "precision": share(len(right), len(named)),
         "precision_of_class": share(len(alike), len(named)),
         "coverage": share(len(right), len(singles)),
+        "coverage_or_twins": share(len(right) + len(twins), len(singles)),
+        "agrees_though_detectable": share(sum(r["answer"] == "AGREES" for r in singles), len(singles)),
         "coverage_all_magnitudes": share(len(everything), len(kind["single"])),
         "coverage_beyond_tolerance": share(
             sum(r["answer"] == "NAMED" and names(r) == set(r["truth"]) for r in beyond), len(beyond)

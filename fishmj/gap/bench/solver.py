@@ -31,6 +31,11 @@ class Given(NamedTuple):
     trials: list[Trial] | None  # None: the second robot makes them
     null: Null
 
+    @property
+    def id(self) -> str:
+        """Of the case."""
+        return self.case.id
+
 
 def folder() -> Path:
     """Of the shipped data sets."""

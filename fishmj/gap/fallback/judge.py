@@ -19,11 +19,11 @@ import numpy as np
 
 from fishmj.effects.effect import Effect
 from fishmj.gap.candidates import Candidate, Search, bounds
+from fishmj.gap.evidence import Evidence
 from fishmj.gap.fallback.library import library, name_of, one_sided
 from fishmj.gap.features import Layout
 from fishmj.gap.null import leftover, whitening
 from fishmj.gap.records import Record
-from fishmj.gap.search import Evidence
 
 PROBE = 0.1  # of the usual coefficient
 PROBES = (0.5, -0.5, 2.0, -2.0)

@@ -10,6 +10,7 @@ import numpy as np
 from fishmj.gap.measured.answer import solved
 from fishmj.gap.measured.folder import trials
 from fishmj.gap.measured.study import Study
+from fishmj.gap.plants.fish import Constant
 from fishmj.gap.plants.servo import DT, Bench, Motor, OneServo, Pendulum
 from fishmj.gap.records import Sensor
 from fishmj.log import Trial
@@ -21,22 +22,30 @@ STEP = 2 * np.pi / 4096  # rad, one count of the encoder
 UNSATURATED = 0.9  # of the largest duty in the log
 
 
-def study() -> Study:
-    """The set as a study."""
+def study(aside: int | None = None, without: str = "") -> Study:
+    """The set as a study.
+
+    Args:
+        aside: number of another trajectory to keep aside, of those in alphabetical order, counted round. without: a constant that
+        is deleted from the baseline.
+    """
     found = trials("servo_xl330")
     most = max(float(np.abs(t.table("joint")["load1"]).max()) for t in found.values())
     records = [bench(name, trial, most) for name, trial in found.items()]
     shape = {name: str(trial.value("rig.trajectory")) for name, trial in found.items()}
-    learn = [r for r in records if shape[r.name] != ASIDE]
-    aside = [r for r in records if shape[r.name] == ASIDE]
+    shapes = sorted(set(shape.values()))
+    kept = ASIDE if aside is None else shapes[aside % len(shapes)]
+    learn = [r for r in records if shape[r.name] != kept]
     gains = sorted({r.group for r in learn})
     rig = next(iter(found.values())).meta["rig"]
-    plant = OneServo(MOTOR, Pendulum(mass=rig["mass"], length=rig["length"], voltage=rig["vin"]))
+    motor = MOTOR._replace(**{without: 0.0}) if without else MOTOR
+    constants = tuple(Constant(n, 0.3) for n in Motor._fields if n != without)
+    plant = OneServo(motor, Pendulum(mass=rig["mass"], length=rig["length"], voltage=rig["vin"]), constants)
     return Study(
         name="servo_xl330",
         plant=plant,
         learn=learn,
-        aside=aside,
+        aside=[r for r in records if shape[r.name] == kept],
         fold=np.array([gains.index(r.group) for r in learn]),
         error=lambda rs, row: error(plant, rs, row),
         floor=STEP**2 / 12,
@@ -44,7 +53,7 @@ def study() -> Study:
         unit="mrad",
         factor=1e3,
         protocol=(
-            f"{len(records)} logs of {len(gains)} gains; {len(aside)} of trajectory {ASIDE} kept aside, one gain left out a fold",
+            f"{len(records)} logs of {len(gains)} gains; those of trajectory {kept} kept aside, one gain left out a fold",
             "error: rms of measured minus simulated angle at the log's own stamps, free run from the first row",
             "baseline: proportional controller with its duty limit, back-EMF, viscous friction, armature",
         ),

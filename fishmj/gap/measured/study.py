@@ -143,10 +143,11 @@ def scored(search: Search, c: Candidate) -> Candidate:
     return Candidate(c.names, c.places, c.row, float(z @ z), z)
 
 
-def investigate(study: Study, *, most: int = 2, useful: float = 0.02, sure: float = 0.95, say=lambda text: None) -> Outcome:
-    """Add effects while groups that no parameter saw get better."""
-    whole = Fold(study, study.learn)
-    base = current = whole.base
+def investigate(
+    study: Study, *, most: int = 2, useful: float = 0.02, sure: float = 0.95, has=(), say=lambda text: None
+) -> Outcome:
+    """Add effects while groups that no parameter saw get better. has: names of effects that the model already holds."""
+    base = current = extended(study, has)
     rounds = []
     learned, kept = [study.error(study.learn, base.row)], [study.error(study.aside, base.row)]
     say(
@@ -168,6 +169,15 @@ def investigate(study: Study, *, most: int = 2, useful: float = 0.02, sure: floa
         learned.append(study.error(study.learn, current.row))
         kept.append(study.error(study.aside, current.row))
     return Outcome(base, tuple(rounds), tuple(learned), tuple(kept))
+
+
+def extended(study: Study, has=()) -> Candidate:
+    """The baseline with the effects `has`, all fitted to `learn`."""
+    whole = Fold(study, study.learn)
+    found = whole.base
+    for name in has:
+        found = whole.ranked([next(e for e in study.plant.active.effects if e.name == name)], 1)[0]
+    return found
 
 
 def one_round(study: Study, current: Candidate, useful: float, sure: float) -> Round:

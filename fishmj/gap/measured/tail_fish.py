@@ -21,7 +21,7 @@ from fishmj.log import Trial
 SPAN, WINDOW = 1.5, 1.0  # s
 SCALE = np.array([0.02, 0.02, 0.15])  # m, m, rad: the protocol's units of error
 ASIDE, FOLDS = 7, 4
-VARIANTS = {
+VARIANTS: dict[str, dict] = {
     "a drag across the body of its own": dict(sway=True),
     "the video's clock corrected": dict(clock=True),
     "both": dict(sway=True, clock=True),
@@ -44,12 +44,13 @@ HULL = Hull(
 CONSTANTS = tuple(Constant(name, 0.3) for name in ("thrust", "torque", "drag", "yaw_drag"))
 
 
-def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed: int = 0) -> Study:
+def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed: int = 0, without: str = "") -> Study:
     """The set as a study.
 
     Args:
         clock: correct the video's clock by what each trial's meta data say. pictures: but let runs and averages be the pictures
         that they are without, so that errors compare. sway: a quadratic drag across the body in the baseline, of its own size.
+        seed: of what is kept aside. without: a constant that is deleted from the baseline.
     """
     records = [r for name, trial in trials("tail_fish").items() if (r := swim(name, trial, clock, pictures)) is not None]
     groups = sorted({r.group for r in records})
@@ -58,6 +59,8 @@ def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed:
     learn = [r for r in records if r.group not in aside]
     hull = HULL._replace(sway_drag=20.0 if sway else 0.0)
     constants = (*CONSTANTS, Constant("sway_drag", 0.3)) if sway else CONSTANTS
+    if without:
+        hull, constants = hull._replace(**{without: 0.0}), tuple(c for c in constants if c.name != without)
     plant = Body(hull, constants, [*acting(), *RIVALS], name="tail_fish")
     lines = (
         f"{len(records)} trials, {len(groups)} conditions, {sum(len(r.starts) for r in records)} runs of {SPAN} s of"

@@ -18,6 +18,7 @@ from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.hooks import Effects
 from fishmj.mjcf.description import Robot, load_robot
 
+AT_ONCE = 256  # rollouts of a batch, for memory's sake
 STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
 
 
@@ -130,6 +131,11 @@ class Fish:
             One dictionary a record: {"joint": (R, K, J), "pose": (R, K, 3), "power": (R, K, 1)} at its stamps.
         """
         rows = np.atleast_2d(np.asarray(rows, float))
+        few = max(1, AT_ONCE // len(rows))
+        return [p for i in range(0, len(records), few) for p in self._together(records[i : i + few], rows)]
+
+    def _together(self, records: list[Record], rows: np.ndarray) -> list[dict]:
+        """The same for as many records as fit into a cache at a time."""
         longest = max(len(r.commands) for r in records)
         inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
         lengths = np.array([len(r.commands) for r in records])
@@ -181,9 +187,10 @@ class Fish:
             t = sensor.t - late * np.ones((len(out), 1))
             first, last = {"pose": (0, 3), "joint": (3, nv), "power": (0, 0)}[clock]
             state = hermite(out[..., first:last], out[..., nv + first : nv + last], h, t)
-            x, y, yaw = (state[..., i] for i in range(3)) if clock == "pose" else (np.zeros_like(t),) * 3
-            joint = state if clock == "joint" else np.zeros((*t.shape, self.joints))
-            power = np.zeros_like(t)
+            none = np.zeros((1, 1))  # of the other sensors: broadcast
+            x, y, yaw = (state[..., i] for i in range(3)) if clock == "pose" else (none,) * 3
+            joint = state if clock == "joint" else np.zeros((1, 1, self.joints))
+            power = none
             if clock == "power":
                 energy = out[..., -1]
                 power = (linear(energy, h, t) - linear(energy, h, t - h)) / h + self.robot.servo.idle_power

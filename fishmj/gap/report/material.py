@@ -8,9 +8,9 @@ from fishmj import console
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate
 from fishmj.gap.contest import on_bound
+from fishmj.gap.gates import Gates, frozen
 from fishmj.gap.growth import Curve, curves
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
-from fishmj.gap.search import Gates, frozen
 from fishmj.gap.workflow import Inquiry
 
 
@@ -90,7 +90,7 @@ def after(inquiry: Inquiry) -> np.ndarray:
 def parts(inquiry: Inquiry) -> tuple[Part, ...]:
     """Fitted, held out, never used."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
-    rows = np.stack([found.base.row, found.best_fit.row])
+    rows = np.stack([found.base.row, found.fitted.fits[0].row])
     residuals = e.layout.residuals(e.plant.predict(e.records, rows))
     count = len(e.factors) - len(e.plant.constants)
     null = e.factors[:count] * np.sqrt(count)

@@ -207,7 +207,7 @@ def ranked(r: Round, number: int, count: int) -> str:
 def rounds(m: Material) -> str:
     """What each round did."""
     items = "".join(
-        f"<li>{escape(' + '.join(title(n) for n in s.ranked[0].names))}: gain {s.gain:.0f} on held-out records, "
+        f"<li>{escape(' + '.join(title(n) for n in s.ranked[0].names))}: gain {s.gain:.0f} on records not seen, "
         f"{'accepted' if s.accepted else 'not enough: stop'}</li>"
         for s in m.inquiry.found.steps
     )

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
+from fishmj.gap.decide import strained
 from fishmj.gap.localise.words import percent
 from fishmj.gap.report.material import Material
 from fishmj.gap.verdict import Verdict
@@ -132,15 +133,17 @@ def gates(m: Material) -> list[Gate]:
     had = lambda key: float(checks.get(key, float("nan")))  # noqa: E731
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
     rows = (
-        ("gap", "Is there more than null runs reach, on records held out?")
+        ("gap", "Is there more than null runs reach?")
         + (f"{had('adequacy'):.2f}", f"> {g.adequacy:g}", had("adequacy") > g.adequacy or accepted),
-        ("gain", "Does the best effect help there more than chance does?")
+        ("gain", "Does the best effect help records that did not see it more than chance does?")
         + (f"{first.gain if first else 0.0:.0f}", f"> {g.gain:g}", accepted),
         ("closure", "Is most of what was unexpected gone?")
         + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure),
         ("rest", "Is what is left within the error of any formula?")
         + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
-        ("transfer", "Do the held-out records get better one by one?")
+        ("form", "Is it right to within what a formula may be wrong?")
+        + (percent(had("form")), f"≤ {percent(g.form)}", not strained(checks)),
+        ("transfer", "Do the records get better one by one, unseen?")
         + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer),
         ("uniqueness", "Is no other effect nearly as good?")
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),

@@ -1,0 +1,37 @@
+"""Thresholds of the search, from `data/calib/gap.toml`."""
+
+from dataclasses import dataclass
+
+from fishmj.calib import read_toml, resolve
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Thresholds.
+
+    adequacy: |z|^2 / m that null runs do not reach. gain: drop of twice the negative log likelihood, every record predicted
+    without its fold, below which nothing is added. A further effect must also take away `again` times the length of z and
+    `beside` of the gain so far, or the share `clear` of both where no other comes near it. closure, rest, form, transfer: gates
+    of decide.py. margin: of the gain, between the best and the next; p_best: as in evidence.py. shortlist, finalists:
+    candidates fitted, and judged by the evidence around themselves.
+    """
+
+    adequacy: float
+    gain: float
+    again: float
+    beside: float
+    clear: float
+    closure: float
+    margin: float
+    p_best: float
+    rest: float
+    form: float
+    transfer: float
+    most: int
+    shortlist: int
+    finalists: int
+
+
+def frozen() -> Gates:
+    """The thresholds as shipped, set on null runs and planted effects before any benchmark was scored."""
+    return Gates(**read_toml(resolve("gap"))["gates"])

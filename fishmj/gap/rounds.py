@@ -1,0 +1,104 @@
+"""One round of the search: which effect would be added next, and do records that did not see it get better?
+
+screen      the whole catalogue on the few records in which most is unexpected
+refine      the best of them on all records
+judge       the finalists by the likelihood in the evidence around themselves
+accept      by what the first of them gains on records predicted without their fold
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fishmj.effects.classes import together
+from fishmj.gap import evidence
+from fishmj.gap.candidates import Candidate, Search
+from fishmj.gap.evidence import Evidence
+from fishmj.gap.folds import Fitted
+from fishmj.gap.gates import Gates
+from fishmj.gap.nearby import moved, nearest, polished, without
+
+TELLING = 4  # records that a screen looks at
+HOPE = 0.5  # of the gain that is asked for: a round whose best gains less where it was fitted ends there
+FAR = 0.3  # of the best finalist's gain: one that gains less is not judged
+CHANCES = 3  # finalists that may show what they gain unseen
+LEAD = 0.5  # of the gain, by which the first is clear of all that are not its twins
+
+
+@dataclass(frozen=True)
+class Step:
+    """One round.
+
+    ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
+    candidate was worth judging. gain: what it takes off the loss of all records, each predicted without its fold.
+    """
+
+    ranked: tuple[Candidate, ...]
+    fitted: Fitted | None
+    gain: float
+    accepted: bool
+
+
+def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: float) -> Step:
+    """Candidates one effect larger than `known`, and where it pays, with an earlier choice swapped. gained: in earlier rounds."""
+    whole = known.near.part(known.near.everything)
+    base = moved(whole, known.best)
+    short = shortlist(known.near, base, effects, gates)
+    seen = base.cost - short[0].cost
+    if seen < HOPE * asked(gates, known, gained, True):
+        return Step(tuple(short[: gates.finalists]), None, 0.0, False)
+    judged = [nearest(known.near.origin, c, 1) for c in short[: gates.finalists] if base.cost - c.cost > FAR * seen]
+    loss = [near.part(near.everything).loss(best.row) for near, best in judged]
+    order = np.argsort(loss)
+    before, tried = known.loss(folds), []
+    for i in order[:CHANCES]:
+        near, best = judged[i]
+        fitted = Fitted(near, best, tuple(polished(near.part(~f), best) for f in folds))
+        tried.append((i, fitted, before - fitted.loss(folds)))
+        if tried[-1][2] > asked(gates, known, gained, True):
+            break
+    else:
+        tried = tried[:1]
+    first, fitted, gain = tried[-1]
+    newest = [best.names[-1] for _, best in judged]
+    ahead = min((loss[j] for j in order if j != first and not together(newest[first], newest[j])), default=np.inf) - loss[first]
+    ranked = [replace(judged[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
+    return Step(tuple(ranked), fitted, gain, gain > asked(gates, known, gained, ahead > LEAD * gain))
+
+
+def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:
+    """Gain that a round must bring. clear: nothing else comes near its best."""
+    if not known.best.names:
+        return gates.gain
+    share = gates.clear if clear else 1.0
+    return max(gates.gain + share * gates.again * known.near.layout.size, share * gates.beside * gained)
+
+
+def shortlist(e: Evidence, base: Candidate, effects, gates: Gates) -> list[Candidate]:
+    """The best candidates on all records, fitted; best first."""
+    whole, few = e.part(e.everything), e.part(telling(base, e.layout))
+    likely = few.screen(moved(few, base), effects)[: 2 * gates.shortlist]
+    likely = sorted((moved(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
+    short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
+    if not base.names:
+        return short
+    return sorted([*short, *swaps(whole, few, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
+
+
+def telling(c: Candidate, layout) -> np.ndarray:
+    """(L,) bool: the records in which most is unexpected."""
+    excess = evidence.costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
+    keep = np.zeros(len(layout.records), bool)
+    keep[np.argsort(-excess)[:TELLING]] = True
+    return keep
+
+
+def swaps(whole: Search, few: Search, short: list[Candidate], effects, gates: Gates) -> list[Candidate]:
+    """The best new sets with an earlier effect replaced by another: what was taken first may have stood in for a pair."""
+    out = []
+    last = short[0]
+    for old in last.names[:-1]:
+        free = [x for x in effects if x.name not in last.names]
+        tried = few.screen(moved(few, without(whole, last, old)), free)[: gates.finalists]
+        out += whole.refine([moved(whole, c) for c in tried], 3)
+    return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
