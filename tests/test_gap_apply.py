@@ -14,10 +14,13 @@ from fishmj.calib import read_toml, resolve  # noqa: E402
 from fishmj.effects.calibration import Fitted, Interval  # noqa: E402
 from fishmj.errors import ConfigError  # noqa: E402
 from fishmj.gap import __main__ as gap  # noqa: E402
-from fishmj.gap import apply, version  # noqa: E402
+from fishmj.gap import apply, judge, version  # noqa: E402
+from fishmj.gap.check import check  # noqa: E402
+from fishmj.gap.data import named, null_of, trials_in  # noqa: E402
 from fishmj.gap.mjcf_patch import difference, hooked, mjcf  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.verdict import Named, Value, Verdict  # noqa: E402
+from fishmj.log.bundle import write_bundle  # noqa: E402
 from fishmj.log.dataset import read_dataset  # noqa: E402
 from fishmj.mjcf import load_robot  # noqa: E402
 from fishmj.sim import Sim  # noqa: E402
@@ -74,6 +77,23 @@ def test_the_next_version_holds_values_hashes_rivals_and_its_parent(patched, dat
     assert table["version"]["rivals"][0]["name"] == "load_friction" and table["version"]["judged"]
     assert table["version"]["gap_after"] < 0.6 * table["version"]["gap_before"]
     assert replace(robot, effects=()) == load_robot("fish")
+
+
+def test_a_bundle_in_a_fitted_water_gets_its_version_too(tmp_path, data):
+    """What a search was done in, apply and check do it in."""
+    folder = read_dataset(data)
+    bundle = write_bundle(tmp_path / "data.npz", [named(n, folder[n]) for n in folder.names])
+    asked = report(tmp_path / "report", data, torque=PLANTED)
+    verdict = json.loads((asked / "verdict.json").read_text())
+    verdict["context"] |= {"data": str(bundle), "data_sha256": sha256(bundle), "water": "swift-base"}
+    write_json(asked / "verdict.json", verdict)
+    written = apply.apply(asked)
+    assert written.accepted, written.reason
+    assert version.facts(written.path)["water"] == "swift-base"
+    found = check(written.path, bundle)
+    assert found["worse"] == "" and found["same_data"] and found["gap"] == pytest.approx(written.gap_after, rel=1e-6)
+    other = judge.gaps([load_robot(written.path)], trials_in(bundle), null_of(NULL))[0][0]
+    assert abs(other - found["gap"]) > 1e-3, "the fitted water is not the model's own"
 
 
 def test_a_version_goes_back_to_its_parent_bit_for_bit(patched, tmp_path):

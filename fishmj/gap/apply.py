@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fishmj import console
+from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap import judge, version
-from fishmj.gap.check import check, named
-from fishmj.gap.null_runs import Null
-from fishmj.log.dataset import read_dataset
+from fishmj.gap.check import check
+from fishmj.gap.data import digest, null_of, trials_in
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import read_json, sha256, write_text
-from fishmj.store.manifest import MANIFEST
+from fishmj.store import read_json, write_text
 
 
 class Written(NamedTuple):
@@ -76,11 +75,11 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
     if version.digest(context["model"]) != context["model_sha256"]:
         raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
     data = Path(context["data"]) if data is None else data
-    folder = read_dataset(data)
-    if sha256(data / MANIFEST) != context["data_sha256"]:
+    if digest(data) != context["data_sha256"]:
         raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
-    trials = [named(n, folder[n]) for n in context["judged"]]
-    measure = lambda versions: [g for g, _ in judge.gaps(versions, trials, Null(**context["null"]))]  # noqa: E731
+    trials = [t for t in trials_in(data) if t.name in context["judged"]]
+    given = (trials, null_of(context["null"]), context.get("water", STRUCTURED))
+    measure = lambda versions: [g for g, _ in judge.gaps(versions, *given)]  # noqa: E731
     out = version.next_name(context["model"], path.parent) if out is None else out
     return settle(verdict, context, measure, out, path.parent, force)
 
@@ -100,7 +99,8 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
         table = {"effects": [e.name for e in effects], "answer": answer} | {
             k: context[k] for k in ("data", "data_sha256", "judged")
         }
-        table |= {"null": context["null"], "gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
+        table |= {"null": context["null"], "water": context.get("water", STRUCTURED)}
+        table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
         draft = version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
         candidate = load_robot(draft)
         before, after = measure([parent, candidate])

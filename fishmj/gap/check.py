@@ -7,14 +7,11 @@ stated (by more than 5 %), or no better than its parent. On another data set all
 from pathlib import Path
 
 from fishmj import console
+from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap import judge, version
-from fishmj.gap.null_runs import Null
-from fishmj.log import Trial
-from fishmj.log.dataset import read_dataset
+from fishmj.gap.data import digest, null_of, trials_in
 from fishmj.mjcf.description import load_robot
-from fishmj.store import sha256
-from fishmj.store.manifest import MANIFEST
 
 SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
 
@@ -45,22 +42,16 @@ def check(model: Path, data: Path) -> dict:
     parent = Path(model).with_name(stated.get("parent_text", ""))
     if not parent.is_file() or version.digest(parent) != stated["parent_sha256"]:
         raise ConfigError(f"{model}: its parent's text {parent} is gone or changed; write the version again with gap apply")
-    folder = read_dataset(data)
-    same = sha256(data / MANIFEST) == stated.get("data_sha256")
-    names = [n for n in folder.names if not same or n in stated["judged"]]
-    trials = [named(n, folder[n]) for n in names]
-    (before, _), (after, channels) = judge.gaps([load_robot(parent), load_robot(model)], trials, Null(**stated["null"]))
+    same = digest(data) == stated.get("data_sha256")
+    trials = [t for t in trials_in(data) if not same or t.name in stated["judged"]]
+    given = (trials, null_of(stated["null"]), stated.get("water", STRUCTURED))
+    (before, _), (after, channels) = judge.gaps([load_robot(parent), load_robot(model)], *given)
     limit, worse = SLACK * stated["gap_after"], ""
     if same and after > limit:
-        worse = f"gap {after:.3f} on {len(names)} records, stated was {stated['gap_after']:.3f}"
+        worse = f"gap {after:.3f} on {len(trials)} records, stated was {stated['gap_after']:.3f}"
     elif after >= before:
-        worse = f"gap {after:.3f} on {len(names)} records, no smaller than its parent's {before:.3f}"
+        worse = f"gap {after:.3f} on {len(trials)} records, no smaller than its parent's {before:.3f}"
     return {
-        "model": str(model), "records": len(names), "same_data": same, "gap_parent": before, "gap": after,
+        "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
         "stated": stated["gap_after"], "by_channel": channels, "worse": worse,
     }  # fmt: skip
-
-
-def named(name: str, trial: Trial) -> Trial:
-    """The trial under its folder's name."""
-    return Trial(trial.meta, trial.tables, name=name, notes=trial.notes)

@@ -5,21 +5,15 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.engines import in_water
-from fishmj.engines.added import STRUCTURED
-from fishmj.gap import judge, version
+from fishmj.gap import data, judge, version
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
-from fishmj.gap.null_runs import RUNS, Null
-from fishmj.gap.null_sets import Sets
+from fishmj.gap.null_runs import RUNS
 from fishmj.gap.quiet import Shortage, everything, shortage
 from fishmj.gap.records import record_of
 from fishmj.gap.workflow import Inquiry, investigate
-from fishmj.log import Trial
-from fishmj.log.bundle import read_bundle
-from fishmj.log.dataset import read_dataset
 from fishmj.mjcf.description import load_robot
-from fishmj.store import sha256, write_json
-from fishmj.store.manifest import MANIFEST
+from fishmj.store import write_json
 
 
 def main(argv: list[str]) -> int:
@@ -48,13 +42,7 @@ def main(argv: list[str]) -> int:
     inquiry = search(args)
     console.say(inquiry.verdict.text())
     if args.out:
-        own = args.water == STRUCTURED and args.null is None and args.data.is_dir()
-        written = write(inquiry, args.out, context_of(inquiry, args) if own else None)
-        console.say(f"written: {', '.join(written)}")
-        if not own:
-            console.say(
-                "no patched model: gap apply goes on from a model in its own water, a folder of trials and null runs made anew"
-            )
+        console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args)))}")
     if args.json:
         console.emit_json(inquiry.verdict.plain())
     return console.OK
@@ -64,35 +52,23 @@ def search(args) -> Inquiry:
     """Read the data set and search."""
     from fishmj.gap.plants.fish import Fish
 
-    trials = trials_in(args.data)
+    trials = data.trials_in(args.data)
     gates = frozen() if args.most is None else replace(frozen(), most=args.most)
     plant = Fish(in_water(load_robot(args.model), args.water))
-    return investigate(plant, trials, gates=gates, null=null_of(args), seed=args.seed, further=True, say=console.say)
+    null = data.null_of(null_of(args))
+    return investigate(plant, trials, gates=gates, null=null, seed=args.seed, further=True, say=console.say)
 
 
-def null_of(args) -> Null:
-    """Runs of the second robot, or those of a folder."""
+def null_of(args) -> dict:
+    """How null runs are drawn: of the second robot, or those of a folder."""
     made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
-    return Sets(**made, folder=args.null) if args.null else Null(**made)
-
-
-def trials_in(data: Path) -> list[Trial]:
-    """The trials of a data set under their folders' names, or those of a bundle."""
-    if data.suffix == ".npz":
-        return read_bundle(data)
-    found = read_dataset(data)
-    return [named(name, trial) for name, trial in zip(found.names, found, strict=True)]
-
-
-def named(name: str, trial: Trial) -> Trial:
-    """The trial under its folder's name."""
-    return Trial(trial.meta, trial.tables, name=name, notes=trial.notes)
+    return made | {"folder": str(args.null.resolve())} if args.null else made
 
 
 def missing(args) -> "Shortage | None":
     """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
     dt = load_robot(args.model).timing.physics_dt
-    return shortage([record_of(t, dt) for t in trials_in(args.data)], everything())
+    return shortage([record_of(t, dt) for t in data.trials_in(args.data)], everything())
 
 
 def context_of(inquiry: Inquiry, args) -> dict:
@@ -100,10 +76,10 @@ def context_of(inquiry: Inquiry, args) -> dict:
     apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
     seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
     held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
-    null = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
-    hashes = {"model_sha256": version.digest(args.model), "data_sha256": sha256(args.data / MANIFEST)}
+    drawn = {"null": null_of(args), "water": args.water}
+    hashes = {"model_sha256": version.digest(args.model), "data_sha256": data.digest(args.data)}
     model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)
-    return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, "null": null}
+    return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
 
 
 def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list[str]:
@@ -115,7 +91,7 @@ def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list
     else:
         some = [r for r in inquiry.records if r.name in context["judged"]]
         plant = inquiry.evidence.plant
-        measure = lambda versions: judge.gaps_of(versions, some, Null(**context["null"]), plant)  # noqa: E731
+        measure = lambda versions: judge.gaps_of(versions, some, data.null_of(context["null"]), plant)  # noqa: E731
         done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
         patched = done.path.name if done.path and done.accepted else ""
         write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})

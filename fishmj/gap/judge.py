@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 from fishmj import effects
+from fishmj.engines import in_water
+from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError, LogError
 from fishmj.gap.null_runs import Null
 from fishmj.gap.plants.fish import Fish
@@ -12,8 +14,8 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 
 
-def gaps(versions: list[Robot], trials: list[Trial], null: Null) -> list[tuple[float, dict]]:
-    """(gap, gap by channel) of each version over all trials, mean squares in units of the floor.
+def gaps(versions: list[Robot], trials: list[Trial], null: Null, water: str = STRUCTURED) -> list[tuple[float, dict]]:
+    """(gap, gap by channel) of each version over all trials, mean squares in units of the floor. water: that they swim in.
 
     Raises:
         ConfigError: the versions differ in more than their effects. LogError: no trials, or one that cannot be compared.
@@ -24,7 +26,7 @@ def gaps(versions: list[Robot], trials: list[Trial], null: Null) -> list[tuple[f
     if not trials:
         raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
-    plant = Fish(bare[0], [e for e in map(effects.get, listed) if not e.stochastic])
+    plant = Fish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
     evidence = evidence_of(plant, [record_of(trial, plant.dt) for trial in trials], null)
     return [evidence.gap(plant.row(robot)) for robot in versions]
 
