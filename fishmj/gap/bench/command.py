@@ -93,7 +93,7 @@ def told(result: dict) -> list[str]:
     for key, value in result.items():
         if isinstance(value, dict):
             of, within = f"{value['hits']} of {value['n']}", f"95 %: {value['low']:.1%} to {value['high']:.1%}"
-            lines.append(f"{key:26s} {value['value']:6.1%}  ({of}; {within})")
+            lines.append(f"{key:34s} {value['value']:6.1%}  ({of}; {within})" if value["n"] else f"{key:34s}      -  (none)")
         else:
-            lines.append(f"{key:26s} {value if value is None or isinstance(value, int) else round(value, 3)}")
+            lines.append(f"{key:34s} {value if value is None or isinstance(value, int) else round(value, 3)}")
     return lines

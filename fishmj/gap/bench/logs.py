@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.gap.bench.run import said
 from fishmj.gap.measured import servo_xl330, tail_fish
 from fishmj.gap.measured.answer import answer
 from fishmj.gap.measured.study import Study, extended, investigate
@@ -71,11 +72,8 @@ def run(case: Deletion) -> dict:
 
 def described(verdict: Verdict) -> dict:
     """What was said, in the form of the other generators' rows."""
-    said = [
-        {"name": e.name, "p_best": e.p_best, "values": {k: [v.value, v.low, v.high] for k, v in e.parameters.items()}}
-        for e in verdict.effects
-    ]
-    out: dict = {"answer": verdict.answer, "said": said, "rivals": [r["name"] for r in verdict.rivals]}
+    told = [said(effect) for effect in verdict.effects]
+    out: dict = {"answer": verdict.answer, "said": told, "rivals": [r["name"] for r in verdict.rivals]}
     out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
     out |= {"gap_unseen_before": verdict.gap_before, "explained": verdict.explained, "gates": verdict.gates}
     return out | {"reason": verdict.reason, "warnings": list(verdict.warnings)}

@@ -18,9 +18,9 @@ def bounds(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:
 
 
 def share(hits: int, n: int) -> dict:
-    """{"value", "hits", "n", "low", "high"}."""
+    """{"value", "hits", "n", "low", "high"}; the value of none is None."""
     low, high = bounds(hits, n)
-    return {"value": hits / n if n else float("nan"), "hits": int(hits), "n": int(n), "low": low, "high": high}
+    return {"value": hits / n if n else None, "hits": int(hits), "n": int(n), "low": low, "high": high}
 
 
 def names(row: dict) -> set[str]:
