@@ -16,6 +16,8 @@ ROBOT = mjcf.load_robot("fish")
 CHAIN, NOMINAL = chain.chain_of(ROBOT), chain.nominal(ROBOT)
 N = CHAIN.n
 
+BAND = dict.fromkeys(("speed", "yaw_rate", "power"), [0.01, 0.02, 1.0])
+
 
 def learnt():
     """A residual that pushes, fitted for slow swimming ahead."""
@@ -70,7 +72,7 @@ def test_fault_18_more_than_5_percent_outside_fails_the_check(monkeypatch, share
     members = np.tile(flat(NOMINAL.water), (5, 1))
     model = HydroModel(
         name="swift", robot=ROBOT.name, robot_sha256=robot_hash(ROBOT), dt=CHAIN.dt, slip=1.0, base=NOMINAL.water,
-        members=members, alone=np.tile(members[:1], (6, 1)), band={"speed": 1.0, "yaw_rate": 1.0, "power": 1.0},
+        members=members, alone=np.tile(members[:1], (6, 1)), band=BAND,
     )  # fmt: skip
 
     def perfect(self, fleet, water, learnt=None, attached=None, memory=None):

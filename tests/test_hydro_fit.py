@@ -11,7 +11,7 @@ from fishmj import console
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import chain, check, correct, learned
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.hydro_fit.fit import learning, lessons, linear, newton, rollout
+from fishmj.hydro_fit.fit import band, learning, lessons, linear, newton, rollout
 from fishmj.hydro_fit.fit.keep import keep
 from fishmj.hydro_fit.fit.pack import unpacked
 from fishmj.hydro_fit.fit.prior import flat, names_of, prior_of, replaced, unflat
@@ -212,3 +212,26 @@ def test_without_rows_no_factor_moves():
     assert flat(correct.applied(c, state)).tolist() == flat(c).tolist()
     assert newton.scaled(flat(c), np.zeros(len(newton.groups(4))), 4, prior_of(ROBOT)).tolist() == flat(c).tolist()
     assert len(learned.at_rest(4)) == 14
+
+
+def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
+    """Errors that grow with the members' spread, and an offset: the parts come out and new draws are covered."""
+    rng = np.random.default_rng(3)
+
+    def drawn(count):
+        spread, value = rng.gamma(2.0, 0.02, count), rng.uniform(-0.4, 0.4, count)
+        error = np.hypot(0.01, 1.5 * spread) * rng.standard_normal(count)
+        members = [band.Means(*[value + sign * spread / np.sqrt(2)] * 3) for sign in (-1, 1)]
+        return band.Means(*[value] * 3), members, band.Means(*[value + error] * 3)
+
+    made = band.fit_band(*drawn(400), np.arange(400) < 350)
+    offset, share, spread = made["speed"]
+    assert spread == pytest.approx(1.645 * 1.5, rel=0.2) and share < 0.1 and offset < 0.05
+    assert all(0.87 < value < 0.93 for value in band.covered(*drawn(4000), made).values())
+
+
+def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():
+    rng, trained = np.random.default_rng(4), np.arange(100) < 80
+    needed = np.abs(rng.standard_normal(100))
+    assert band.easier(needed, trained) == 1.0
+    assert band.easier(np.where(trained, 0.3 * needed, needed), trained) > 2.0

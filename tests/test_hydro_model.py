@@ -141,7 +141,7 @@ def made(learnt=None, **changes):
 
 
 def test_a_model_comes_back_as_it_was_saved(tmp_path):
-    model = made(wild(), band={"speed": 1.5}, found={"linear": {"condition": 3.0, "parameters": {}}})
+    model = made(wild(), band={"speed": [0.01, 0.03, 1.5]}, found={"linear": {"condition": 3.0, "parameters": {}}})
     back = HydroModel.load(model.save(tmp_path))
     q, v, memory, flow = states(10, 4)
     kept = learned.Residual(*(type(part)(*(np.asarray(a, np.float32).astype(float) for a in part)) for part in model.learnt))

@@ -5,13 +5,13 @@ import io
 import numpy as np
 
 from fishmj.hydro_fit.check import GAITS, Swum
-from fishmj.hydro_fit.fit.band import CHANNELS, means, unit
+from fishmj.hydro_fit.fit.band import CHANNELS, half_width, means
 from fishmj.hydro_fit.fit.rollout import recorded
 
 LABELS = {"speed": "speed along the body [m/s]", "yaw_rate": "yaw rate [rad/s]", "power": "servo power [W]"}
 
 
-def against(swum: Swum, band: dict[str, float]) -> bytes:
+def against(swum: Swum, band: dict[str, list[float]]) -> bytes:
     """Means of every free swim, model over record, with the 90 % band."""
     import matplotlib.pyplot as plt
 
@@ -20,7 +20,7 @@ def against(swum: Swum, band: dict[str, float]) -> bytes:
     gait = np.array([r.meta["block"] in GAITS for r in swum.records])
     for axis, channel in zip(axes, CHANNELS, strict=True):
         x, y = getattr(seen, channel), getattr(got, channel)
-        half = band.get(channel, 0.0) * unit(channel, y, swum.members)
+        half = half_width(channel, got, swum.members, band)
         for part, colour, name in ((gait, "#20639b", "gaits"), (~gait, "#c0502e", "other")):
             if part.any():
                 axis.errorbar(x[part], y[part], half[part], fmt="o", ms=3.5, lw=0.8, color=colour, label=name)

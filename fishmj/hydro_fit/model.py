@@ -50,7 +50,8 @@ class HydroModel:
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
         dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
-        band: scale of the error bar by channel, `band_alone` without the residual. scores: on the validation part.
+        band: (offset, share, spread) of the error bar by channel (fit/band.py), `band_alone` without the residual.
+        scores: on the validation part.
     """
 
     name: str
@@ -165,6 +166,9 @@ def _read(cls, path: Path) -> HydroModel:
         keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
         rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores")}
         base = terms.Coefficients(**table["base"])
+        for name, parts in (rest["band"] | rest["band_alone"]).items():
+            if np.shape(parts) != (3,):
+                raise ConfigError(f"{path}: band of {name} = {parts}; expected (offset, share, spread); fit the model again")
         return cls(
             **{key: table[key] for key in keys},
             base=base,

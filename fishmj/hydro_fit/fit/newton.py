@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.hydro_fit import chain, terms
+from fishmj.hydro_fit.fit import begin
 from fishmj.hydro_fit.fit.identify import Identified, identify
 from fishmj.hydro_fit.fit.prior import Prior, flat, names_of, prior_of, unflat
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, is_free, recorded, repeated, windows
@@ -75,11 +76,21 @@ class Match:
         swim: rollouts. learnt: a residual that swims along.
     """
 
+    _push: np.ndarray | None  # (3, N, M) force of the residual on held fish
+
     def __init__(self, swim: Swim, fleet: Fleet, tick: float, held: Rows | None, drag: float, learnt=None):
-        self.swim, self.fleet, self.tick, self.learnt = swim, fleet, tick, learnt
-        self.held, self.drag = held, drag
+        self.swim, self.fleet, self.tick = swim, fleet, tick
+        self.held, self.drag, self.learnt = held, drag, learnt
         self.seen = windows(recorded(fleet), fleet, tick)
         self.thrust = None if held is None else thrusts(held, held.force)
+
+    @property
+    def learnt(self):
+        return self._learnt
+
+    @learnt.setter
+    def learnt(self, learnt) -> None:
+        self._learnt, self._push = learnt, None
 
     def residuals(self, waters: np.ndarray) -> np.ndarray:
         """(W, R) for W flat waters."""
@@ -115,7 +126,10 @@ class Match:
             return np.zeros(0)
         c = unflat(water.tolist())
         s = self.swim.chain.strips
-        got = thrusts(self.held, base_force(self.held, s, c, attachment(self.held, s, c, self.tick)))
+        if self.learnt is not None and self._push is None:  # it hangs on the movement, next to nothing on the coefficients
+            self._push = begin.walk(self.swim.chain, self.held, c, self.learnt, self.tick).force
+        force = base_force(self.held, s, c, attachment(self.held, s, c, self.tick))
+        got = thrusts(self.held, force if self._push is None else force + self._push)
         return np.clip((got - self.thrust) / (THRUST * self.drag), -CLIP, CLIP)
 
 

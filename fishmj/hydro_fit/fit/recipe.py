@@ -173,7 +173,8 @@ class Fit:
                 self.notes.append("the residual is not taken")
                 learnt, water = None, state["alone"]
                 state = {**state, "factors": state["alone_factors"]}
-        fleet = self._validation.fleet
+        swims = [r for r in [*self.train, *self.val] if rollout.is_free(r)]
+        fleet = rollout.fleet_of(self.chain, self.robot, swims, seconds=1e6)
         members, bands = [], []
         for w, factors, r in ((water, state["factors"], learnt), (state["alone"], state["alone_factors"], None)):
             waters = member_waters(w, factors, self.chain.n, self.limits)
@@ -183,10 +184,11 @@ class Fit:
         kept = {"members": members[0], "alone_members": members[1], "bands": np.array(bands), "water": water}
         return kept | {"taken": np.array(learnt is not None)}
 
-    def _band(self, fleet, water, waters, learnt) -> dict[str, float]:
+    def _band(self, fleet, water, waters, learnt) -> dict[str, list[float]]:
         swum = lambda w, r: band.means(self.swim.run(fleet, w, r), fleet)  # noqa: E731
         parts = [swum(w, learnt and learned.member(learnt, e)) for e, w in enumerate(waters)]
-        return band.fit_band(swum(water, learnt), parts, band.means(rollout.recorded(fleet), fleet))
+        trained = np.array([number < sum(map(rollout.is_free, self.train)) for number, _ in fleet.source])
+        return band.fit_band(swum(water, learnt), parts, band.means(rollout.recorded(fleet), fleet), trained)
 
     # what stages share
 
@@ -214,7 +216,7 @@ class Fit:
             rng = np.random.default_rng([59, self.settings.seed])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False)))
         held = [r for r in records if newton.flaps(r)]
-        rows: Rows | None = rows_of(self.chain, held) if held and learnt is None else None
+        rows: Rows | None = rows_of(self.chain, held) if held else None
         return newton.Match(self.swim, fleet, self.tick, rows, newton.tow_drag(self.chain, self.robot), learnt)
 
     def _tell(self, stage: str, part: float, **figures) -> None:
