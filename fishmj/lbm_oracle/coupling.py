@@ -16,14 +16,12 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.lbm_oracle.ahead import Ahead
 from fishmj.lbm_oracle.body import Body
 from fishmj.lbm_oracle.boundary import Boundary
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
-AHEAD = False  # on a GPU: far water steps beside the search for the velocity (ahead.py); to be measured before it is the rule
 NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
 
 
@@ -116,16 +114,8 @@ class Coupled:
 
     def answer(self) -> None:
         """Launch the force, and the fluid's step under it."""
-        self.push()
-        self.fluid.advance()
-        self.clear()
-
-    def push(self) -> None:
-        """Launch the force alone."""
         self.boundary.answer(self.fluid.force)
-
-    def clear(self) -> None:
-        """Launch its end."""
+        self.fluid.advance()
         self.boundary.clear(self.fluid.force)
 
     def _queue(self, part: str) -> None:
@@ -153,8 +143,7 @@ class _Graphs:
 
     def __init__(self, coupled: Coupled):
         self.coupled, self.device = coupled, coupled.fluid.device
-        self.stream, self.decided = wp.Stream(self.device, priority=-1 if AHEAD else 0), wp.Event(self.device)
-        self.ahead = Ahead(coupled.fluid, self.stream) if AHEAD else None
+        self.stream, self.decided = wp.Stream(self.device), wp.Event(self.device)
         self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
         self.warm: set[tuple[str, int]] = set()
         self.graphs: dict[tuple[str, int], wp.Graph] = {}
@@ -169,15 +158,6 @@ class _Graphs:
         if self.joined:
             self.stream.wait_stream(self.device.stream)  # what was queued outside `scope` since
             self.joined = False
-        if self.ahead is not None and part == "listen":
-            edge = self.coupled.boundary
-            self.ahead.begin(int(edge.view["box"][0]), edge.box_shape[0])
-        if self.ahead is not None and part == "answer":
-            self.launch("push")
-            self.ahead.end()
-            self.launch("clear")
-            self._stepped()
-            return
         key = part, fluid.parity
         if key not in self.graphs:
             with wp.ScopedStream(self.stream):
@@ -188,19 +168,13 @@ class _Graphs:
         if key in self.graphs:
             with self.here:
                 wp.capture_launch(self.graphs[key], self.stream)
-            if part == "answer":
-                self._stepped()
+            if part == "answer":  # has moved the fluid on
+                fluid.parity, fluid.steps = 1 - fluid.parity, fluid.steps + 1
         self.warm.add(key)
         if part == "decide":
             self.stream.record_event(self.decided)
 
-    def _stepped(self) -> None:
-        fluid = self.coupled.fluid
-        fluid.parity, fluid.steps = 1 - fluid.parity, fluid.steps + 1
-
     def join(self) -> None:
-        if self.ahead is not None:
-            self.ahead.join()
         self.device.stream.wait_stream(self.stream)
         self.joined = True
 

@@ -165,17 +165,11 @@ class Fluid:
 
     def _recorded(self, parity: int) -> list[Any]:
         """The launches of a step that starts from this parity."""
-        (nx, ny, nz), args = self.shape, self._arguments(parity)
-        return slabs.record(self._kernels.advance, nx, ny * nz, args, self.device, self.threads)
-
-    def record(self, low: int, high: int) -> wp.Launch:
-        """A launch of the present step over some planes of x in memory; who launches all of them makes the step."""
-        kernel, plane = self._kernels.advance, self.shape[1] * self.shape[2]
-        return slabs.part(kernel, low * plane, high * plane, self._arguments(self.parity), self.device)
-
-    def _arguments(self, a: int) -> list[Any]:
+        a, b = parity, 1 - parity
         args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
-        return args + [_flat(self.force), _flat(self._f[1 - a]), _flat(self._u[1 - a]), self._clock[1 - a]]
+        args += [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
+        planes, plane = self.shape[0], self.shape[1] * self.shape[2]
+        return slabs.record(self._kernels.advance, planes, plane, args, self.device, self.threads)
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
         """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""

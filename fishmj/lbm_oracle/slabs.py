@@ -25,12 +25,10 @@ def slabs_for(device, planes: int, wanted: int | None = None) -> int:
 def record(kernel: wp.Kernel, planes: int, plane: int, args: list[Any], device, slabs: int) -> list[Any]:
     """Launches over `planes` times `plane` cells; the kernel's first argument is the first cell of its slab."""
     edges = np.linspace(0, planes, slabs + 1).astype(int) * plane
-    return [part(kernel, int(low), int(high), args, device) for low, high in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def part(kernel: wp.Kernel, low: int, high: int, args: list[Any], device) -> wp.Launch:
-    """One launch over cells low to high - 1."""
-    return wp.launch(kernel, dim=high - low, inputs=[low, *args], device=device, record_cmd=True)
+    return [
+        wp.launch(kernel, dim=int(high - low), inputs=[int(low), *args], device=device, record_cmd=True)
+        for low, high in zip(edges[:-1], edges[1:], strict=True)
+    ]
 
 
 def launch(slabs: list[Any]) -> None:

@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.inflow import Inflow, background
 from fishmj.lbm_oracle.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
 from fishmj.lbm_oracle.memory import STORAGE, peek, peek3, poke, poke3
 
-OPTIONS = {"max_unroll": 32, "enable_backward": False}
+OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and quotients on a GPU where there is an eddy viscosity
 
 
 @wp.struct
@@ -110,7 +110,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
     module = wp.get_module(
         ".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none", dtype, "u" if keeps else "f"])
     )
-    wp.set_module_options(OPTIONS, module)
+    wp.set_module_options(OPTIONS | {"fast_math": subgrid}, module)
     bounded = [axis.low != "periodic" for axis in faces]
     opened = ["open" in axis for axis in faces]
 
