@@ -154,6 +154,9 @@ def test_rounds_end_when_the_returns_agree(tmp_path):
     half = rounds.roll(ROBOT, slow, whole)
     np.testing.assert_allclose(part.velocity, half.v[len(half.v) // 2])
     assert part.pose != whole.pose and part.seconds == rounds.SHORT
+    given |= {"refit": lambda *_: pytest.fail("a round that was done is refitted again"), "pool": None}
+    again = rounds.correct("dob", ROBOT, slow, tmp_path / "data", setup, **given)
+    assert again["rounds"] == found["rounds"] and again["model"].base == model_in(TRUE).base
 
 
 def test_rounds_that_never_agree_say_so(tmp_path):
@@ -162,6 +165,11 @@ def test_rounds_that_never_agree_say_so(tmp_path):
     given = dict(refit=lambda model, solver: slow, episodes=1, seconds=6.0, rounds=1, pool=Tanks())
     found = rounds.correct("dob", ROBOT, slow, tmp_path, setup, **given)
     assert not found["agreed"] and len(found["rounds"]) == 1 and found["model"] is slow
+
+
+def test_the_last_of_several_episodes_of_a_round_validates():
+    splits = lambda n: [s.split for s in plan.on_policy(ROBOT, "dob", episodes=n, seconds=2.0, seed=1).segments]  # noqa: E731
+    assert splits(1) == ["train"] and splits(3) == ["train", "train", "val"]
 
 
 def test_the_return_is_that_of_the_task():

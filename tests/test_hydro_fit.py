@@ -12,6 +12,7 @@ from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import chain, check, correct, learned
 from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.fit import band, learning, lessons, linear, newton, rollout
+from fishmj.hydro_fit.fit.again import Again
 from fishmj.hydro_fit.fit.keep import keep
 from fishmj.hydro_fit.fit.pack import unpacked
 from fishmj.hydro_fit.fit.prior import flat, names_of, prior_of, replaced, unflat
@@ -112,6 +113,22 @@ def test_an_interrupted_fit_goes_on_where_it_was(fitted, records):
         ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=replace(QUICK, seed=1), folder=folder
     )
     assert other._read("linear") is None  # another seed is another fit
+
+
+def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records):
+    """A water with half the thrust, fitted again: the swims of both parts of the validation come closer."""
+    model = fitted[1].base_only
+    worse = replace(model, base=model.base._replace(ke=0.5 * model.base.ke))
+    fit = Again(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), dataset={"sha256": "made"})
+    better = fit.run()
+    assert fit.score(flat(better.base), None) < 0.5 * fit.score(flat(worse.base), None)
+    assert better.learnt is None and better.slip == model.slip
+
+
+def test_training_records_validate_where_no_others_do(records, tmp_path):
+    data = open_dataset(hidden.write_dataset(tmp_path / "set", records["train"]))
+    train, val = verb.fitted_parts(data, ROBOT, 1.0)
+    assert len(val) == len(train) // 4 and not {r.id for r in train} & {r.id for r in val}
 
 
 def test_a_better_model_is_never_overwritten(fitted, tmp_path):

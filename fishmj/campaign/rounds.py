@@ -132,7 +132,7 @@ def correct(
         )
         if row["gap"] <= AGREED or number == rounds:
             break
-        model = _next(model, folder, number, refit)
+        model = _next(model, folder, row, refit)
     return {"rounds": rows, "agreed": rows[-1]["gap"] <= AGREED, "model": model}
 
 
@@ -144,10 +144,10 @@ def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, 
     return compared(robot, solver, rolls)
 
 
-def _next(model: HydroModel, folder: Path, number: int, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
-    """The model after a round, as it is kept; refitted where none is kept for this model and these data."""
-    place = folder / f"round-{number}"
-    made = {"from": sha256_of(model), "data": open_dataset(folder / "solver").sha256}
+def _next(model: HydroModel, folder: Path, row: dict, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
+    """The model after a round, as it is kept; refitted where none is kept for this model and what it did."""
+    place = folder / f"round-{row['round']}"
+    made = {"from": sha256_of(model), "round": row}
     note = place / "made.json"
     if note.is_file() and read_json(note) == made:
         return HydroModel.load(place / f"{model.name}.toml")

@@ -22,6 +22,7 @@ from fishmj.mjcf.description import Robot
 
 SPREAD = 0.3  # standard deviation of ln factor: how far the swims may pull from what the forces said
 STEP = 0.02  # of ln factor, for the differences
+DAMPING = (0.1, 1.0, 10.0, 1e3)  # of the last one, all tried at once
 LEAST = 0.005  # relative fall of the objective that is worth another iteration
 CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
 TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0.10, 0.03)}  # share of the record, and floor
@@ -173,7 +174,7 @@ def fit_rollout(
         jacobian = ((now[1:] - now[0]) / STEP).T
         normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
         slope = jacobian.T @ now[0] + x / SPREAD**2
-        tries = [damping * 10.0**k for k in range(-1, size)]  # as many waters as for the Jacobian: one compilation
+        tries = [damping * share for share in DAMPING]
         steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in tries]
         found = match.residuals(at(steps))
         costs = [cost(r, s) for r, s in zip(found, steps, strict=True)]

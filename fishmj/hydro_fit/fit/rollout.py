@@ -152,7 +152,7 @@ class Swim:
         attached = np.full(batch, 0.5) if attached is None else attached
         memory = np.zeros((batch, 3 * self.chain.n + 2)) if memory is None else memory
         given = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient, water, attached, memory)
-        size = max(LEAST, 1 << (batch - 1).bit_length())  # few sizes, so that few are compiled
+        size = LEAST * -(-batch // LEAST)  # few sizes, so that few are compiled
         wide = [np.concatenate([a, np.repeat(a[-1:], size - batch, 0)]) for a in map(np.asarray, given)]
         single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)  # noqa: E731
         out = self._run(*single(wide), None if learnt is None else single(learnt))
