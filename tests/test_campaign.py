@@ -173,7 +173,7 @@ def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
     collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
     more = plan.on_policy(FISH, "dob", episodes=2, seconds=3.0, seed=1)
     found = collect(more, tmp_path, SETUP, pool=Toys(), quiet=True)
-    assert found.complete and len(open_dataset(tmp_path).names("train", block="policy")) == 2
+    assert found.complete and [len(open_dataset(tmp_path).names(part, block="policy")) for part in ("train", "val")] == [1, 1]
     assert len(open_dataset(tmp_path).about) == 8
 
 
@@ -205,7 +205,10 @@ def test_the_shipped_data_are_what_their_command_makes():
     data = open_dataset(SHIPPED)
     wanted = {segment.id: segment.sha256 for segment in plan.full(FISH).segments}
     made = {name: Segment.of(meta["segment"]).sha256 for name, meta in data.about.items()}
-    assert made.items() <= wanted.items() and data.meta["missing"] == 0
-    assert data.meta["origin"] == "synthetic" and not data.meta["grid"]["preview"] and not data.lost()
+    assert made == wanted and data.meta["missing"] == 0
+    assert data.meta["origin"] == "synthetic" and not data.meta["grid"]["preview"]
+    stopped = [data.about[name] for name in data.lost()]  # held fish whose tail, to the letter, is too fast for the grid
+    assert len(stopped) < 0.04 * len(made) and all(meta["prescribed"]["joints"] for meta in stopped)
+    assert sum("file" not in meta for meta in stopped) <= 3
     assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 22e6
     assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 2900
