@@ -131,7 +131,15 @@ class Match:
             self._push = begin.walk(self.swim.chain, self.held, c, self.learnt, self.tick).force
         force = base_force(self.held, s, c, attachment(self.held, s, c, self.tick))
         got = thrusts(self.held, force if self._push is None else force + self._push)
-        return np.clip((got - self.thrust) / (THRUST * self.drag), -CLIP, CLIP)
+        return calmed((got - self.thrust) / (THRUST * self.drag))
+
+
+def calmed(error: np.ndarray) -> np.ndarray:
+    """Residuals whose squares grow as the errors do beyond `CLIP` (pseudo-Huber): far off, they pull on, but no harder.
+
+    r^2 = 2 c^2 (sqrt(1 + (e / c)^2) - 1)
+    """
+    return np.sign(error) * CLIP * np.sqrt(2.0 * (np.sqrt(1.0 + (error / CLIP) ** 2) - 1.0))
 
 
 def flaps(record: Record) -> bool:
