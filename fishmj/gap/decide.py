@@ -18,6 +18,7 @@ lesser effect named that is much smaller than usual: what another's formula leav
 
 import numpy as np
 
+from fishmj.effects.classes import together
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
@@ -54,7 +55,7 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     effects = named(found, found.best, stand)
     doubts = {n.name: sanity(e, found.best, n) for n in effects}
     brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
-    weak = {n for n, s in stand.items() if s.rivals or doubts[n] or s.p_best < gates.p_best}
+    weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     faint = {n.name for n in effects if small(e, n, USUAL)}
     spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in faint}
     checks |= unseen(e, found) | {"form": found.near.form, "strain": found.near.strained(found.best.row, gates.form)}
@@ -65,6 +66,12 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     whole |= dict(gap_before=before, gap_after=e.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in spoilt))
     answer, reason = _answer(checks, gates, kept, stand, rivals, warnings)
     return Verdict(answer, reason=reason, **whole)
+
+
+def unsure(name: str, stand: Standing, gates: Gates) -> bool:
+    """Whether something else may be meant that is not the same by construction."""
+    twins = [r for r in stand.rivals if together(name, r.name)]
+    return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
 
 
 def _rival(name: str, rival: Rival) -> dict:

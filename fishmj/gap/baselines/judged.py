@@ -28,7 +28,7 @@ def reason_absent(name: str) -> str:
     return ""
 
 
-GAPS = ("true_gap", "each_gap", "beyond_gap")  # what a row knows of its case
+GAPS = ("true_gap", "each_gap", "beyond_gap", "each_beyond")  # what a row knows of its case
 
 
 def rows_of(plant, case: Case, own: dict, names=NAMES) -> dict[str, dict]:

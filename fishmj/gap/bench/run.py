@@ -1,6 +1,7 @@
 """One case: make the data, hide the effect, ask the search, write down what it said beside what is true."""
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -28,10 +29,8 @@ def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None 
     row |= {"noise": case.noise, "logs": len(case.logs)}
     try:
         trials = trials or generate(case.effects, case.logs, case.seed, case.noise)
-        row["true_gap"] = true_gap(plant, case, case.effects)
-        several = len(case.effects) > 1
-        row["each_gap"] = {n: true_gap(plant, case, {n: v}) if several else row["true_gap"] for n, v in case.effects.items()}
-        row["beyond_gap"] = beyond_gap(plant, case)
+        row["true_gap"], row["each_gap"] = sizes(true_gap, plant, case)
+        row["beyond_gap"], row["each_beyond"] = sizes(beyond_gap, plant, case)
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
     verdict = investigate(plant, trials, gates=gates, null=null, seed=case.seed).verdict
@@ -40,6 +39,12 @@ def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None 
     row["gap_unseen_before"] = verdict.gap_unseen_before
     row |= {"explained": verdict.explained, "gates": verdict.gates, "steps": verdict.steps}
     return row | {"warnings": verdict.warnings, "seconds": time.monotonic() - start}
+
+
+def sizes(gap: Callable, plant, case: Case) -> tuple[float, dict]:
+    """(of all hidden effects together, of each alone)."""
+    whole = gap(plant, case, case.effects)
+    return whole, {n: gap(plant, case, {n: v}) if len(case.effects) > 1 else whole for n, v in case.effects.items()}
 
 
 def said(effect: Named) -> dict:
@@ -68,16 +73,16 @@ def true_gap(plant, case: Case, hidden: dict) -> float:
     return 1.0 + float(np.mean(ratios))
 
 
-def beyond_gap(plant, case: Case) -> float:
+def beyond_gap(plant, case: Case, hidden: dict) -> float:
     """The same for the part of the change that the fish's own constants, each within its tolerance, cannot imitate.
 
     s what the effects change, T what the constants' tolerances change, both over the noise: 1 + s (1 + T^T T)^-1 s / m.
     """
     from fishmj.virtual_robot import generate
 
-    if not case.effects:
+    if not hidden:
         return 1.0
-    with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (case.effects, {}))
+    with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (hidden, {}))
     noisy = Layout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
     layout = Layout(without)
     _, tangents = turned(plant, without, layout, plant.null)

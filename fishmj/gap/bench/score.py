@@ -57,6 +57,8 @@ def score(rows: list[dict]) -> dict:
     top = [r for r in said if same(r["said"][0]["name"], next(iter(r["truth"])))]
     pairs = [r for r in kind["pair"] if min(r["each_gap"].values()) > DETECTABLE]  # of either alone
     both = [r for r in pairs if set(r["truth"]) <= names(r)]
+    apart = [r for r in kind["pair"] if min(r.get("each_beyond", r["each_gap"]).values()) > DETECTABLE]
+    alike_both = [r for r in apart if all(any(same(n, t) for n in names(r)) for t in r["truth"])]
     errors = [e for r in right for e in relative_errors(r)]
     closed = [
         1 - (r["gap_unseen"] - 1) / (r["gap_before"] - 1) for r in right if r["gap_unseen"] is not None and r["gap_before"] > 1.5
@@ -78,6 +80,7 @@ def score(rows: list[dict]) -> dict:
         "false_alarm_rate": share(sum(r["answer"] in ("NAMED", "CLASS") for r in kind["none"]), len(kind["none"])),
         "misnamed_off_catalogue": share(sum(r["answer"] == "NAMED" for r in kind["off"]), len(kind["off"])),
         "pairs_both_found": share(len(both), len(pairs)),
+        "pairs_beyond_tolerance_or_twins": share(len(alike_both), len(apart)),
         "interval_coverage": share(sum(covered), len(covered)),
         "parameter_error_median": float(np.median(errors)) if errors else None,
         "parameter_error_p90": float(np.percentile(errors, 90)) if errors else None,
