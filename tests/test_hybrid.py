@@ -44,7 +44,9 @@ def swum(water, commands=COMMANDS):
 
 
 def run(oracle, **options):
-    hybrid = Hybrid(Surrogate(ROBOT, CHAIN, WRONG), oracle, **{"first": 2.0, "every": 20.0, "lead": 0.1, "span": 0.5} | options)
+    hybrid = Hybrid(
+        Surrogate(ROBOT, CHAIN, WRONG), oracle, **{"own": 1.0, "first": 2.0, "every": 20.0, "lead": 0.1, "span": 0.5} | options
+    )
     for command in COMMANDS:
         hybrid.tick(command)
     return hybrid
@@ -74,6 +76,11 @@ def test_a_right_surrogate_is_left_alone():
     np.testing.assert_allclose(hybrid.state.factors, 1.0, atol=1e-9)
 
 
+def test_what_a_right_one_misses_by_corrects_nothing():
+    hybrid = run(Made(), own=100.0)
+    assert hybrid.rows[0][1] > 0 and hybrid.surrogate.water == WRONG
+
+
 def test_a_path_is_followed_in_straight_lines():
     path = Path(np.array([[0.0] * 6, [1.0] * 6, [3.0] * 6]), np.zeros((3, 6)), 0.004)
     for t, at in ((-1.0, 0.0), (0.002, 0.5), (0.006, 2.0), (0.009, 3.0)):
@@ -98,7 +105,7 @@ def test_a_solver_that_is_missing_or_fails_is_switched_off_and_the_fish_swims_on
 
 def test_a_solver_that_is_too_slow_is_switched_off_and_what_was_learnt_stays():
     oracle = Made()
-    hybrid = run(oracle, patience=1e-9, first=1.0, every=1.0, span=0.3)
+    hybrid = run(oracle, patience=1e-9, own=0.01, first=1.0, every=1.0, span=0.3)
     assert "a stretch took" in hybrid.off and len(oracle.asked) == 2  # the first one sets it up
     assert hybrid.surrogate.water != WRONG
     with pytest.raises(ConfigError, match="within"):

@@ -61,7 +61,8 @@ def main(argv: list[str]) -> int:
     model, segments = surrogate_of(args), episodes_of(robot, args)
     plan = plans.Plan(label="hybrid", robot=robot, seed=args.seed, segments=tuple(segments))
     collect(plan, out / "solver", setup, pool=Local(args.tanks), quiet=args.json)
-    found = trial(robot, model, setup, segments, out, every=args.every, wrong=args.wrong)
+    own = float(HydroModel.load(args.model).scores.get("from_rest", 1.0))  # of a right one, whatever is corrected
+    found = trial(robot, model, setup, segments, out, every=args.every, wrong=args.wrong, own=own)
     console.say(console.table([{k: row[k] for k in SHOWN} for row in found["episodes"]]))
     console.say(f"place, mean over episodes: {found['before']:.3f} m -> {found['after']:.3f} m; transient {found['transient']}")
     write_json(out / f"{args.wrong}.json", found)
@@ -91,7 +92,7 @@ def episodes_of(robot: Robot, args) -> list[Segment]:
     return [replace(s, seconds=args.seconds, settle=0.0) for s in made]
 
 
-def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *, every: float, wrong: str) -> dict:
+def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *, every: float, wrong: str, own: float) -> dict:
     """Every episode: in the solver (from `out`), in the surrogate alone before and after, and in the hybrid between.
 
     An episode that is done is kept in `out` with what it was made from, and not done again.
@@ -99,10 +100,16 @@ def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *,
     data, rows = open_dataset(out / "solver", test=True), []
     for segment in segments:
         kept = out / wrong / f"{segment.id}.json"
-        made = {"model": model.base._asdict(), "every": every, "solver": data.about[segment.id]["file"]["sha256"], "wrong": wrong}
+        made = {
+            "model": model.base._asdict(),
+            "every": every,
+            "own": own,
+            "solver": data.about[segment.id]["file"]["sha256"],
+            "wrong": wrong,
+        }
         row = read_json(kept) if kept.is_file() else {}
         if row.get("made") != made:
-            row = _one(robot, model, setup, segment, data[segment.id], every, wrong) | {"made": made}
+            row = _one(robot, model, setup, segment, data[segment.id], every, wrong, own) | {"made": made}
             write_json(kept, row)
         rows.append(row)
         console.say(f"{segment.id}: {row['before_m']:.3f} m -> {row['after_m']:.3f} m")
@@ -115,7 +122,9 @@ def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *,
     return found | {"transient": told, "episodes": rows}
 
 
-def _one(robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth: Record, every: float, wrong: str) -> dict:
+def _one(
+    robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth: Record, every: float, wrong: str, own: float
+) -> dict:
     ch = shorter_tail(robot) if wrong in ("tail", "both") else chain.chain_of(robot)
     water, ticks = model.swimmer(robot).water, min(ticks_of(segment, robot)[1], len(truth.q))
     moved = drive(segment, robot)
@@ -128,7 +137,6 @@ def _one(robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth:
         return fish.q
 
     solver = Solver(robot, setup.domain, slip=segment.slip, device=setup.device)
-    own = float(model.scores.get("validation", 1.0))
     hybrid = Hybrid(Surrogate(robot, ch, water, pose=segment.pose), solver, own, every=every)
     for command in commands:
         hybrid.tick(command)

@@ -27,6 +27,7 @@ LEAST = 0.005  # relative fall of the objective that is worth another iteration
 CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
 TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0.10, 0.03)}  # share of the record, and floor
 FLAPPING = ("chirp", "gait", "flapping")  # blocks that may hold a fish with moving joints
+PUSHED = "flapping"  # by its mean thrust alone: to the letter, a tail does what no servo makes it do, with ten times the force
 THRUST = 0.10  # of the tow drag
 TOW = 0.3  # m/s, of that drag
 

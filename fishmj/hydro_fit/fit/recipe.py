@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
-from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout
+from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout, starts
 from fishmj.hydro_fit.fit.code import code
 from fishmj.hydro_fit.fit.pack import packed, unpacked
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
@@ -71,6 +71,7 @@ class Fit:
             raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
         self.robot, self.chain, self.folder, self.report = robot, chain.chain_of(robot), folder, report
         self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or Settings()
+        self.taught = [r for r in self.train if r.meta["block"] != newton.PUSHED]  # whose forces tell, row by row
         self.tick = self.train[0].tick
         self.swim = rollout.Swim(self.chain, chain.nominal(robot))
         self.limits = prior_of(robot)
@@ -109,7 +110,7 @@ class Fit:
     # stages: state -> what they add to it
 
     def _linear(self, state) -> dict:
-        rows = rows_of(self.chain, self.train)
+        rows = rows_of(self.chain, self.taught)
         done = linear.fit_linear(self.robot, self.chain, rows, self.tick)
         self.found["linear"] = done.found.table()
         return {"water": flat(done.water), "noise": done.noise}
@@ -150,7 +151,7 @@ class Fit:
         net = learning.learn(self.chain, taught, net, steps=s.steps, seed=s.seed, memory=s.memory, report=told).net
         if not s.memory:
             net = net._replace(wake_out=0.0 * net.wake_out)  # a wake that stays at rest
-        rows = rows_of(self.chain, self.train)
+        rows = rows_of(self.chain, self.taught)
         xi, speed = begin.features(self.chain, rows)
         reach = learned.fitted(xi, speed, 1e6)
         spread = begin.walk(self.chain, rows, c, learned.Residual(net, reach), self.tick).spread
@@ -207,7 +208,7 @@ class Fit:
         return self._match(self.val, None)
 
     def _lessons(self, water: np.ndarray) -> lessons.Lessons:
-        return lessons.lessons_of(self.chain, self.train, unflat(water.tolist()))
+        return lessons.lessons_of(self.chain, self.taught, unflat(water.tolist()))
 
     def _match(self, records, learnt) -> newton.Match:
         fleet = rollout.fleet_of(self.chain, self.robot, records)
@@ -244,7 +245,9 @@ class Fit:
         )
 
     def _scores(self, state) -> dict:
-        """`own`: mean square error of F_t, F_n, moment on free swims over that of the drags, `own_alone` without a residual."""
+        """`own`: mean square error of F_t, F_n, moment on free swims over that of the drags, `own_alone` without a residual;
+        `from_rest`: of the strips' movement (starts.py).
+        """
         free = rows_of(self.chain, [r for r in self.val if rollout.is_free(r)])
         out = {}
         whole = unpacked(state) if state["taken"] else None
@@ -256,6 +259,7 @@ class Fit:
             if learnt is not None:
                 force = force + begin.walk(self.chain, free, c, learnt, self.tick).force
             out[name] = (((force - free.force) ** 2).mean((1, 2)) / (drags**2).mean((1, 2))).tolist()
+        out["from_rest"] = starts.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
         return {"validation": self.score(state["water"], whole), **out, "seconds": self.seconds}
 
     def _path(self, stage: str) -> Path | None:
