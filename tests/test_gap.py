@@ -190,9 +190,9 @@ def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(pla
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     right, wrong = row_of(plant, "command_latency", delay=0.04), row_of(plant, "servo_gain", gain=-0.4)
     assert e.trusted(right).form <= 0.05
-    assert e.trusted(right).strained(right, 0.1) == 0.0
-    assert e.trusted(wrong).form > 0.1
-    assert e.trusted(wrong).strained(wrong, 0.1) > 30.0
+    assert e.trusted(right).strained(right, 0.15) == 0.0
+    assert e.trusted(wrong).form > 0.15
+    assert e.trusted(wrong).strained(wrong, 0.15) > 30.0
 
 
 def test_what_a_fold_leaves_open_counts_where_it_is_predicted(plant):
