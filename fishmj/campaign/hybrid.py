@@ -126,7 +126,7 @@ class Hybrid:
         first, every, lead, span: s of bus ticks; from `first` on the solver runs for (lead + span) of every `every`. A stretch
             that begins at rest has no lead, but as long a span.
         own: mean square, in tolerances, that nine of ten swims from rest of a right surrogate miss by less than,
-            `HydroModel.scores["from_rest"]`. Only a stretch that misses by more counts, fully from twice as much.
+            `HydroModel.scores["from_rest"]`: the unit of what a stretch misses by.
         patience: wall-clock s that a stretch may take.
     """
 
@@ -184,10 +184,8 @@ class Hybrid:
             return
         wall = time.perf_counter() - began
         misses = Misses(start, self.base, seen, commands, self.own)
-        before, first = misses(self.state.factors[:, None]), misses(np.ones((10, 1)))
-        belief = np.sqrt(np.clip(np.mean(first**2) - 1.0, 0.0, 1.0))  # in an uncorrected one: later stretches are as good
-        idle = self.every if self.rows else 0.0
-        self.state = correct.matched(self.state, lambda factors: belief * misses(factors), idle=idle)
+        before = misses(self.state.factors[:, None])
+        self.state = correct.matched(self.state, misses, idle=self.every if self.rows else 0.0)
         fish.water = correct.applied(self.base, self.state)
         after = misses(self.state.factors[:, None])
         rms = [float(np.sqrt(np.mean(r**2))) for r in (before, after)]

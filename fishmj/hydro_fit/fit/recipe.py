@@ -23,7 +23,7 @@ from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton,
 from fishmj.hydro_fit.fit.code import code
 from fishmj.hydro_fit.fit.pack import packed, unpacked
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
-from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force, rows_of
+from fishmj.hydro_fit.fit.rows import Rows, rows_of
 from fishmj.hydro_fit.model import HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
@@ -245,22 +245,10 @@ class Fit:
         )
 
     def _scores(self, state) -> dict:
-        """`own`: mean square error of F_t, F_n, moment on free swims over that of the drags, `own_alone` without a residual;
-        `from_rest`: of the strips' movement (starts.py).
-        """
-        free = rows_of(self.chain, [r for r in self.val if rollout.is_free(r)])
-        out = {}
+        """`from_rest`: what the strips' movement misses by (starts.py)."""
         whole = unpacked(state) if state["taken"] else None
-        for name, water, learnt in (("own", state["water"], whole), ("own_alone", state["alone"], None)):
-            c, s = unflat(water.tolist()), self.chain.strips
-            attached = attachment(free, s, c, self.tick)
-            drags = base_force(free, s, c._replace(k=[0.0] * self.chain.n), attached, inertial=False)
-            force = base_force(free, s, c, attached)
-            if learnt is not None:
-                force = force + begin.walk(self.chain, free, c, learnt, self.tick).force
-            out[name] = (((force - free.force) ** 2).mean((1, 2)) / (drags**2).mean((1, 2))).tolist()
-        out["from_rest"] = starts.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
-        return {"validation": self.score(state["water"], whole), **out, "seconds": self.seconds}
+        rested = starts.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
+        return {"validation": self.score(state["water"], whole), "from_rest": rested, "seconds": self.seconds}
 
     def _path(self, stage: str) -> Path | None:
         return None if self.folder is None else self.folder / f"stage-{STAGES.index(stage) + 1}-{stage}.safetensors"
