@@ -33,5 +33,5 @@ class Gates:
 
 
 def frozen() -> Gates:
-    """The thresholds as shipped, set on null runs and planted effects before any benchmark was scored."""
+    """The thresholds as shipped: how they were set stands in docs/gap.md, beside the figures."""
     return Gates(**read_toml(resolve("gap"))["gates"])
