@@ -12,8 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.links import Recorded, nine, shared, three
+from fishmj.lbm_oracle.links import Recorded, shared
 from fishmj.lbm_oracle.markers import Markers
+from fishmj.lbm_oracle.memory import matrix3, point3
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,10 +40,10 @@ def surround(b: Boxes):
     far, fast = wp.float64(wp.inf), wp.float64(0.0)
     low, high = wp.vec3d(far, far, far), wp.vec3d(-far, -far, -far)
     for l in range(b.links):
-        place, turn, r = three(b.pose, 12 * l), nine(b.pose, 12 * l + 3), three(b.arm, 3 * l)
-        u, w = three(b.twist, 6 * l), three(b.twist, 6 * l + 3)
+        place, turn, r = point3(b.pose, 12 * l), matrix3(b.pose, 12 * l + 3), point3(b.arm, 3 * l)
+        u, w = point3(b.twist, 6 * l), point3(b.twist, 6 * l + 3)
         for k in range(8):
-            c = three(b.at, 24 * l + 3 * k)
+            c = point3(b.at, 24 * l + 3 * k)
             x = place + turn * c
             low, high = wp.min(low, x), wp.max(high, x)
             v = u + wp.cross(w, turn * (c - r))

@@ -22,7 +22,7 @@ import warp as wp
 
 from fishmj.lbm_oracle.delta import first, phi, weight, wrap
 from fishmj.lbm_oracle.lattice import Q
-from fishmj.lbm_oracle.memory import STORAGE, peek
+from fishmj.lbm_oracle.memory import STORAGE, matrix3, peek, point3
 
 wp.set_module_options({"enable_backward": False, "max_unroll": Q})
 
@@ -46,16 +46,6 @@ class Layout:
     value: int  # n: the prescribed velocity
     fresh: int  # 1 where the sum of the wrenches starts anew
     size: int
-
-
-@wp.func
-def point3(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d:
-    return wp.vec3d(a[at], a[at + 1], a[at + 2])
-
-
-@wp.func
-def matrix3(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
-    return wp.mat33d(a[at], a[at + 1], a[at + 2], a[at + 3], a[at + 4], a[at + 5], a[at + 6], a[at + 7], a[at + 8])
 
 
 @wp.kernel

@@ -14,6 +14,8 @@ import ctypes
 import numpy as np
 import warp as wp
 
+from fishmj.lbm_oracle.memory import matrix3, point3
+
 wp.set_module_options({"enable_backward": False})
 
 HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; or along one of the world's (FIXED - i); or a free root's own (0, 1, 2)
@@ -72,16 +74,6 @@ class Balance:
 
 
 @wp.func
-def three(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d:
-    return wp.vec3d(a[at], a[at + 1], a[at + 2])
-
-
-@wp.func
-def nine(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
-    return wp.mat33d(a[at], a[at + 1], a[at + 2], a[at + 3], a[at + 4], a[at + 5], a[at + 6], a[at + 7], a[at + 8])
-
-
-@wp.func
 def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
     for i in range(3):
         a[at + i] = v[i]
@@ -94,28 +86,28 @@ def move(s: Links):
     axes = angles + s.links
     anchors = axes + 3 * s.dofs
     for d in range(s.dofs):
-        axis, kind = three(s.mujoco_axis, 3 * s.joint[d]), s.kind[d]
+        axis, kind = point3(s.mujoco_axis, 3 * s.joint[d]), s.kind[d]
         if kind <= FIXED:
             axis = wp.vec3d()
             axis[FIXED - kind] = wp.float64(1.0)
         if kind >= 0:
-            own = nine(s.turn, 9 * s.root)
+            own = matrix3(s.turn, 9 * s.root)
             axis = wp.vec3d(own[0, kind], own[1, kind], own[2, kind])
         put(s.pose, axes + 3 * d, axis)
-        put(s.pose, anchors + 3 * d, three(s.mujoco_anchor, 3 * s.joint[d]))
+        put(s.pose, anchors + 3 * d, point3(s.mujoco_anchor, 3 * s.joint[d]))
     for l in range(s.links):
-        place, turn = three(s.place, 3 * l), nine(s.turn, 9 * l)
+        place, turn = point3(s.place, 3 * l), matrix3(s.turn, 9 * l)
         put(frames, 12 * l, place)
         for i in range(9):
             frames[12 * l + 3 + i] = s.turn[9 * l + i]
         if s.hinge[l] >= 0:
             s.pose[angles + l] = s.qpos[s.hinge[l]]
-        centre = place + turn * three(s.arm, 3 * l)
+        centre = place + turn * point3(s.arm, 3 * l)
         put(s.centre, 3 * l, centre)
         u, w = wp.vec3d(), wp.vec3d()
         for d in range(s.dofs):
-            along = s.reach[l * s.dofs + d] * three(s.pose, axes + 3 * d)
-            shift = wp.where(s.slides[d] == 1, along, wp.cross(along, centre - three(s.pose, anchors + 3 * d)))
+            along = s.reach[l * s.dofs + d] * point3(s.pose, axes + 3 * d)
+            shift = wp.where(s.slides[d] == 1, along, wp.cross(along, centre - point3(s.pose, anchors + 3 * d)))
             spin = wp.where(s.slides[d] == 1, wp.vec3d(), along)
             for i in range(3):
                 s.jacobian[(6 * l + i) * s.dofs + d] = shift[i]
@@ -125,7 +117,7 @@ def move(s: Links):
         put(s.twist, 6 * l, u)
         put(s.twist, 6 * l + 3, w)
         put(s.now, 6 * l, s.mass[l] * u)
-        put(s.now, 6 * l + 3, turn * (nine(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
+        put(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
 
 
 @wp.func

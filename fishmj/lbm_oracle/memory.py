@@ -1,4 +1,4 @@
-"""Plain loads and stores of populations in single or half precision, and of velocities.
+"""Plain loads and stores of populations in single or half precision, and of velocities; vectors and matrices in flat arrays.
 
 Warp's own indexing folds negative indices and multiplies by strides: seven instructions an access, a third of all that a
 lattice update needs on an accelerator. The arrays here are contiguous and the indices never negative.
@@ -34,3 +34,13 @@ def peek3(values: wp.array(dtype=wp.vec3), i: int) -> wp.vec3: ...
 
 @wp.func_native("values.data[i] = value;")
 def poke3(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3): ...
+
+
+@wp.func
+def point3(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d:
+    return wp.vec3d(a[at], a[at + 1], a[at + 2])
+
+
+@wp.func
+def matrix3(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
+    return wp.mat33d(a[at], a[at + 1], a[at + 2], a[at + 3], a[at + 4], a[at + 5], a[at + 6], a[at + 7], a[at + 8])

@@ -9,6 +9,7 @@ from functools import cache
 import warp as wp
 
 from fishmj.lbm_oracle.immersed import Layout
+from fishmj.lbm_oracle.memory import point3
 
 wp.set_module_options({"enable_backward": False})
 
@@ -127,7 +128,7 @@ def wrench(
     """
     c, l = wp.tid()
     push, turn = wp.vec3d(), wp.vec3d()
-    origin = wp.vec3d(host[at.frame + 12 * l], host[at.frame + 12 * l + 1], host[at.frame + 12 * l + 2])
+    origin = point3(host, at.frame + 12 * l)
     k = c
     while k < volume.shape[0]:
         w = wp.float64(0.0)
