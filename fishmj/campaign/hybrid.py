@@ -26,11 +26,9 @@ from fishmj import console
 from fishmj.campaign.stretch import Oracle, Path, Stretch
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit import chain, correct, learned, terms
+from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
 from fishmj.mjcf.bus import arrived, on_the_bus
 from fishmj.mjcf.description import Robot
-
-WINDOW = 0.5  # s, over which movement is compared
-SHARE, SLOW, TURN, STILL = 0.03, 0.004, 0.05, np.radians(1.0)  # tolerances as in the fit: share and m/s, share and rad/s
 
 
 class Surrogate:
@@ -90,9 +88,8 @@ class Misses:
         self.start, self.base, self.commands = start, base, commands
         self.window = max(1, min(round(WINDOW / start.robot.timing.bus_dt), len(commands)))
         self.seen = self._means(np.stack([_body(q, v) for q, v in zip(seen.q[1:], seen.v[1:], strict=True)])[..., None])
-        speed = SHARE * np.hypot(self.seen[:, 0], self.seen[:, 1]) + SLOW
-        wide = np.stack([speed, speed, TURN * np.abs(self.seen[:, 2]) + STILL], 1)
-        self.wide = wide * np.sqrt(own)
+        speed, turn = of_movement(*self.seen[..., 0].T)
+        self.wide = np.stack([speed, speed, turn], 1)[..., None] * np.sqrt(own)
 
     def __call__(self, factors: np.ndarray) -> np.ndarray:
         fish, count = copy(self.start), factors.shape[1]

@@ -17,6 +17,7 @@ from fishmj.hydro_fit.fit.identify import Identified, identify
 from fishmj.hydro_fit.fit.prior import Prior, flat, names_of, prior_of, unflat
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, is_free, recorded, repeated, windows
 from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force
+from fishmj.hydro_fit.fit.tolerance import TOLERANCE
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
@@ -25,7 +26,6 @@ STEP = 0.02  # of ln factor, for the differences
 DAMPING = (0.1, 1.0, 10.0, 1e3)  # of the last one, all tried at once
 LEAST = 0.005  # relative fall of the objective that is worth another iteration
 CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
-TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0.10, 0.03)}  # share of the record, and floor
 FLAPPING = ("chirp", "gait", "flapping")  # blocks that may hold a fish with moving joints
 PUSHED = "flapping"  # by its mean thrust alone: to the letter, a tail does what no servo makes it do, with ten times the force
 THRUST = 0.10  # of the tow drag

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.hydro_fit.fit.newton import TOLERANCE
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, fleet_of, is_free, recorded, windows
+from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
-START, WINDOW = 2.0, 0.5  # s
+START = 2.0  # s
 SHARE = 0.9
 
 
@@ -22,7 +22,7 @@ def begins_at_rest(record: Record) -> bool:
     return record.meta["block"] == "gait" and is_free(record) and still and record.seconds >= START
 
 
-def from_rest(swim: Swim, robot: Robot, records: Sequence[Record], water: np.ndarray, learnt=None) -> float:
+def from_rest(swim: Swim, robot: Robot, records: Sequence[Record], water: np.ndarray) -> float:
     """What nine of ten such swims stay below, 1 at least: mean square difference over windows of `WINDOW` s, in tolerances.
 
     Of velocity ahead, to the left, and yaw rate.
@@ -33,9 +33,8 @@ def from_rest(swim: Swim, robot: Robot, records: Sequence[Record], water: np.nda
     tick, size = chosen[0].tick, round(START / chosen[0].tick)
     whole = fleet_of(swim.chain, robot, chosen, seconds=1e6)
     fleet = Fleet._make([*(a[:, : size + 1] for a in whole[:2]), *(a[:, :size] for a in whole[2:-1]), whole.source])
-    got, seen = (windows(track, fleet, tick, WINDOW) for track in (swim.run(fleet, water, learnt), recorded(fleet)))
-    speed, (share, floor) = np.hypot(seen.surge, seen.sway), TOLERANCE["speed"]
-    turn, still = TOLERANCE["yaw"]
-    errors = [(getattr(got, name) - getattr(seen, name)) / (share * speed + floor) for name in ("surge", "sway")]
-    errors.append((got.yaw_rate - seen.yaw_rate) / (turn * np.abs(seen.yaw_rate) + still))
+    got, seen = (windows(track, fleet, tick, WINDOW) for track in (swim.run(fleet, water, None), recorded(fleet)))
+    speed, turn = of_movement(seen.surge, seen.sway, seen.yaw_rate)
+    wide = {"surge": speed, "sway": speed, "yaw_rate": turn}
+    errors = [(getattr(got, name) - getattr(seen, name)) / size for name, size in wide.items()]
     return max(1.0, float(np.quantile(np.mean(np.square(errors), axis=(0, 2)), SHARE)))
