@@ -4,10 +4,10 @@
     I = sum_l J_l^T (h_l^n - h_l^n-1) - dt sum_l J_l^T m_l g,   h_l = (m_l u_l, I_l w_l)      the water inside the hull
 
 D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator takes implicitly. h_l is the momentum that the
-displaced water of link l has when it moves with the link, m_l its mass, u_l the velocity of its centre: the immersed
-boundary accelerates that water too, which a real hull does not contain. Taken as a difference in the world frame it holds
-the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that momentum is conserved.
-I lags by one step: the implicit solve stays stable with it down to a density ratio of 0.01 (docs/oracle_coupling.md).
+displaced water of link l has when it moves with the link across it, and along it as is measured (inside.py), m_l its mass, u_l
+the velocity of its centre: the immersed boundary accelerates that water too, which a real hull does not contain. Taken as a
+difference in the world frame it holds the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that
+momentum is conserved. I lags by one step, along the links by two: the implicit solve stays stable with it down to a density ratio of 0.01 (docs/oracle_coupling.md).
 
 The velocity goes back as   qfrc_applied = (M + dt D) (v+ - v) / dt - (passive + actuators - bias),
 so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off in fishmj's models.
@@ -21,6 +21,7 @@ import numpy as np
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.lbm_oracle import links
 from fishmj.lbm_oracle.corners import Corners
+from fishmj.lbm_oracle.inside import Points
 from fishmj.mjcf import build, geometry_of, load_robot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
@@ -34,6 +35,7 @@ class Water:
     mass: np.ndarray  # (L,) kg
     centre: np.ndarray  # (L, 3) m
     inertia: np.ndarray  # (L, 3, 3) about the centre, kg m2
+    points: Points | None = None  # where it may slide along the links; None: it moves with them
 
     @classmethod
     def of(cls, robot) -> "Water":
@@ -45,6 +47,7 @@ class Water:
             mass=g.displaced,
             centre=np.stack([g.buoyancy, zero, zero], -1),
             inertia=np.stack([np.diag(i) for i in g.inertia * share[:, None]]),
+            points=Points.of(g),
         )
 
 
@@ -71,6 +74,7 @@ class Body:
         self.centre, self.twist = np.zeros((count, 3)), np.zeros((count, 6))  # of the inside water, in the world
         self.system, self._right = np.zeros((n, n)), np.zeros(n)
         self.smooth, self.gain = np.zeros(n), np.zeros((count, 6))
+        self.slide = np.full(count, np.nan)  # m/s, of the inside water along each link; nan: it moves with the link
         self._now, self._last, self._weight = (np.zeros((count, 6)) for _ in range(3))
         self._inside, self._found, self._dt, self._judged = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
         self._moving, self._move = self._follow(water, centre=self.centre, twist=self.twist, now=self._now)
@@ -99,6 +103,7 @@ class Body:
         """Put the body into a state; its water moves with it, so that nothing is accelerated at once."""
         self.data.qpos[:] = qpos
         self.data.qvel[:] = 0.0 if qvel is None else qvel
+        self.slide[:] = np.nan
         self._weigh()
         self.forward()
         self._last[:] = self._now
@@ -111,6 +116,13 @@ class Body:
     @momentum.setter
     def momentum(self, value: np.ndarray) -> None:
         self._last[:] = value
+
+    def hear(self, slide: np.ndarray) -> None:
+        """How fast the inside water moves along the links, (L,) m/s; from the second time on it counts what it gains."""
+        if np.isnan(self.slide[0]):
+            axis = self.turn[:, :, 0]
+            self._last[:, :3] += (self.water.mass * slide - np.sum(axis * self._last[:, :3], 1))[:, None] * axis
+        self.slide[:] = slide
 
     def _weigh(self) -> None:
         """Impulse (L, 6) of the displaced water's weight over a step."""
@@ -169,6 +181,7 @@ class Body:
         s.hinge = share(np.array([_hinge_address(m, i + 1) for i in range(self.links)], np.int32), int)
         s.arm, s.mass, s.inertia = (share(np.array(a, float)) for a in (mass.centre, mass.mass, mass.inertia))
         s.pose, s.jacobian = share(self.pose), share(np.zeros((6 * self.links, n)))
+        s.slide = share(self.slide if mass is self.water else np.full(self.links, np.nan))
         s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
         return s, links.Recorded(links.move, s)
 

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle import immersed, solve
+from fishmj.lbm_oracle import immersed, inside, solve
 from fishmj.lbm_oracle.corners import Corners
 from fishmj.lbm_oracle.delta import check_width
 from fishmj.lbm_oracle.fluid import Fluid
@@ -74,7 +74,7 @@ class Boundary:
         empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)  # noqa: E731
         self.host = empty(self.layout.size, wp.float64)
         self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        self.inbox = wp.zeros(self.dofs + 6 * self.links, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.inbox = wp.zeros(self.dofs + 7 * self.links, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
         self.outbox = self.inbox[: self.dofs]  # the velocity on the host
         self.world, self.cell, self.normal = empty(n, wp.vec3d), empty(n, wp.vec3), empty(n, wp.vec3)
         self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
@@ -89,13 +89,19 @@ class Boundary:
         sent, told = (_reached(array, device) for array in (self.staging, self.inbox))
         first = self.layout.system  # the place of the body goes ahead of its equation
         self._sent = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
-        self._told = told[: self.dofs], told[self.dofs :].reshape((self.links, 6))
+        velocity, impulse = self.dofs, self.dofs + 6 * self.links
+        self._told = told[:velocity], told[velocity:impulse].reshape((self.links, 6)), told[impulse:]
         self.wrench_part = empty((chunks, self.links, 6), wp.float64)
         self._holds = False  # velocities were prescribed in the last step
         self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
         self._heard = True  # `inbox` holds what is in `_wrench`
         heard = self.inbox.numpy()
-        self.found, self._impulse = heard[: self.dofs], heard[self.dofs :].reshape(self.links, 6)  # views
+        self.found, self.slide = heard[:velocity], heard[impulse:]  # views
+        self._impulse = heard[velocity:impulse].reshape(self.links, 6)
+        self.inside = body.water.points
+        if self.inside is not None:
+            self._inside = make(self.inside.place, wp.vec3d), make(self.inside.link.astype(np.int32), wp.int32)
+            self._along, self._shares = empty(len(self.inside.link), wp.float32), make(self.inside.share, wp.float32)
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
         self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
@@ -115,7 +121,7 @@ class Boundary:
         view["fresh"][:], self._taken, self._heard = self._taken, False, True
 
     def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
-        """Queue everything up to K and b0, after `place`.
+        """Queue everything up to K and b0, and how the inside water slides, after `place`.
 
         Args:
             f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
@@ -138,6 +144,11 @@ class Boundary:
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(solve.weigh, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
         self._launch(solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
+        if self.inside is not None:
+            args = [self.host, self.layout, *self._inside, f, self.directions, self.drive, wp.float64(lat.dx), shape]
+            self._launch(inside.look, len(self._along), args, [self._along])
+            args = [self._along, self._inside[1], self._shares, lat.velocity]
+            self._launch(inside.mean, self.links, args, [self._told[2]])
 
     def decide(self, implicit: bool = True) -> None:
         """Queue the solve and the wrench on every link, which write into the host's memory, after `fill`."""

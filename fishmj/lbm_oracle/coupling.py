@@ -100,6 +100,8 @@ class Coupled:
         if self._graphs is not None:
             self._graphs.wait()
         velocity = self.boundary.found.copy()  # the device writes there again in the next step
+        if self.boundary.inside is not None:
+            self.body.hear(self.boundary.slide)
         self.body.advance(velocity)
         self.steps += 1
         return velocity

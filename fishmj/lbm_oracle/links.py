@@ -2,7 +2,8 @@
 
     c_l = p_l + R_l r_l                            centre of link l's water, at r_l in its frame
     (u_l, w_l) = J_l v                             its motion; columns (a x (c_l - o), a) of a hinge, (a, 0) of a slide
-    h_l = (m_l u_l, R_l I_l R_l^T w_l)             its momentum
+    h_l = (m_l (u_l + t_l (s_l - t_l . u_l)),      its momentum; s_l along the link as measured, nan for as the link moves
+           R_l I_l R_l^T w_l)
     right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
 
 A few hundred multiplications take about as long as one call of NumPy does; so each kernel is one call, and one thread. The
@@ -42,6 +43,7 @@ class Links:
     arm: wp.array(dtype=wp.float64)  # 3 L, r
     mass: wp.array(dtype=wp.float64)  # L
     inertia: wp.array(dtype=wp.float64)  # 9 L
+    slide: wp.array(dtype=wp.float64)  # L, s; nan where it moves as the link does
     pose: wp.array(dtype=wp.float64)  # 12 L + L + 3 n + 3 n: frames, angles, axes a, anchors o
     centre: wp.array(dtype=wp.float64)  # 3 L, c
     jacobian: wp.array(dtype=wp.float64)  # 6 L n, J
@@ -116,6 +118,9 @@ def move(s: Links):
             w += s.qvel[d] * spin
         put(s.twist, 6 * l, u)
         put(s.twist, 6 * l + 3, w)
+        if s.slide[l] == s.slide[l]:
+            axis = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
+            u += (s.slide[l] - wp.dot(axis, u)) * axis
         put(s.now, 6 * l, s.mass[l] * u)
         put(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
 

@@ -21,7 +21,7 @@ def snapshot(coupled: Coupled) -> dict[str, np.ndarray]:
     body, data = coupled.body, coupled.body.data
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
-    state |= {"momentum": body.momentum.copy(), "gain": coupled.gain.copy(), "steps": np.array(coupled.steps)}
+    state |= {"momentum": body.momentum.copy(), "slide": body.slide.copy(), "gain": coupled.gain.copy(), "steps": np.array(coupled.steps)}
     return state | {"applied": body.applied.copy(), "wrench": coupled.boundary.wrench.numpy().copy()}
 
 
@@ -32,14 +32,15 @@ def resume(coupled: Coupled, state: dict[str, np.ndarray]) -> None:
         ConfigError: it belongs to another grid or another fish.
     """
     body, data = coupled.body, coupled.body.data
-    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum)):
+    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.slide)):
         if state[name].shape != value.shape:
             raise ConfigError(f"oracle state: {name} has shape {state[name].shape}, this fish needs {value.shape}")
     coupled.fluid.restore({name.removeprefix("fluid."): value for name, value in state.items() if name.startswith("fluid.")})
     data.time = float(state["time"])
     data.ctrl[:], body.applied[:] = state["ctrl"], state["applied"]
     body.place(state["qpos"], state["qvel"])
-    body.momentum = state["momentum"].copy()
+    body.momentum, body.slide[:] = state["momentum"].copy(), state["slide"]
+    body.forward()
     coupled.gain, coupled.steps = state["gain"].copy(), int(state["steps"])
     coupled.boundary.wrench.assign(state["wrench"])
 

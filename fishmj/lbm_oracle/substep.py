@@ -59,7 +59,7 @@ class Checkpoint(NamedTuple):
     origin: wp.array
     origin_lu: np.ndarray
     steps: int
-    body: tuple  # qpos, qvel, ctrl, time, momentum
+    body: tuple  # qpos, qvel, ctrl, time, momentum, slide
     gain: np.ndarray
     wrench: wp.array
     done: int
@@ -68,7 +68,7 @@ class Checkpoint(NamedTuple):
 def checkpoint(coupled: Coupled) -> Checkpoint:
     """Copy what the next step depends on."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
-    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy()
+    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.slide.copy()
     with coupled.scope():
         water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
         return Checkpoint(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
@@ -83,8 +83,10 @@ def restore(coupled: Coupled, kept: Checkpoint) -> None:
         wp.copy(fluid.u, kept.u)
         wp.copy(coupled.boundary.wrench, kept.wrench)
         _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
-    qpos, qvel, data.ctrl[:], data.time, momentum_before = kept.body
+    qpos, qvel, data.ctrl[:], data.time, momentum_before, slide = kept.body
     body.place(qpos, qvel)
+    body.slide[:] = slide
+    body.forward()
     body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
 
 
