@@ -28,7 +28,7 @@ from fishmj.mjcf.description import Robot, load_robot
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
 EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
 EVERY_VAL = 8
-POLICIES = ("paper", "dob", "pi", "adrc-c1", "pd")  # what steers unless others are named; those that are made for the fish
+POLICIES = ("paper", "fitted", "dob", "paper-sac", "pi", "adrc-c1", "pd")  # what steers unless others are named; those that are made for the fish
 SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
@@ -45,12 +45,12 @@ TRAINING = (
     Part("static", 40, 15.0, 3),
     Part("oscillation", 12, 5.0, 3),
     Part("chirp", 16, 15.0, 2),
-    Part("flapping", 8, 6.0, 1),
+    Part("flapping", 56, 6.0, 1),
     Part("gait", 36, 10.0, 6),
     Part("random", 24, 10.0, 2),
     Part("manoeuvre", 12, 10.0, 2),
     Part("uneven", 12, 10.0, 1),
-    Part("policy", 15, 25.0, 1),
+    Part("policy", 28, 25.0, 1),
 )
 TEST = (
     Part("straight", 6, 12.0),
