@@ -8,7 +8,7 @@ pytest.importorskip("numba")
 from fishmj import effects  # noqa: E402
 from fishmj.gap import evidence  # noqa: E402
 from fishmj.gap.features import Layout  # noqa: E402
-from fishmj.gap.folds import split  # noqa: E402
+from fishmj.gap.folds import Fitted, split  # noqa: E402
 from fishmj.gap.gates import frozen  # noqa: E402
 from fishmj.gap.nearby import settled  # noqa: E402
 from fishmj.gap.null import leftover, unexplained, whitening  # noqa: E402
@@ -20,7 +20,16 @@ from fishmj.gap.workflow import investigate, unrepeatable  # noqa: E402
 from fishmj.sim import Sim  # noqa: E402
 
 SHORT = ("gait_fast", "drift_north", "turn_left", "tow_oblique")
-SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
+SOME = (
+    "command_latency",
+    "joint_sensor_delay",
+    "coulomb_friction",
+    "servo_gain",
+    "steady_current",
+    "camera_scale",
+    "yaw_drag",
+    "speed_limit",
+)
 NULL = Null(runs=32)
 
 
@@ -190,9 +199,35 @@ def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(pla
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     right, wrong = row_of(plant, "command_latency", delay=0.04), row_of(plant, "servo_gain", gain=-0.4)
     assert e.trusted(right).form <= 0.05
-    assert e.trusted(right).strained(right, 0.15) == 0.0
+    assert e.trusted(right).error(right, 0.15).strain == 0.0
+    assert e.trusted(right).error(right, 0.15).resized < 0.1
     assert e.trusted(wrong).form > 0.15
-    assert e.trusted(wrong).strained(wrong, 0.15) > 30.0
+    assert e.trusted(wrong).error(wrong, 0.15).strain > 30.0
+
+
+def test_an_effect_of_another_size_in_each_record_is_wrong_in_its_size_and_not_in_its_form(plant):
+    e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
+    rows = [row_of(plant, "command_latency", delay=delay) for delay in (0.04, 0.03, 0.052)]
+    near = e.trusted(rows[0])
+    other = near.layout.record == 0
+    residual = near._residuals(rows[0][None])[0] + np.where(other, e.change(rows[0], rows[1]), e.change(rows[0], rows[2]))
+    resized = near.changed.error(residual, near.layout, 0.15)
+    assert resized.form < near.changed.likely(residual)
+    assert 0.1 < resized.resized < 0.4
+
+
+def test_a_limit_that_only_one_record_reaches_is_left_open_by_the_others(plant):
+    """Slow motion says nothing about the largest speed; what it leaves open is not straight, and yet covers what a beat shows."""
+    e = evidence_on(plant, {"speed_limit": {"slowness": 0.5}}, 59, ("slow_triangle", "gait_fast"))
+    row = row_of(plant, "speed_limit", slowness=0.5)
+    search = e.part(e.everything)
+    places = (plant.index("speed_limit", "slowness"),)
+    best, unlearnt = (search.at(r, ("speed_limit",), places) for r in (row, plant.null))
+    found = Fitted(e.trusted(row), best, (unlearnt, best))
+    beat = np.array([False, True])
+    (searched, predicted), _ = found.unseen(np.stack([beat, ~beat]))
+    assert found.near.part(beat).at(plant.null).cost > 2.0 * searched.layout.size
+    assert predicted.cost < 1.2 * searched.layout.size
 
 
 def test_what_a_fold_leaves_open_counts_where_it_is_predicted(plant):

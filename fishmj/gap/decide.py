@@ -1,18 +1,19 @@
-"""From what was found to one of the five answers: eight gates, each a reason that a reader can check.
+"""From what was found to one of the five answers: nine gates, each a reason that a reader can check.
 
     G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
     G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
     G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
     G4 rest         what is left lies within the form error of what was found   else UNEXPLAINED, the best shown as tentative
     G5 form         the formula need not be more wrong than a formula may be    else UNEXPLAINED, the best shown as tentative
-    G6 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
-    G7 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G8 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
+    G6 size         nor larger here and smaller there by more than it may be    else UNEXPLAINED, the best shown as tentative
+    G7 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
+    G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
+    G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
 
 The form error is measured (evidence.py): the relative error of what the effects change that makes the records most likely. A
 right name leaves a few per cent; a name that stands in for something else leaves as much as is tried.
 
-An effect that brings little and fails G6 or G7 is not named, and does not spoil the name of those that bring much. Nor is a
+An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is a
 lesser effect named that is much smaller than usual: what another's formula leaves may look like it.
 """
 
@@ -58,7 +59,8 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     faint = {n.name for n in effects if small(e, n, USUAL)}
     spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in faint}
-    checks |= unseen(e, found) | {"form": found.near.form, "strain": found.near.strained(found.best.row, gates.form)}
+    wrong = found.near.error(found.best.row, gates.form)
+    checks |= unseen(e, found) | {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized}
     kept = tuple(n for n in effects if n.name not in spoilt)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
@@ -87,6 +89,8 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
         return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
     if strained(checks):
         return "UNEXPLAINED", f"the best would have to be wrong by {checks['form']:.0%} of what it changes; it is tentative"
+    if checks["size"] > gates.size:
+        return "UNEXPLAINED", f"the best would have to be resized by {checks['size']:.0%} from record to record; it is tentative"
     if checks["transfer"] < gates.transfer:
         return "UNEXPLAINED", f"{1 - checks['transfer']:.0%} of the records get worse, unseen; the best is tentative"
     if rivals or any(stand[n.name].p_best < gates.p_best for n in kept):
@@ -113,13 +117,20 @@ def unseen(e: Evidence, found: Found) -> dict[str, float]:
 
 
 def transfer(e: Evidence, found: Found) -> float:
-    """Share of the records that do not get less likely, but for chance and a little of what all of them gain."""
+    """Share of the records that do not get less likely, but for chance and a little of what all of them gain.
+
+    Each is predicted by a fit without its fold, and with what the others tell of the constants: a joint gain is no one record's.
+    """
     rises, allowed = [], []
-    for i in range(len(e.records)):
-        alone = np.arange(len(e.records)) == i
-        fit = next(c for f, c in zip(found.folds, found.fitted.fits, strict=True) if f[i])
-        rises.append(found.near.part(alone).loss(fit.row) - e.part(alone).loss(found.base.row))
-        allowed.append(CHANCE * np.sqrt(2.0 * np.sum(e.layout.record == i)))
+    record, near, fitted = e.layout.record, found.near, found.fitted
+    base = e.part(e.everything).loss(found.base.row)
+    for fold, fit, more in zip(found.folds, fitted.fits, fitted.left_open(found.folds), strict=True):
+        whole = near.part(near.everything, more).loss(fit.row)
+        for i in np.flatnonzero(fold):
+            others = np.arange(len(e.records)) != i
+            after = whole - near.part(others, more[:, record != i]).loss(fit.row)
+            rises.append(after - (base - e.part(others).loss(found.base.row)))
+            allowed.append(CHANCE * np.sqrt(2.0 * np.sum(record == i)))
     rise = np.array(rises)
     return float(np.mean(rise < np.maximum(allowed, -SLIGHT * np.sum(rise))))
 

@@ -12,20 +12,20 @@ import numpy as np
 
 from fishmj.gap.candidates import STEP, Candidate, Search, bounds
 from fishmj.gap.features import Layout
+from fishmj.gap.form import Changed, Error
 from fishmj.gap.null import leftover, smooth, whitening
 from fishmj.gap.records import Record
 
 DRAWS = 2000
 TURNS = 16  # draws of the constants, to see what is not linear in them
 FORM = 0.1  # relative error of a formula where the records have not told
-FORMS = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)  # those that are tried
 
 
 class Evidence:
     """Records with their null, and searches on any part of them.
 
-    null: (n, m) residuals of null runs on the layout of all records. form: relative error of the effects' own signature in the
-    evidence around a candidate. origin: the evidence around the model as it is.
+    null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of what the effects
+    change, in the evidence around a candidate. origin: the evidence around the model as it is.
     """
 
     def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = FORM):
@@ -36,7 +36,7 @@ class Evidence:
         self.factors = np.concatenate([null / np.sqrt(len(null)), tangents])
         self.d = leftover(null, tangents, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
-        self._known, self._changed = self.d**2, np.zeros(self.layout.size)
+        self.changed = Changed(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
 
     @property
     def everything(self) -> np.ndarray:
@@ -60,42 +60,34 @@ class Evidence:
         return np.nan_to_num(self.layout.residuals(self.plant.predict(self.records, rows)))
 
     def around(self, row: np.ndarray, form: float | None = None) -> "Evidence":
-        """The same for a fish that has the effects of `row`, right to within `form` of what they change.
+        """The same for a fish that has the effects of `row`, right to within `form` of what they change at each moment.
 
         D also grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them,
         and no two fish do it at the same moments.
         """
-        there, start = copy(self), self.origin
+        start = self.origin
         tangents, bent = self._constants(row)
-        there.factors = np.concatenate([start.factors[: -len(tangents)], tangents])
-        ours, changed = self._residuals(np.stack([self.plant.null, row]))
-        there._known = start.d**2 + np.maximum(bent - self._bent, 0.0)
-        there._changed = smooth(changed - ours, self.layout)
+        factors = np.concatenate([start.factors[: -len(tangents)], tangents])
+        known = start.d**2 + np.maximum(bent - self._bent, 0.0)
+        change = self.change(row, self.plant.null)
+        there = copy(self)
+        there.factors, there.changed = factors, Changed(factors, known, change, smooth(change, self.layout))
         return there.within(start.form if form is None else form)
 
     def within(self, form: float) -> "Evidence":
         """The same effects, trusted to within another relative error."""
         there = copy(self)
-        there.form, there.d = form, np.sqrt(self._known + (form * self._changed) ** 2)
+        there.form, there.d = form, self.changed.d(form)
         return there
 
     def trusted(self, row: np.ndarray) -> "Evidence":
         """Evidence around a row with the form error that makes the records most likely: how far a formula holds is measured."""
         there = self.around(row)
-        residual = self._residuals(row[None])[0]
-        losses = [there.within(form).unlikely(residual) for form in FORMS]
-        return there.within(FORMS[int(np.argmin(losses))])
+        return there.within(there.changed.likely(self._residuals(row[None])[0]))
 
-    def unlikely(self, residual: np.ndarray) -> float:
-        """|z|^2 + log det S of a residual over all records (m,)."""
-        white = whitening(self.factors, self.d)
-        z = white(residual)
-        return float(z @ z) + white.logdet
-
-    def strained(self, row: np.ndarray, most: float) -> float:
-        """Drop of that when the effects of the row, around which this is, may be wrong by more than `most`."""
-        residual = self._residuals(row[None])[0]
-        return max(self.within(most).unlikely(residual) - self.unlikely(residual), 0.0) if self.form > most else 0.0
+    def error(self, row: np.ndarray, most: float) -> Error:
+        """How wrong the formulas of the row are, around which this is. most: form error that they should have."""
+        return self.changed.error(self._residuals(row[None])[0], self.layout, most)
 
     def part(self, keep: np.ndarray, more: np.ndarray | None = None) -> Search:
         """A search on the records where keep (L,) is true. more: (K, n) further factors of S there."""
@@ -115,6 +107,11 @@ class Evidence:
         residuals = self._residuals(rows)
         moves = np.array([(row[p] - c.row[p]) / size[p] for row, p in zip(rows[1:], c.places, strict=True)])
         return (residuals[1:] - residuals[0]) / moves.reshape(-1, 1)
+
+    def change(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """(m,) what going from one parameter row to another does to the residual."""
+        before, after = self._residuals(np.stack([start, end]))
+        return after - before
 
     def gap(self, row) -> tuple[float, dict]:
         """The gap of a parameter row over all records and by channel, in units of the floor."""

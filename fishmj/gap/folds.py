@@ -1,6 +1,7 @@
 """Every record predicted by what the others say: three folds, a fit without each.
 
-S_f   = S + J^T C J,  C = (J^T S^-1 J of the others + prior)^-1       what the others leave open of the parameters counts
+S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      what those leave open of the parameters counts
+b     = (r(theta) - r(theta_f) - J (theta - theta_f)) / max(1, cost(theta) - cost(theta_f) of the others)^1/2    not linear
 loss  = sum_f |z_f|^2 + log det S_f                                   twice the negative log likelihood of all records, unseen
 """
 
@@ -8,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.candidates import PRIOR, Candidate, Search
+from fishmj.gap.candidates import PRIOR, Candidate, Search, bounds
 from fishmj.gap.evidence import Evidence
 from fishmj.gap.records import Record
 
@@ -24,21 +25,34 @@ class Fitted(NamedTuple):
 
     def unseen(self, folds: np.ndarray) -> list[tuple[Search, Candidate]]:
         """Each fold (F, L) with the fit that did not see it."""
+        given = zip(folds, self.fits, self.left_open(folds), strict=True)
+        searches = [(self.near.part(f, more[:, f[self.near.layout.record]]), c) for f, c, more in given]
+        return [(search, search.at(c.row, c.names, c.places)) for search, c in searches]
+
+    def left_open(self, folds: np.ndarray) -> list[np.ndarray]:
+        """For each fold (F, L) factors of S (K + 1, m): what the others leave open of the parameters."""
         slopes = self.near.slopes(self.best) if self.best.places else np.zeros((0, self.near.layout.size))
-        return [predicted(self.near, f, c, slopes) for f, c in zip(folds, self.fits, strict=True)]
+        return [left_open(self.near, f, c, self.best, slopes) for f, c in zip(folds, self.fits, strict=True)]
 
     def loss(self, folds: np.ndarray) -> float:
         """Over all records, each unseen."""
         return sum(c.cost + search.whiten.logdet for search, c in self.unseen(folds))
 
 
-def predicted(e: Evidence, fold: np.ndarray, fit: Candidate, slopes: np.ndarray) -> tuple[Search, Candidate]:
-    """One fold (L,). slopes: (K, m) of the parameters, per typical size."""
-    here = fold[e.layout.record]
-    told = e.part(~fold).whiten(slopes[:, ~here])
-    root = np.linalg.cholesky(told @ told.T + np.eye(len(slopes)) / PRIOR**2)
-    search = e.part(fold, np.linalg.solve(root, slopes[:, here]))
-    return search, search.at(fit.row, fit.names, fit.places)
+def left_open(e: Evidence, fold: np.ndarray, fit: Candidate, best: Candidate, slopes: np.ndarray) -> np.ndarray:
+    """Factors (K + 1, m) about the fit without one fold (L,). slopes: (K, m) of the parameters, per typical size.
+
+    The last is the bend: on the way to where all records lead, what is not linear, over the standard deviations that the others
+    put between. A limit that only one record reaches has no slope in the others, which leave it at its null.
+    """
+    told = e.part(~fold)
+    seen = told.whiten(slopes[:, ~fold[e.layout.record]])
+    root = np.linalg.cholesky(seen @ seen.T + np.eye(len(slopes)) / PRIOR**2)
+    places = list(best.places)
+    way = (best.row - fit.row)[places] / bounds(e.plant)[2][places]
+    far = max(told.at(best.row).cost - told.at(fit.row).cost, 1.0)
+    bend = e.change(fit.row, best.row) - way @ slopes
+    return np.concatenate([np.linalg.solve(root, slopes), bend[None] / np.sqrt(far)])
 
 
 def split(records: list[Record], seed: int = 0) -> np.ndarray:

@@ -11,9 +11,9 @@ class Gates:
 
     adequacy: |z|^2 / m that null runs do not reach. gain: drop of twice the negative log likelihood, every record predicted
     without its fold, below which nothing is added. A further effect must also take away `again` times the length of z and
-    `beside` of the gain so far, or the share `clear` of both where no other comes near it. closure, rest, form, transfer: gates
-    of decide.py. margin: of the gain, between the best and the next; p_best: as in evidence.py. shortlist, finalists:
-    candidates fitted, and judged by the evidence around themselves.
+    `beside` of the gain so far, or the share `clear` of both where no other comes near it. closure, rest, form, size,
+    transfer: gates of decide.py. margin: of the gain, between the best and the next; p_best: as in evidence.py. shortlist,
+    finalists: candidates fitted, and judged by the evidence around themselves.
     """
 
     adequacy: float
@@ -26,6 +26,7 @@ class Gates:
     p_best: float
     rest: float
     form: float
+    size: float
     transfer: float
     most: int
     shortlist: int

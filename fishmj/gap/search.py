@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.gap.candidates import Candidate
-from fishmj.gap.evidence import FORMS, Evidence
+from fishmj.gap.evidence import Evidence
 from fishmj.gap.folds import Fitted
+from fishmj.gap.form import FORMS
 from fishmj.gap.gates import Gates
 from fishmj.gap.nearby import settled, without
 from fishmj.gap.rounds import Step, round_of

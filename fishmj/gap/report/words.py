@@ -143,6 +143,8 @@ def gates(m: Material) -> list[Gate]:
         + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
         ("form", "Is it right to within what a formula may be wrong?")
         + (percent(had("form")), f"≤ {percent(g.form)}", not strained(checks)),
+        ("size", "And in its size, from record to record?")
+        + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size),
         ("transfer", "Do the records get better one by one, unseen?")
         + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer),
         ("uniqueness", "Is no other effect nearly as good?")
