@@ -15,21 +15,14 @@ from fishmj.gap.null import leftover, unexplained, whitening  # noqa: E402
 from fishmj.gap.null_runs import Null  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.gap.rounds import telling  # noqa: E402
 from fishmj.gap.search import pruned  # noqa: E402
 from fishmj.gap.workflow import investigate, unrepeatable  # noqa: E402
 from fishmj.sim import Sim  # noqa: E402
 
 SHORT = ("gait_fast", "drift_north", "turn_left", "tow_oblique")
-SOME = (
-    "command_latency",
-    "joint_sensor_delay",
-    "coulomb_friction",
-    "servo_gain",
-    "steady_current",
-    "camera_scale",
-    "yaw_drag",
-    "speed_limit",
-)
+SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
+SOME += ("speed_limit", "command_quantisation")
 NULL = Null(runs=32)
 
 
@@ -214,6 +207,15 @@ def test_an_effect_of_another_size_in_each_record_is_wrong_in_its_size_and_not_i
     resized = near.changed.error(residual, near.layout, 0.15)
     assert resized.form < near.changed.likely(residual)
     assert 0.1 < resized.resized < 0.4
+
+
+def test_the_step_that_commands_are_counted_in_is_found_among_hundreds(plant):
+    e = evidence_on(plant, {"command_quantisation": {"step": 0.0231}}, 60)
+    one = e.part(telling(e.part(e.everything).base(), e.layout, 1))
+    (values,) = one.scan(one.base(), plant.active.effects).values()
+    assert values[0] == pytest.approx(0.0231, rel=0.004)
+    first = one.screen(one.base(), plant.active.effects, {"command_quantisation": values})[0]
+    assert first.names == ("command_quantisation",)
 
 
 def test_a_limit_that_only_one_record_reaches_is_left_open_by_the_others(plant):

@@ -23,7 +23,7 @@ class Parameter:
     null: value at which the effect is not there. low, high: physical bounds. typical: (small, large) values to expect, what a
     search probes with and domain randomisation draws from; a signed parameter may lie on either side of its null, mirrored there.
     shape: it shapes the effect but does not make it; while the others are at their null, any value of it is the identity.
-    fine: only a value that is right to a few per cent explains anything, so a search must try many.
+    fine: only a value that is right to a fraction of a per cent explains anything, so a search must try many.
     """
 
     name: str

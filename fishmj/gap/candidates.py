@@ -2,6 +2,7 @@
 
     screen   z at a few magnitudes of each parameter; the best secant combination in closed form. Finite probes, not derivatives:
              a dead band or a speed limit has none at its null
+    scan     hundreds of values on one record, where only the right one explains anything: the step that commands are counted in
     refine   theta' = theta + (J^T J + m)^-1 J^T z,  J by finite differences about theta, all candidates in one batch of rollouts
 
 The cost is |z|^2 with z from null.py, plus a weak prior: constants of the fish need no fit, they are integrated out.
@@ -14,7 +15,7 @@ import numpy as np
 from fishmj.effects import Effect
 
 MAGNITUDES = (0.15, 0.5, 1.0, 2.0)  # of the typical size
-FINE = 60  # more magnitudes where only a value right to a few per cent explains anything
+FINE, AGAIN, KEPT = 700, 5, 6  # values where only the right one explains anything, more on either side of the best, those kept
 STEP = 0.02  # of the typical size, for derivatives
 PRIOR = 1.5  # typical sizes, standard deviation of an effect's parameters about their null: what records leave open stays small
 ITERATIONS = 6
@@ -72,11 +73,28 @@ class Search:
         """The model as it is."""
         return self.at(self.plant.null if row is None else row)
 
-    def screen(self, base: Candidate, effects) -> list[Candidate]:
-        """`base` plus each of `effects`, at the best probe or secant combination; best first."""
+    def scan(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
+        """{effect: its best few values} for those of which only a value right to a fraction of a per cent explains anything.
+
+        A command counted in steps jumps where c / step does: values lie evenly in 1 / step, and again around the best.
+        """
+        found = {}
+        for effect, p in [(x, p) for x in effects for p in x.parameters if p.fine]:
+            place = self.plant.index(effect.name, p.name)
+            inverse, step = np.linspace(0.5 / _size(p), 1.0 / min(abs(t - p.null) for t in p.typical), FINE, retstep=True)
+            for _ in range(2):
+                rows = np.tile(base.row, (len(inverse), 1))
+                rows[:, place] = p.null + 1.0 / inverse
+                best = inverse[np.argsort(self.costs(rows, self.z(rows)))[:KEPT]]
+                inverse = (best[:, None] + step * np.arange(-AGAIN, AGAIN + 1) / (AGAIN + 1)).ravel()
+            found[effect.name] = tuple(p.null + 1.0 / best)
+        return found
+
+    def screen(self, base: Candidate, effects, fine: dict[str, tuple[float, ...]] | None = None) -> list[Candidate]:
+        """`base` plus each of `effects`, at the best probe or secant combination; best first. fine: more values, from `scan`."""
         rows, owners = [], []
         for effect in effects:
-            for k, value in probes(effect):
+            for k, value in probes(effect, (fine or {}).get(effect.name, ())):
                 row = base.row.copy()
                 row[self.plant.index(effect.name, effect.parameters[k].name)] = value
                 rows.append(row)
@@ -147,17 +165,17 @@ class Search:
         return sorted(best, key=lambda c: c.cost)
 
 
-def probes(effect: Effect) -> list[tuple[int, float]]:
-    """(parameter, value) pairs at which an effect is tried; several sizes, both sides where both make sense."""
+def probes(effect: Effect, fine: tuple[float, ...] = ()) -> list[tuple[int, float]]:
+    """(parameter, value) pairs at which an effect is tried; several sizes, both sides where both make sense. fine: further values
+    of its fine parameter."""
     out = []
     for k, p in enumerate(effect.parameters):
         if p.shape:
             continue
         signs = (1.0, -1.0) if p.signed else ((1.0,) if p.high > p.null else (-1.0,))
         sizes = [*(m * _size(p) for m in MAGNITUDES), min(abs(t - p.null) for t in p.typical)]
-        if p.fine:
-            sizes += list(np.geomspace(sizes[-1], 2 * _size(p), FINE))
         values = {float(np.clip(p.null + s * size, p.low, p.high)) for s in signs for size in sizes}
+        values |= set(fine) if p.fine else set()
         out += [(k, v) for v in sorted(values - {p.null})]
     return out
 

@@ -77,28 +77,30 @@ def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:
 def shortlist(e: Evidence, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
     whole, few = e.part(e.everything), e.part(telling(base, e.layout))
-    likely = few.screen(moved(few, base), effects)[: 2 * gates.shortlist]
+    one = e.part(telling(base, e.layout, 1))
+    fine = one.scan(moved(one, base), effects)
+    likely = few.screen(moved(few, base), effects, fine)[: 2 * gates.shortlist]
     likely = sorted((moved(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
     short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
     if not base.names:
         return short
-    return sorted([*short, *swaps(whole, few, short, effects, gates)], key=lambda c: c.cost)[: gates.shortlist]
+    return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
 
 
-def telling(c: Candidate, layout) -> np.ndarray:
+def telling(c: Candidate, layout, most: int = TELLING) -> np.ndarray:
     """(L,) bool: the records in which most is unexpected."""
     excess = evidence.costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
     keep = np.zeros(len(layout.records), bool)
-    keep[np.argsort(-excess)[:TELLING]] = True
+    keep[np.argsort(-excess)[:most]] = True
     return keep
 
 
-def swaps(whole: Search, few: Search, short: list[Candidate], effects, gates: Gates) -> list[Candidate]:
+def swaps(whole: Search, few: Search, short: list[Candidate], effects, gates: Gates, fine: dict) -> list[Candidate]:
     """The best new sets with an earlier effect replaced by another: what was taken first may have stood in for a pair."""
     out = []
     last = short[0]
     for old in last.names[:-1]:
         free = [x for x in effects if x.name not in last.names]
-        tried = few.screen(moved(few, without(whole, last, old)), free)[: gates.finalists]
+        tried = few.screen(moved(few, without(whole, last, old)), free, fine)[: gates.finalists]
         out += whole.refine([moved(whole, c) for c in tried], 3)
     return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
