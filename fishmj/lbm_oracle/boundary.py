@@ -9,6 +9,8 @@ All three are queues of launches without a look at the host; a GPU captures each
 and the host makes up its equation meanwhile. What the host sends is free to be written again once the velocity has come back.
 """
 
+from contextlib import nullcontext
+
 import numpy as np
 import warp as wp
 
@@ -98,7 +100,7 @@ class Boundary:
         heard = self.inbox.numpy()
         self.found, self.slide = heard[:velocity], heard[impulse:]  # views
         self._impulse = heard[velocity:impulse].reshape(self.links, 6)
-        self.inside = body.water.points
+        self.inside, self._beside = body.water.points, wp.Stream(device) if device.is_cuda else None
         if self.inside is not None:
             self._inside = make(self.inside.place, wp.vec3d), make(self.inside.link.astype(np.int32), wp.int32)
             self._along, self._shares = empty(len(self.inside.link), wp.float32), make(self.inside.share, wp.float32)
@@ -129,6 +131,8 @@ class Boundary:
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
         self._fetch(*self._sent[0])
+        with nullcontext() if self._beside is None else wp.ScopedStream(self._beside):  # a branch of its own
+            self._look_inside(f, shape)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
         pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
@@ -144,11 +148,17 @@ class Boundary:
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(solve.weigh, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
         self._launch(solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
-        if self.inside is not None:
-            args = [self.host, self.layout, *self._inside, f, self.directions, self.drive, wp.float64(lat.dx), shape]
-            self._launch(inside.look, len(self._along), args, [self._along])
-            args = [self._along, self._inside[1], self._shares, lat.velocity]
-            self._launch(inside.mean, self.links, args, [self._told[2]])
+        if self._beside is not None:
+            wp.get_stream(self.device).wait_stream(self._beside)
+
+    def _look_inside(self, f: wp.array, shape: wp.vec3i) -> None:
+        """Queue how the inside water slides along the links."""
+        if self.inside is None:
+            return
+        args = [self.host, self.layout, *self._inside, f, self.directions, self.drive, wp.float64(self.lattice.dx), shape]
+        self._launch(inside.look, len(self._along), args, [self._along])
+        args = [self._along, self._inside[1], self._shares, self.lattice.velocity]
+        self._launch(inside.mean, self.links, args, [self._told[2]])
 
     def decide(self, implicit: bool = True) -> None:
         """Queue the solve and the wrench on every link, which write into the host's memory, after `fill`."""
