@@ -61,7 +61,7 @@ def look(
     axis = wp.vec3(float(rotation[0, 0]), float(rotation[1, 0]), float(rotation[2, 0]))
     low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
     part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
-    total = float(0.0)
+    total = wp.float32(0.0)
     for o in range(8):
         i, j, k = o // 4, (o // 2) % 2, o % 2
         weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
@@ -88,7 +88,7 @@ def mean(
 ):
     """s_l, m/s."""
     l = wp.tid()
-    total = float(0.0)
+    total = wp.float32(0.0)
     for p in range(along.shape[0]):
         if link[p] == l:
             total += share[p] * along[p]

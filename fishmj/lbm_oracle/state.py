@@ -21,7 +21,12 @@ def snapshot(coupled: Coupled) -> dict[str, np.ndarray]:
     body, data = coupled.body, coupled.body.data
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
-    state |= {"momentum": body.momentum.copy(), "slide": body.slide.copy(), "gain": coupled.gain.copy(), "steps": np.array(coupled.steps)}
+    state |= {
+        "momentum": body.momentum.copy(),
+        "slide": body.slide.copy(),
+        "gain": coupled.gain.copy(),
+        "steps": np.array(coupled.steps),
+    }
     return state | {"applied": body.applied.copy(), "wrench": coupled.boundary.wrench.numpy().copy()}
 
 
