@@ -36,15 +36,17 @@ def drag(
     times: float = 4.0,
     slip: float = 0.0,
     towed: bool = False,
+    sides: str = "slip",
     **options,
 ) -> float:
     """Drag coefficient of a sphere of `cells` cells in a box of so many diameters, mean over the last fifth of `times` D / U.
 
-    Held in a stream; or towed through still water against it, in a window that follows by whole cells.
+    Held in a stream; or towed through still water against it, in a window that follows by whole cells. `sides` are the faces of
+    y and z; walls are at rest, so that only a towed sphere may have them.
     """
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=STREAM * cells / reynolds)
     shape = tuple(round(b * cells) for b in box)
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("slip", "slip"), z=Axis("slip", "slip"), sponge=8)
+    faces = Boundaries(x=Axis("open", "open"), y=Axis(sides, sides), z=Axis(sides, sides), sponge=8)
     flow = Flow() if towed else Flow(speed=STREAM)
     water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=flow)
     where = np.array(shape) * [0.4, 0.5, 0.5] + [0.2, -0.3, -0.4]  # off the nodes, as a fish is
