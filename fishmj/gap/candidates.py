@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.effects import Effect
 
 MAGNITUDES = (0.15, 0.5, 1.0, 2.0)  # of the typical size
-FINE, AGAIN, KEPT = 700, 5, 6  # values where only the right one explains anything, more on either side of the best, those kept
+FINE, AGAIN, KEPT = 300, 5, 6  # values where only the right one explains anything, more on either side of the best, those kept
 STEP = 0.02  # of the typical size, for derivatives
 PRIOR = 1.5  # typical sizes, standard deviation of an effect's parameters about their null: what records leave open stays small
 ITERATIONS = 6

@@ -60,7 +60,7 @@ def standing(whole: Search, best: Candidate, name: str, ranked, gates: Gates) ->
     rivals = []
     for c, p in zip(free, share[1:], strict=True):
         behind = (c.cost - ours.cost) / gain
-        if behind < gates.margin or p > 1 - gates.p_best:
+        if behind < min(gates.margin, gates.ahead / gain) or p > 1 - gates.p_best:
             rivals.append(Rival(c.names[-1], float(p), float(behind)))
     return Standing(gain, float(share[0]), tuple(rivals))
 

@@ -13,8 +13,8 @@
 The form error is measured (evidence.py): the relative error of what the effects change that makes the records most likely. A
 right name leaves a few per cent; a name that stands in for something else leaves as much as is tried.
 
-An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is a
-lesser effect named that is much smaller than usual: what another's formula leaves may look like it.
+An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is an
+effect named that is much smaller than usual beside one that is not: what another's formula leaves may look like it.
 """
 
 import numpy as np
@@ -33,10 +33,10 @@ SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
 SLIGHT = 0.15  # of the gain over all records, by which one may get worse
-STRAIN = 30.0, 1e-3  # drop of the loss, and its share of the gain, from which a larger form error is not chance
+STRAIN = 30.0, 3e-4  # drop of the loss, and its share of the gain, from which a larger form error is not chance
 MINOR = 0.05  # share of the gain below which an effect brings little
-LESSER = 0.5  # the same for one that must not be much smaller than usual
-USUAL = 0.4  # of the least typical size
+LESSER = 0.5  # the same for one that must not be much smaller than usual, where all are
+USUAL = 0.5  # of the least typical size
 
 
 def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
@@ -58,7 +58,8 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
     weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     faint = {n.name for n in effects if small(e, n, USUAL)}
-    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in faint}
+    firm = brings.keys() - faint
+    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or n in faint and (b < LESSER or firm)}
     wrong = found.near.error(found.best.row, gates.form)
     checks |= unseen(e, found) | {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized}
     kept = tuple(n for n in effects if n.name not in spoilt)

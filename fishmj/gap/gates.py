@@ -12,8 +12,8 @@ class Gates:
     adequacy: |z|^2 / m that null runs do not reach. gain: drop of twice the negative log likelihood, every record predicted
     without its fold, below which nothing is added. A further effect must also take away `again` times the length of z and
     `beside` of the gain so far, or the share `clear` of both where no other comes near it. closure, rest, form, size,
-    transfer: gates of decide.py. margin: of the gain, between the best and the next; p_best: as in evidence.py. shortlist,
-    finalists: candidates fitted, and judged by the evidence around themselves.
+    transfer: gates of decide.py. margin, ahead: share of the gain, and |z|^2, that a candidate must be behind the best by to be
+    no rival; p_best: as in evidence.py. shortlist, finalists: candidates fitted, and judged by the evidence around themselves.
     """
 
     adequacy: float
@@ -23,6 +23,7 @@ class Gates:
     clear: float
     closure: float
     margin: float
+    ahead: float
     p_best: float
     rest: float
     form: float

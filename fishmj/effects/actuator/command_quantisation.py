@@ -15,7 +15,7 @@ EFFECT = Effect(
     about="counts are coarser than the model's: slow motion goes in steps",
     formula="c' = q round(c/q)",
     source="open hardware: 240 deg over 1000 counts; one degree where firmware sends whole degrees",
-    parameters=(Parameter(name="step", unit="rad", low=0.0, high=0.2, typical=(0.004, 0.035), fine=True),),
+    parameters=(Parameter(name="step", unit="rad", low=0.0, high=0.2, typical=(0.01, 0.035), fine=True),),
     shows=("joint", "power"),
     confusions=(
         Confusion(
