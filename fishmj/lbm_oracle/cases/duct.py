@@ -24,7 +24,7 @@ from fishmj.lbm_oracle.lattice import Q
 from fishmj.units import G
 
 MAGIC, STREAM, WIDTH = 3 / 16, 0.1, BOX[0] / DIAMETER
-AHEAD, BEHIND = 4.5, 7.0  # diameters to the ends of the duct
+AHEAD, BEHIND = 0.675, 1.05  # widths of the duct to its ends
 NUMBER = np.zeros((3, 3, 3), int)
 NUMBER[tuple(C.T + 1)] = np.arange(Q)
 
@@ -34,11 +34,11 @@ def drag(reynolds: float, cells: int, *, width: float = WIDTH, slip: bool = Fals
 
     Taken once it changes by less than `steady` over three half diameters of way, at the latest after `longest` diameters.
     """
-    side, length, centre = round(width * cells / 2), round((AHEAD + BEHIND) * cells), round(AHEAD * cells) - 0.5
-    shape = (side, side, length)
+    ahead, side = round(AHEAD * width * cells), round(width * cells / 2)
+    shape = (side, side, ahead + round(BEHIND * width * cells))
     even = 1 / (0.5 + 3 * STREAM * cells / reynolds)
     odd = 1 / (0.5 + MAGIC / (1 / even - 0.5))
-    links = Links(shape, cells / 2, centre, slip)
+    links = Links(shape, cells / 2, ahead - 0.5, slip)
     held = np.zeros((Q, *(n + 2 for n in shape)), np.float32)  # one layer of nodes outside, for what comes from there
     inside = held[:, 1:-1, 1:-1, 1:-1]
     f = np.broadcast_to((3 * W * C[:, 2] * STREAM)[:, None, None, None], (Q, *shape)).astype(np.float32)
@@ -149,16 +149,22 @@ def carried(name: str, cells: int) -> float:
     return drag(reynolds, cells) * reynolds**2 / (4 / 3 * (DENSITY / oil.density - 1) * G * DIAMETER**3 / nu**2)
 
 
-@register("duct", rung=9.5, grid="40 x 40 x 69, D = 6", source="the same at D = 12 to 18; Clift et al. 1978", cost="90 s")
+@register(
+    "duct",
+    rung=9.5,
+    grid="40 x 40 x 69, D = 6 and 80 x 80 x 92, D = 8",
+    source="the same at D = 12 to 18; Clift et al. 1978",
+    cost="2 min",
+)
 def duct(device):
     """A sphere in a duct by bounce-back, in NumPy; and the immersed one that is towed there."""
-    narrow, wide = (drag(20.0, 6, width=w, slip=True, longest=20.0) for w in (7.0, 10.0))
-    yield reported("C_D at Re 20 between frictionless sides 7 D apart, D = 6", narrow)
+    narrow, wide = (drag(20.0, 8, width=w, slip=True, longest=12.0) for w in (7.0, 10.0))
+    yield reported("C_D at Re 20 between frictionless sides 7 D apart, D = 8", narrow)
     yield about(
         "C_D at Re 20 in open water, from sides 7 and 10 D apart", (100 * wide - 49 * narrow) / 51, sphere.clift(20.0), 0.03
     )
     for name in ("E1", "E2", "E3"):
         yield about(f"{name}: drag over weight at the noted speed, D = 6", carried(name, 6), 1.0, 0.03)
-    box, inset = (AHEAD + BEHIND, WIDTH, WIDTH), retraction(6, sphere.STREAM * 6 / 11.1)
+    box, inset = ((AHEAD + BEHIND) * WIDTH, WIDTH, WIDTH), retraction(6, sphere.STREAM * 6 / 11.1)
     towed = sphere.drag(11.1, 6, device, box=box, times=6.0, towed=True, sides="wall", hydro_offset=inset)
     yield about("C_D at Re 11.1, immersed over bounce-back, D = 6", towed / drag(11.1, 6), 1.0, 0.03)
