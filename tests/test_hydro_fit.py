@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from fishmj import console
+from fishmj.errors import DatasetError
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import chain, check, correct, learned
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.hydro_fit.fit import band, learning, lessons, linear, newton
+from fishmj.hydro_fit.fit import band, calibrate, learning, lessons, linear, newton
 from fishmj.hydro_fit.fit.again import Again
 from fishmj.hydro_fit.fit.keep import keep
 from fishmj.hydro_fit.fit.pack import unpacked
 from fishmj.hydro_fit.fit.prior import flat, names_of, prior_of, replaced, unflat
 from fishmj.hydro_fit.fit.recipe import STAGES, Fit, Settings
+from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.rows import rows_of
 from fishmj.hydro_fit.model import HydroModel
 
@@ -189,6 +191,37 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
     offset, share, spread = made["speed"]
     assert spread == pytest.approx(1.645 * 1.5, rel=0.2) and share < 0.1 and offset < 0.05
     assert all(0.87 < value < 0.93 for value in band.covered(*drawn(4000), made).values())
+
+
+def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, monkeypatch):
+    _, model, _ = fitted
+    narrow = replace(model, band={name: [0.1 * part for part in parts] for name, parts in model.band.items()})
+    monkeypatch.setattr(calibrate, "LEAST", 5)
+    made = calibrate.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
+    swum = check.Swum(made, ROBOT, records["test"])
+    seen, mean = band.means(recorded(swum.fleet), swum.fleet), band.means(swum.track, swum.fleet)
+    hair = {name: [(1 + 1e-6) * part for part in parts] for name, parts in made.band.items()}  # the last one is at the edge
+    inside = band.covered(mean, swum.members, seen, hair)
+    assert all(value >= 0.9 for value in inside.values()) and made.calibration["swims"] == len(swum.fleet.q)
+    for name in band.CHANNELS:  # one factor a channel: its form stays
+        np.testing.assert_allclose(
+            np.divide(made.band[name], max(made.band[name])), np.divide(model.band[name], max(model.band[name]))
+        )
+    with pytest.raises(DatasetError, match="fitted to"):
+        calibrate.calibrated(model, ROBOT, records["test"], {"sha256": model.dataset["sha256"], "folder": "made"})
+    monkeypatch.setattr(calibrate, "LEAST", 1000)
+    with pytest.raises(DatasetError, match="expected 1000 or more"):
+        calibrate.calibrated(model, ROBOT, records["test"], {"sha256": "fresh"})
+
+
+def test_the_conformal_factor_is_right_on_average_for_few_swims():
+    rng = np.random.default_rng(5)
+    inside = [np.mean(np.abs(rng.standard_cauchy(500)) <= band.conformal(np.abs(rng.standard_cauchy(39)))) for _ in range(400)]
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.01)
+
+
+def test_few_swims_are_not_asked_to_tell_what_they_cannot():
+    assert check.covering(26) == pytest.approx((0.782, 1.0), abs=1e-3) and check.covering(1000) == pytest.approx((0.85, 0.95))
 
 
 def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():

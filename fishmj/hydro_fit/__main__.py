@@ -2,6 +2,7 @@
 
 python -m fishmj.hydro_fit                        all four, for the shipped fish
 python -m fishmj.hydro_fit collect|fit|check|report
+python -m fishmj.hydro_fit calibrate --data FRESH  the error bar, by swims that no fit has seen
 python -m fishmj.hydro_fit ablation               what each part of the model is worth: fits without it, same held-out records
 python -m fishmj.hydro_fit hybrid                 a surrogate corrected by the solver while it swims
 python -m fishmj.hydro_fit correct POLICY         rounds of the policy's own states, solved and refitted
@@ -20,7 +21,7 @@ from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
 
-VERBS = ("collect", "fit", "check", "report", "ablation", "hybrid", "correct", "rank")
+VERBS = ("collect", "fit", "calibrate", "check", "report", "ablation", "hybrid", "correct", "rank")
 _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
 PLACES = (DATA, _ROOT / "_data" / "hydro")  # checkout, installed wheel
@@ -58,6 +59,8 @@ def main(argv: list[str]) -> int | None:
     found: dict = {}
     if verb in ("fit", "all"):
         found["fit"] = fit(robot, folder, args)
+    if verb == "calibrate":
+        found["calibrate"] = calibrate(robot, folder, args)
     if verb in ("check", "all"):
         found["check"] = check(robot, folder, args)
         code = code or (console.OK if found["check"]["ok"] else console.FAILED_CHECK)
@@ -197,6 +200,21 @@ def repeats_of(data: Dataset, slip: float) -> list[tuple[Record, Record]]:
         if original and original in data.about and "file" in data.about[original]:
             pairs.append((data[name], data[original]))
     return pairs
+
+
+def calibrate(robot: Robot, folder: Path, args) -> dict:
+    """Scale the error bar of the model in its place by the test part of a data set that nothing else is judged by."""
+    from fishmj.hydro_fit.fit.calibrate import calibrated
+
+    data, model = open_dataset(folder, test=True), chosen(robot, args)
+    swims = records_of(data, robot, "test", args.slip)
+    made = calibrated(model, robot, swims, {"sha256": data.sha256, "folder": folder.name})
+    path = made.save(Path(args.out or FOLDERS[0]))
+    factors = {name: made.band[name][0] / parts[0] for name, parts in model.band.items()}
+    console.say(
+        f"{path}: bands by {made.calibration['swims']} swims, times " + ", ".join(f"{n} {f:.3g}" for n, f in factors.items())
+    )
+    return {"model": str(path), "factors": factors, **made.calibration}
 
 
 def check(robot: Robot, folder: Path, args) -> dict:

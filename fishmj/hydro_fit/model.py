@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
-from fishmj.hydro_fit.fit.prior import unflat
+from fishmj.hydro_fit.fit.prior import flat, unflat
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
@@ -51,7 +51,7 @@ class HydroModel:
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
         dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
         band: (offset, share, spread) of the error bar by channel (fit/band.py), `band_alone` without the residual.
-        scores: on the validation part.
+        scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (fit/calibrate.py).
     """
 
     name: str
@@ -68,6 +68,7 @@ class HydroModel:
     band: dict = field(default_factory=dict)
     band_alone: dict = field(default_factory=dict)
     scores: dict = field(default_factory=dict)
+    calibration: dict = field(default_factory=dict)
     notes: str = ""
 
     @property
@@ -127,6 +128,7 @@ class HydroModel:
         table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
         table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
         table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
+        table |= {"calibration": self.calibration} if self.calibration else {}
         return write_text(folder / f"{self.name}.toml", dumps(_finite(plain(table))))
 
     @classmethod
@@ -164,7 +166,7 @@ def _read(cls, path: Path) -> HydroModel:
             net = residual.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
             learnt = learned.Residual(net, learned.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
         keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
-        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores")}
+        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         base = terms.Coefficients(**table["base"])
         for name, parts in (rest["band"] | rest["band_alone"]).items():
             if np.shape(parts) != (3,):
@@ -172,13 +174,22 @@ def _read(cls, path: Path) -> HydroModel:
         return cls(
             **{key: table[key] for key in keys},
             base=base,
-            members=arrays["members"],
-            alone=arrays["alone"],
+            members=widened(arrays["members"], base),
+            alone=widened(arrays["alone"], base),
             learnt=learnt,
             **rest,
         )
     except (KeyError, TypeError) as error:
         raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
+
+
+def widened(waters: np.ndarray, base: terms.Coefficients) -> np.ndarray:
+    """Flat coefficients of a model made before the last of them were thought of, (.., P); those have their defaults."""
+    lacking = len(flat(base)) - waters.shape[-1]
+    if not 0 <= lacking <= len(terms.Coefficients._field_defaults):
+        raise ConfigError(f"members of {waters.shape[-1]} coefficients; expected {len(flat(base))}; fit the model again")
+    rest = list(terms.Coefficients._field_defaults.values())[-lacking:] if lacking else []
+    return np.concatenate([waters, np.broadcast_to(rest, (*waters.shape[:-1], lacking))], -1)
 
 
 def _finite(value):

@@ -5,6 +5,7 @@ The variance that swims leave over, as a sum of three parts that are not negativ
 all scaled until 90 % of the swims lie inside (split conformal, Lei et al. 2018). Nothing is assumed about which part counts:
 where the members do not tell good swims from bad, their share is zero. Training swims, which the fit has seen, count as they are
 as long as they are no easier than the validation ones by more than chance; else their errors are scaled up by what they are.
+Swims that no fit has seen make it right for swims like them: `calibrate`.
 """
 
 from typing import NamedTuple
@@ -53,10 +54,15 @@ def fit_band(mean: Means, members: list[Means], seen: Means, trained: np.ndarray
         parts = _parts(channel, mean, members)
         variance = _variance(parts, error**2)
         needed = error / np.sqrt(parts @ variance)
-        needed = np.sort(np.where(trained, needed * easier(needed, trained), needed))
-        at = min(len(needed) - 1, int(np.ceil(COVER * (len(needed) + 1))) - 1)
-        out[channel] = (needed[at] * np.sqrt(variance)).tolist()
+        needed = np.where(trained, needed * easier(needed, trained), needed)
+        out[channel] = (conformal(needed) * np.sqrt(variance)).tolist()
     return out
+
+
+def conformal(needed: np.ndarray) -> float:
+    """The factor that another swim's error over its unit stays below in 90 % of all cases, from those of n swims alike."""
+    at = min(len(needed) - 1, int(np.ceil(COVER * (len(needed) + 1))) - 1)
+    return float(np.sort(needed)[at])
 
 
 def _variance(parts: np.ndarray, square: np.ndarray) -> np.ndarray:
