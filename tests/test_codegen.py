@@ -20,7 +20,6 @@ def test_generated_text_is_chain_step_in_numpy(name):
     robot = load_robot(name)
     program, rows = native.generate(robot, "physics")
     ch, sw = chain.chain_of(robot), chain.nominal(robot)
-    sw = sw._replace(water=sw.water._replace(oblique=0.3, kr=0.4))
     n, rng = ch.n, np.random.default_rng(3)
     q, v, flow = rng.normal(size=(n + 2, 50)), rng.normal(size=(n + 2, 50)), rng.normal(size=(n, 2, 50))
     target, ambient, attached = rng.normal(size=(n - 1, 50)), rng.normal(size=(2, 50)), rng.uniform(size=50)

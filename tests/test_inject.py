@@ -115,9 +115,7 @@ def randomised(robot, count):
     scale = lambda a, r: a * rng.uniform(1 - r, 1 + r, a.shape)  # noqa: E731
     p = engines.nominal_params(robot, count)
     p = p._replace(mass=scale(p.mass, 0.1), kp=scale(p.kp, 0.1), kv=scale(p.kv, 0.05), kb=scale(p.kb, 0.05))
-    water = scale(p.water, 0.2)
-    water[:, -2:] = rng.uniform(0.1, 0.5, (count, 2))  # oblique, kr: 0 in the fish's own water
-    p = p._replace(water=water)
+    p = p._replace(water=scale(p.water, 0.2))
     p = p._replace(zero=rng.uniform(-0.09, 0.09, p.zero.shape), delay=rng.integers(5, 31, count).astype(np.int32))
     pose = rng.uniform(-1.5, 1.5, (count, 3))
     commands = np.clip(np.cumsum(rng.uniform(-0.4, 0.4, (count, 20, robot.n_joints)), 1), -1.2, 1.2)

@@ -40,8 +40,6 @@ def draw_coefficients(rng):
         ke=rng.uniform(0, 1),
         lift_a=a,
         lift_b=max(0.0, 0.5 - a) + rng.uniform(0, 1),
-        oblique=rng.uniform(0, 1),
-        kr=rng.uniform(0, 2),
     )
 
 
@@ -57,14 +55,12 @@ def generalised_water(water, q, v, attached, flow, ambient, parts=None):
 
 
 def dissipative(water):
-    """Drag, head form, rear ends and trailing edge of each link."""
+    """Drag, head form and trailing edge of each link."""
 
     def parts(i, u, w, omega, attached):
         out = [terms.resistive(np, CHAIN.strips, water, i, u, w, omega)]
         if i == 0:
             out.append((terms.head_form(np, CHAIN.strips, water, u), 0.0, 0.0))
-        if terms.between(CHAIN.strips, i):
-            out.append(terms.rear_end(np, CHAIN.strips, water, i, u, w, omega))
         if i == N - 1:
             out.append(terms.trailing_edge(np, CHAIN.strips, water, u, w, omega, attached))
         return tuple(sum(c) for c in zip(*out, strict=True))
@@ -115,31 +111,6 @@ def test_reactive_part_does_no_net_work(seed):
 def step(q, v, attached, target, flow, ambient, xp=np, dt=None):
     ch = CHAIN if dt is None else CHAIN._replace(dt=dt)
     return chain.step(xp, ch, NOMINAL, q, v, attached, target, flow, ambient)
-
-
-def test_rear_ends_do_no_work_forwards_and_only_lose_backwards():
-    water, rng = NOMINAL.water._replace(kr=0.7), np.random.default_rng(0)
-    u, w, omega = rng.normal(0, [[0.4], [0.3], [4.0]], (3, 500))
-    for i in range(1, N - 1):
-        ft, fn, moment = terms.rear_end(np, CHAIN.strips, water, i, u, w, omega)
-        power = ft * u + fn * w + moment * omega
-        np.testing.assert_allclose(power[u > 0], 0, atol=1e-12 * np.abs(ft * u).max())
-        assert (power[u < 0] < 0).all() and (ft >= 0).all()
-
-
-def test_without_their_coefficients_the_forces_between_head_and_tail_are_not_there():
-    """To the bit: a water from before has them at 0."""
-    rng, some = np.random.default_rng(1), NOMINAL.water._replace(kr=0.4, oblique=0.3)
-    u, w, omega = rng.normal(0, [[0.4], [0.3], [4.0]], (3, 50))
-    force = lambda c, i: terms.link_forces(np, CHAIN.strips, c, i, u, w, omega, 0 * u, 0 * u, 0.5)  # noqa: E731
-    assert NOMINAL.water.kr == 0 and NOMINAL.water.oblique == 0
-    for i in range(N):
-        with_, without = np.array(force(some, i)), np.array(force(NOMINAL.water, i))
-        assert np.array_equal(with_, without) == (i in (0, N - 1))
-        parts = (terms.reactive, lambda *a: terms.resistive(np, *a))
-        old = sum(np.array(part(CHAIN.strips, NOMINAL.water, i, u, w, omega)) for part in parts)
-        if 0 < i < N - 1:
-            np.testing.assert_array_equal(without, old)
 
 
 def targets(seed, count):
@@ -272,7 +243,5 @@ def test_attachment_stays_between_stalled_and_attached(seed):
 def test_coefficients_that_feed_energy_are_refused():
     with pytest.raises(ConfigError, match="can feed energy"):
         terms.coefficients(dict(ROBOT.water, lift_a=0.1, lift_b=0.2), N)
-    with pytest.raises(ConfigError, match="kr = -0.1 can feed energy"):
-        terms.coefficients(dict(ROBOT.water, kr=-0.1), N)
     with pytest.raises(ConfigError, match="one value a link"):
         terms.coefficients(dict(ROBOT.water, k=[0.9]), N)

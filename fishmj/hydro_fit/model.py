@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
-from fishmj.hydro_fit.fit.prior import flat, unflat
+from fishmj.hydro_fit.fit.prior import unflat
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
@@ -174,22 +174,13 @@ def _read(cls, path: Path) -> HydroModel:
         return cls(
             **{key: table[key] for key in keys},
             base=base,
-            members=widened(arrays["members"], base),
-            alone=widened(arrays["alone"], base),
+            members=arrays["members"],
+            alone=arrays["alone"],
             learnt=learnt,
             **rest,
         )
     except (KeyError, TypeError) as error:
         raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
-
-
-def widened(waters: np.ndarray, base: terms.Coefficients) -> np.ndarray:
-    """Flat coefficients of a model made before the last of them were thought of, (.., P); those have their defaults."""
-    lacking = len(flat(base)) - waters.shape[-1]
-    if not 0 <= lacking <= len(terms.Coefficients._field_defaults):
-        raise ConfigError(f"members of {waters.shape[-1]} coefficients; expected {len(flat(base))}; fit the model again")
-    rest = list(terms.Coefficients._field_defaults.values())[-lacking:] if lacking else []
-    return np.concatenate([waters, np.broadcast_to(rest, (*waters.shape[:-1], lacking))], -1)
 
 
 def _finite(value):

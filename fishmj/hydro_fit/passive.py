@@ -77,8 +77,6 @@ def named_terms(s: terms.Strips, c: terms.Coefficients, i: int, u, w, omega, att
     }
     if i == 0:
         out["head_form"] = (terms.head_form(np, s, c, u), 0.0, 0.0)
-    if terms.between(s, i):
-        out["rear_end"] = terms.rear_end(np, s, c, i, u, w, omega)
     if i == len(s.mu) - 1:
         out["trailing_edge"] = terms.trailing_edge(np, s, c, u, w, omega, attached)
     return out

@@ -10,13 +10,10 @@ reactive     f_n = -mu (n.a - Omega u),  f_t = s mu w Omega,  c_z = -s mu w u   
              a straight piece and its axial force is the suction that a free leading edge would have (Polhamus 1966, NASA
              TN D-3767), of which they recover the share s. The two terms with s do no work together.
 cross-flow   f_n = -1/2 rho Cn h |w| w                                        Taylor 1952, doi 10.1098/rspa.1952.0159
-oblique      f_t = -1/2 rho Co h |w| u                 between head and tail: water that separates there is dragged along, too
 friction     f_t = -1/2 rho Cf P sqrt(u^2 + w^2) u                            P = perimeter
 head form    F_t = -1/2 rho Ca A |u| u,  Ca differs forwards and backwards
 trailing     F_t = 1/2 x m_e w_e^2,  F_n = -(a + b x) m_e max(u, 0) w_e,       m_e = k_e rho pi/4 h_e^2
 edge         passive for 0 <= x <= 1 when a + b x >= x / 2
-rear         F_t = 1/2 m_r w_r^2,  F_n = -1/2 m_r max(u, 0) w_r,  m_r = k_r rho pi/4 h_r^2     at the rear hinge of the links
-             between head and tail: the trailing edge of a link whose height falls; no work forwards, only losses backwards
 attachment   x' = (x0(alpha) - x) V / (tau h_e),  x0 = logistic((alpha_s - |alpha|) / Delta)   Goman & Khrabrov 1994
 
 Every function takes components (scalars, NumPy or JAX arrays of one shape, or traced values) and the array namespace
@@ -49,8 +46,6 @@ class Coefficients(NamedTuple):
     stall_width: Any  # rad
     stall_lag: Any  # trailing-edge heights
     suction: Any = 1.0  # share of their leading edge's suction that the links behind the head recover
-    oblique: Any = 0.0  # drag along the links between head and tail by the flow across them
-    kr: Any = 0.0  # momentum flux at their rear ends
 
 
 class Strips(NamedTuple):
@@ -66,7 +61,6 @@ class Strips(NamedTuple):
     frontal: float  # m2
     tail_x: float
     tail_h: float
-    rear: tuple  # N pairs (x, rho pi/4 h^2) of the rear ends, m, kg/m
 
 
 def coefficients(water: dict, n_links: int) -> Coefficients:
@@ -87,9 +81,6 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
     c = Coefficients(**table)
     if not 0.0 <= c.suction <= 1.0:
         raise ConfigError(f"[water]: suction = {c.suction}; a share from 0, none recovered, to 1, all of it")
-    for key in ("oblique", "kr"):
-        if not getattr(c, key) >= 0.0:
-            raise ConfigError(f"[water]: {key} = {getattr(c, key)} can feed energy; need 0, no such force, or more")
     if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5:
         raise ConfigError(f"[water]: lift_a = {c.lift_a}, lift_b = {c.lift_b} can feed energy; need both >= 0 and a + b >= 0.5")
     return c
@@ -99,7 +90,6 @@ def strips(geometry: Geometry, rho: float = 1000.0) -> Strips:
     """The constant part of the water model as plain floats."""
     rows = lambda a: tuple(tuple(float(v) for v in row) for row in a)  # noqa: E731
     line = lambda a: tuple(float(v) for v in a)  # noqa: E731
-    heights = geometry.strip_h[:, -1] / (geometry.span @ [-1.0, 1.0] / geometry.strip_h.shape[1])  # of the last strips
     return Strips(
         rho=rho,
         mu=rows(geometry.mu),
@@ -111,7 +101,6 @@ def strips(geometry: Geometry, rho: float = 1000.0) -> Strips:
         frontal=geometry.frontal,
         tail_x=geometry.tail_x,
         tail_h=geometry.tail_h,
-        rear=tuple(zip(line(geometry.span[:, 0]), line(rho * pi / 4 * heights**2), strict=True)),
     )
 
 
@@ -124,32 +113,15 @@ def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega):
 
 
 def resistive(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):
-    """Cross-flow and oblique drag and tangential friction, summed over the strips of link i."""
-    rubbed = swept = force_n = moment = 0.0
+    """Cross-flow drag and tangential friction, summed over the strips of link i."""
+    force_t = force_n = moment = 0.0
     for x, h, p in zip(s.x[i], s.h[i], s.p[i], strict=True):
         w = w0 + omega * x
-        across = -(0.5 * s.rho * h) * xp.abs(w)
-        normal = across * c.cn[i] * w
-        rubbed = rubbed - (0.5 * s.rho * p) * xp.sqrt(u * u + w * w + SMOOTH)
-        swept = swept + across
+        normal = -(0.5 * s.rho * h) * c.cn[i] * xp.abs(w) * w
+        force_t = force_t - (0.5 * s.rho * p) * xp.sqrt(u * u + w * w + SMOOTH)
         force_n = force_n + normal
         moment = moment + x * normal
-    along = rubbed * c.cf + swept * c.oblique if between(s, i) else rubbed * c.cf
-    return along * u, force_n, moment
-
-
-def between(s: Strips, i: int) -> bool:
-    """Whether link i has one before and one behind it."""
-    return 0 < i < len(s.mu) - 1
-
-
-def rear_end(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):
-    """Momentum shed at the rear end of link i between head and tail: (F_t, F_n, moment)."""
-    x, mass = s.rear[i]
-    w = w0 + omega * x
-    push = 0.5 * c.kr * mass * w
-    force_n = -push * xp.maximum(u, 0.0)
-    return push * w, force_n, x * force_n
+    return force_t * c.cf * u, force_n, moment
 
 
 def head_form(xp, s: Strips, c: Coefficients, u):
@@ -186,8 +158,6 @@ def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n
     parts = [reactive(s, c, i, u, w0, omega), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
     if i == 0:
         parts.append((head_form(xp, s, c, u), 0.0, 0.0))
-    if between(s, i):
-        parts.append(rear_end(xp, s, c, i, u, w0, omega))
     if i == len(s.mu) - 1:
         parts.append(trailing_edge(xp, s, c, u, w0, omega, attached))
     return tuple(sum(column) for column in zip(*parts, strict=True))

@@ -122,8 +122,6 @@ class FreeWater(passive.PlanarWater):
         parts = [terms.resistive(np, s, c, i, u, v, yaw), terms.ambient(s, c, i, du[0], du[1])]
         if i == 0:
             parts.append((terms.head_form(np, s, c, u), 0.0, 0.0))
-        if terms.between(s, i):
-            parts.append(terms.rear_end(np, s, c, i, u, v, yaw))
         if i == ch.n - 1:
             parts.append(terms.trailing_edge(np, s, c, u, v, yaw, self.attached))
         for ft, fn, moment in parts:

@@ -2,8 +2,7 @@
 
     L = mean_rows,members b |dF / size|^2 + thrust b |mean dF_t / size|^2 + decay |W|^2
 
-b are bootstrap weights, drawn by episode: each member sees another sample of the episodes. Held fish that flap count by their
-mean thrust alone, but more. Features get noise, so that
+b are bootstrap weights, drawn by episode: each member sees another sample of the episodes. Features get noise, so that
 small differences are no information. Adam with a cosine schedule; one seed gives one result on one machine.
 """
 
@@ -21,7 +20,6 @@ from fishmj.hydro_fit.fit.lessons import Lessons, taken
 
 NOISE = 0.01  # of the features
 THRUST, DECAY = 3.0, 1e-4
-PUSHED = 20.0  # times as much counts a mean thrust of which the rows tell nothing
 RATE, BATCH = 4e-3, 40  # pieces a step
 THIN = 2  # forces are looked at in every second row, from a random one on
 
@@ -72,13 +70,12 @@ def loss(net: residual.Net, lessons: Lessons, b, p: residual.Panels, rho: float,
     thin = lambda a: a[first::THIN]  # noqa: E731
     xi, square, left, weight = (thin(a) for a in (lessons.xi, lessons.square, lessons.left, lessons.weight))
     error = (forces(net, p, rho, xi, square, thin(z)) - left) / lessons.size[:, :, None]
-    w = (b * lessons.told)[:, None] * weight[None]
+    w = b[:, None] * weight[None]
     whole = jnp.sum(w) + 1e-6
     square = jnp.sum(w[:, :, None, None] * error**2) / (whole * error.shape[2] * error.shape[3])
     along = (error[:, :, 0] * lessons.size[0][:, None]).sum(2) / jnp.sqrt((lessons.size[0] ** 2).sum())  # sum over links
     mean = (along * weight).sum(1) / (weight.sum(0) + 1e-6)
-    much = b * (PUSHED + (1.0 - PUSHED) * lessons.told)
-    thrust = jnp.sum(much * mean**2) / (jnp.sum(b) + 1e-6)
+    thrust = jnp.sum(b * mean**2) / (jnp.sum(b) + 1e-6)
     decay = sum(jnp.mean(getattr(net, k) ** 2) for k in ("inner", "outer", "wake", "wake_out"))
     return square + THRUST * thrust + DECAY * decay
 

@@ -17,8 +17,7 @@ class Lessons(NamedTuple):
     """P pieces of T ticks for N links.
 
     left: force beyond the base, moment about the middle of the link. weight: 0 in burn-in and padding. size: rms of the force
-    without the acceleration's part, what errors are measured in. episode: number of the episode of each piece. told: 1 where
-    every row tells something, 0 where the mean thrust alone does.
+    without the acceleration's part, what errors are measured in. episode: number of the episode of each piece.
     """
 
     step: float  # s from row to row
@@ -29,7 +28,6 @@ class Lessons(NamedTuple):
     weight: Any  # (T, P)
     size: Any  # (3, N)
     episode: np.ndarray  # (P,)
-    told: np.ndarray  # (P,)
 
 
 def motion_of(p: residual.Panels, rows: Rows) -> residual.Motion:
@@ -50,40 +48,41 @@ def remaining(ch: chain.Chain, rows: Rows, c: terms.Coefficients, tick: float) -
     return left, drag
 
 
-def lessons_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients, pushed: str = "") -> Lessons:
-    """Pieces of all records; those of the block `pushed` tell by their mean thrust alone."""
+def lessons_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients) -> Lessons:
+    """Pieces of all records."""
     tick = records[0].tick
     rows = rows_of(ch, records)
     m = motion_of(residual.panels(ch), rows)
     left, drag = remaining(ch, rows, c, tick)
     xi = np.array([[m.xi[i][f] for i in range(ch.n)] for f in range(5)])  # (5, N, M)
     speed, square = np.array(m.speed), np.array(m.square)
-    told = np.array([record.meta["block"] != pushed for record in records])
-    size = np.sqrt(((left + drag)[..., told[rows.record]] ** 2).mean(-1)) + 1e-6
+    size = np.sqrt(((left + drag) ** 2).mean(-1)) + 1e-6
     names = sorted({record.meta["episode"] for record in records})
     step = EVERY * tick
     length, burn = round(PIECE / step) * EVERY, round(BURN / step) * EVERY
     pieces: list[tuple] = []
-    for number, (record, span) in enumerate(zip(records, rows.spans(), strict=True)):
+    for record, span in zip(records, rows.spans(), strict=True):
         settled = record.meta.get("settle", 0.0) > 0
         for a in range(span.start, span.stop, length - burn):
             b = min(a + length, span.stop)
             skip = burn if a > span.start or settled else 0
             if b - a > skip + burn // 2:
-                pieces.append((a, b, skip, names.index(record.meta["episode"]), told[number]))
-    longest = max(b - a for a, b, *_ in pieces)
+                pieces.append((a, b, skip, names.index(record.meta["episode"])))
+    longest = max(b - a for a, b, _, _ in pieces)
 
     def cut(values):  # (..., M) -> (T, ..., P)
-        wide = [np.concatenate([v := values[..., a:b], np.repeat(v[..., -1:], longest - (b - a), -1)], -1) for a, b, *_ in pieces]
+        wide = [
+            np.concatenate([v := values[..., a:b], np.repeat(v[..., -1:], longest - (b - a), -1)], -1) for a, b, _, _ in pieces
+        ]
         return np.moveaxis(np.stack(wide, -1), -2, 0)[::EVERY].astype(np.float32)
 
     time = np.arange(longest)[::EVERY, None]
-    ends, skips = np.array([b - a for a, b, *_ in pieces]), np.array([s for _, _, s, *_ in pieces])
+    ends, skips = np.array([b - a for a, b, _, _ in pieces]), np.array([s for _, _, s, _ in pieces])
     weight = ((time >= skips) & (time < ends)).astype(np.float32)
-    episode, whole = np.array([e for *_, e, _ in pieces]), np.array([t for *_, t in pieces], np.float32)
-    return Lessons(step, cut(xi), cut(speed), cut(square), cut(left), weight, size.astype(np.float32), episode, whole)
+    episode = np.array([e for *_, e in pieces])
+    return Lessons(step, cut(xi), cut(speed), cut(square), cut(left), weight, size.astype(np.float32), episode)
 
 
 def taken(lessons: Lessons, at) -> Lessons:
     """Some of the pieces."""
-    return Lessons._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at], lessons.told[at]])
+    return Lessons._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at]])

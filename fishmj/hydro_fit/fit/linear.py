@@ -2,10 +2,10 @@
 
     min  sum_rows ((F - A theta) / noise)^2 / n_c  +  sum ((theta - prior) / sd)^2,      low <= theta <= high
 
-theta = k, cn (a link), cf, ca_forward, ca_backward, the trailing edge's ke, ke a, ke b, oblique drag and rear ends before it, and
-the suction s behind the head, whose force goes with k s: with the k of the round before. Noise is a channel's
-own remaining error, found by going round twice, so the great forces of acceleration do not drown the small ones of drag;
-n_c = 15 rows, 0.3 s, is how long such errors hang together. What is not linear, stall angle and lag, is looked for on a grid.
+theta = k, cn (a link), cf, ca_forward, ca_backward, the trailing edge's ke, ke a, ke b, and k s of the suction behind the head,
+whose share is s = sum k s / sum k. Noise is a channel's own remaining error, found by going round twice, so the great forces of
+acceleration do not drown the small ones of drag; n_c = 15 rows, 0.3 s, is how long such errors hang together. What is not
+linear, stall angle and lag, is looked for on a grid.
 """
 
 from typing import NamedTuple
@@ -24,8 +24,7 @@ ROUNDS = 3
 FLOOR = 1e-4  # N, N m: smallest noise of a channel
 ANGLES, LAGS = np.radians([22.0, 28.0, 35.0, 43.0, 52.0]), (1.2, 2.0, 3.0, 4.5)
 EDGE = ("ke", "edge_a", "edge_b")  # ke, ke lift_a, ke lift_b
-BETWEEN = ("oblique", "kr")  # of the links between head and tail
-SUCTION = "suction"
+SUCTION = "k_suction"  # k s, with the number of the link
 
 
 class LinearFit(NamedTuple):
@@ -51,16 +50,16 @@ def fit_linear(robot: Robot, ch: chain.Chain, data: Rows, tick: float, *, stall:
     blocks = [_block(data, ch.strips, i) for i in range(ch.n)]
     grid = [(a, t) for a in ANGLES for t in LAGS] if stall else [(start.stall_angle, start.stall_lag)]
     best: tuple = ()
-    noise, k = np.maximum(target.std(-1), FLOOR), prior.mean[: ch.n]
+    noise = np.maximum(target.std(-1), FLOOR)
     for angle, lag in grid:
         c = start._replace(stall_angle=float(angle), stall_lag=float(lag))
         columns = _edge(data, ch.strips, attachment(data, ch.strips, c, tick))
-        solved = _solve(prior, blocks, columns, target, noise, k)
+        solved = _solve(prior, blocks, columns, target, noise, ch.n)
         if not best or solved[-1] < best[-1]:
             best = (c, columns, *solved)
     c, columns, theta, normal, noise, _ = best
     for _ in range(ROUNDS - 1):
-        theta, normal, noise, objective = _solve(prior, blocks, columns, target, noise, theta[: ch.n])
+        theta, normal, noise, objective = _solve(prior, blocks, columns, target, noise, ch.n)
     water = _coefficients(c, theta, ch.n)
     return LinearFit(water, identify(prior, theta, normal), noise, objective)
 
@@ -69,16 +68,17 @@ def _prior(robot: Robot, links: int) -> Prior:
     """Prior of theta; ke a and ke b take their means from the robot and their spread from both factors."""
     whole = prior_of(robot)
     kept = whole.only(names_of(links)[: 2 * links + 4])
-    edge, share, middle = whole.only(("lift_a", "lift_b")), whole.only((SUCTION,)), whole.only(BETWEEN)
+    edge, share = whole.only(("lift_a", "lift_b")), whole.only(("suction",))
+    behind = whole.only(tuple(f"k{i + 1}" for i in range(1, links)))
     ke = kept.mean[-1]
     mean, sd = ke * edge.mean, ke * np.hypot(edge.sd, edge.mean * kept.sd[-1] / ke)
     join = np.concatenate
     return Prior(
-        (*kept.names[:-1], *EDGE, *BETWEEN, SUCTION),
-        join([kept.mean, mean, middle.mean, share.mean]),
-        join([kept.sd, sd, middle.sd, share.sd]),
-        join([kept.low, [0.0, 0.0], middle.low, share.low]),
-        join([kept.high, kept.high[-1] * edge.high, middle.high, share.high]),
+        (*kept.names[:-1], *EDGE, *(f"{SUCTION}{i + 1}" for i in range(1, links))),
+        join([kept.mean, mean, behind.mean * share.mean]),
+        join([kept.sd, sd, behind.mean * share.sd]),
+        join([kept.low, [0.0, 0.0], 0.0 * behind.low]),
+        join([kept.high, kept.high[-1] * edge.high, behind.high]),
     )
 
 
@@ -99,13 +99,9 @@ def _block(data: Rows, s: terms.Strips, i: int) -> dict[str, np.ndarray]:
     m0, m1, _ = s.mu[i]
     inertia += np.stack([0 * data.du[1, i], m0 * data.du[1, i], m1 * data.du[1, i]])
     skin = terms.resistive(np, s, unit._replace(cn=[0.0] * n, cf=1.0), i, *motion)
-    swept = terms.resistive(np, s, unit._replace(cn=[0.0] * n, oblique=1.0), i, *motion)
     out = {f"k{i + 1}": inertia, f"cn{i + 1}": mean3(terms.resistive(np, s, unit, i, *motion)), "cf": mean3(skin)}
-    if terms.between(s, i):
-        shed = terms.rear_end(np, s, unit._replace(kr=1.0), i, *motion)
-        out |= {name: mean3(force) for name, force in zip(BETWEEN, (swept, shed), strict=True)}
     if i:
-        out[SUCTION] = mean3(terms.reactive(s, unit._replace(suction=1.0), i, *motion)) - across
+        out[f"{SUCTION}{i + 1}"] = mean3(terms.reactive(s, unit._replace(suction=1.0), i, *motion)) - across
     else:
         for key in ("ca_forward", "ca_backward"):
             force = terms.head_form(np, s, unit._replace(**{key: 1.0}), motion[0])
@@ -123,15 +119,13 @@ def _edge(data: Rows, s: terms.Strips, attached: np.ndarray) -> dict[str, np.nda
     return dict(zip(EDGE, (push, whole - push, share - push), strict=True))
 
 
-def _solve(prior: Prior, blocks, edge, target, noise, k):
-    """theta, the data's normal matrix, the remaining error of every channel, and the objective; k (N,) as last known."""
+def _solve(prior: Prior, blocks, edge, target, noise, links: int):
+    """theta, the data's normal matrix, the remaining error of every channel, and the objective."""
     size = len(prior.names)
     normal, right, square = np.zeros((size, size)), np.zeros(size), 0.0
     stacks = []
     for i, block in enumerate(blocks):
-        columns = block | (edge if i == len(blocks) - 1 else {})
-        if SUCTION in block:
-            columns[SUCTION] = k[i] * block[SUCTION]
+        columns = block | (edge if i == links - 1 else {})
         at = [prior.names.index(name) for name in columns]
         a = np.stack(list(columns.values()), -1)  # (3, M, p)
         stacks.append((at, a))
@@ -170,8 +164,8 @@ def _coefficients(c: terms.Coefficients, theta: np.ndarray, links: int) -> terms
         a = 0.5 - b
     k, cn = theta[:links].tolist(), theta[links : 2 * links].tolist()
     cf, forward, backward = theta[2 * links : 2 * links + 3].tolist()
-    oblique, kr, share = theta[push + 3 :].tolist()
-    drags = {"cf": cf, "ca_forward": forward, "ca_backward": backward, "oblique": oblique, "kr": kr}
+    share = min(1.0, float(theta[push + 3 :].sum() / max(sum(k[1:]), 1e-6)))
+    drags = {"cf": cf, "ca_forward": forward, "ca_backward": backward}
     return c._replace(k=k, cn=cn, **drags, ke=ke, lift_a=a, lift_b=b, suction=share)
 
 

@@ -16,7 +16,7 @@ FIXED = ("stall_width",)  # never fitted: it only keeps gradients finite
 
 @cache
 def table() -> dict:
-    """The prior of every coefficient: {sd, low, high, unit, source}, `size` where its mean may be 0."""
+    """The prior of every coefficient: {sd, low, high, unit, source}."""
     return read_toml(calib_folder() / FILE)["prior"]
 
 
@@ -76,5 +76,5 @@ def prior_of(robot: Robot) -> Prior:
     for name, value, least, most in zip(names, mean, low, high, strict=True):
         if not least <= value <= most:
             raise ConfigError(f"{robot.name} [water] {name} = {value:g}; {FILE} allows {least:g} to {most:g}")
-    sd = np.array([row["sd"] * max(abs(value), row.get("size", 1e-3)) for row, value in zip(rows, mean.tolist(), strict=True)])
+    sd = np.array([row["sd"] for row in rows]) * np.maximum(np.abs(mean), 1e-3)
     return Prior(names, mean, sd, low, high)

@@ -130,7 +130,7 @@ class Fit:
             return {} if learnt is not None else self._unmoved(state)
         self.found[stage] = done.found.table()
         names = len(done.found.parameters)
-        normal = done.jacobian.T @ done.jacobian + np.diag(1 / newton.spreads(self.chain.n) ** 2)
+        normal = done.jacobian.T @ done.jacobian + np.eye(names) / newton.SPREAD**2
         draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
         factors = np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
         new = {"water": flat(done.water), "factors": factors}
@@ -208,7 +208,7 @@ class Fit:
         return self._match(self.val, None)
 
     def _lessons(self, water: np.ndarray) -> lessons.Lessons:
-        return lessons.lessons_of(self.chain, self.train, unflat(water.tolist()), newton.PUSHED)
+        return lessons.lessons_of(self.chain, self.taught, unflat(water.tolist()))
 
     def _match(self, records, learnt) -> newton.Match:
         fleet = rollout.fleet_of(self.chain, self.robot, records)
