@@ -147,7 +147,8 @@ def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_pat
 
     collect(small, tmp_path, SETUP, pool=Look(), quiet=True)
     first = small.segments[0]
-    moved = replace(small, segments=(replace(first, split="val" if first.split != "val" else "train"), *small.segments[1:]))
+    other = "val" if first.split != "val" else "train"
+    moved = replace(small, segments=[replace(s, split=other) if s.episode == first.episode else s for s in small.segments])
     with pytest.raises(DatasetError, match="would change their split"):
         collect(moved, tmp_path, SETUP, pool=Toys(), quiet=True)
     with pytest.raises(ConfigError, match="another grid"):
@@ -208,7 +209,7 @@ def test_the_shipped_data_are_what_their_command_makes():
     assert made == wanted and data.meta["missing"] == 0
     assert data.meta["origin"] == "synthetic" and not data.meta["grid"]["preview"]
     stopped = [data.about[name] for name in data.lost()]  # held fish whose tail, to the letter, is too fast for the grid
-    assert len(stopped) < 0.04 * len(made) and all(meta["prescribed"]["joints"] for meta in stopped)
+    assert len(stopped) < 0.05 * len(made) and all(meta["prescribed"]["joints"] for meta in stopped)
     assert sum("file" not in meta for meta in stopped) <= 3
     assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 22e6
     assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 2900
