@@ -28,8 +28,8 @@ def data():
 
 def test_the_second_data_set_is_whole_and_of_the_second_fish(data):
     assert data.robot["name"] == FISH.name and data.robot["joints"] == FISH.n_joints == 2
-    assert len(data.about) == 108 and not data.lost() and data.meta["missing"] == 0
-    assert sum(meta["seconds"] for meta in data.about.values()) == pytest.approx(1186.2, abs=0.5)
+    assert len(data.about) == 132 and not data.lost() and data.meta["missing"] == 0
+    assert sum(meta["seconds"] for meta in data.about.values()) == pytest.approx(1330.0, abs=0.5)
     assert {meta["grid"]["domain"] for meta in data.about.values()} == {"window_coarse"}
 
 

@@ -28,7 +28,8 @@ from fishmj.mjcf.description import Robot, load_robot
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
 EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
 EVERY_VAL = 8
-POLICIES = ("paper", "fitted", "dob", "paper-sac", "pi", "adrc-c1", "pd")  # what steers unless others are named; those that are made for the fish
+# What steers unless others are named; those that are made for the fish.
+POLICIES = ("paper", "fitted", "dob", "paper-sac", "pi", "adrc-c1", "pd")
 SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
