@@ -149,6 +149,29 @@ def test_a_tick_too_fast_for_the_step_is_done_again_with_finer_ones(monkeypatch)
     np.testing.assert_allclose(ends[1][3:], ends[0][3:], atol=0.02)
 
 
+@pytest.mark.parametrize("limit", ["speed", "lost"])
+def test_water_that_a_fine_tick_left_too_fast_is_taken_on_with_finer_steps(monkeypatch, limit):
+    """The look at the last step of a tick is judged in the next one, which cannot do the last one again; nor need it."""
+    monkeypatch.setattr(Run, "limit", 0.3)
+    run = Run(pond("cpu"), prescribed=Gait(ramp=0.2))
+    while run.factor == 1 and run.ticks < 15:
+        run.tick()
+    assert run.factor == 2 and run.fastest > run.limit  # so will the next tick be
+    found, refined = [OracleUnstable("seen at the end of that tick", limit=limit)], run.refined
+
+    def end():
+        if found:
+            raise found.pop()
+
+    monkeypatch.setattr(run.watch, "end", end)
+    if limit == "speed":
+        run.tick()
+        assert run.factor == 4 and run.refined == refined + 1 and len(run.rows) == run.ticks
+    else:
+        with pytest.raises(OracleUnstable, match="seen at the end"):
+            run.tick()
+
+
 def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch):
     """Too fast for two and four steps in one; then the same tick is taken with two and must log what a first attempt would."""
     logged = []

@@ -85,6 +85,7 @@ class Run:
         self.stopped = ""  # why the run ended early
         self.watch = Watch()
         self.fastest = 0.0  # marker in the last tick, m/s
+        self.factor = 1  # of the last tick: how many times finer its steps were
         self.refined = 0  # ticks that were done again with finer steps
         self.alert = 0  # until this tick checkpoints are kept whatever the fish does
 
@@ -132,7 +133,11 @@ class Run:
         except (SimDiverged, OracleUnstable):
             if kept is None:
                 raise
-        power, raw, whole = done or (yield from self._again(cast(Checkpoint, kept)))  # a tick stops only where one was kept
+        if done is None:  # a tick stops only where a checkpoint was kept
+            done = yield from self._again(cast(Checkpoint, kept))
+        else:
+            self.factor = 1
+        power, raw, whole = done
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -185,8 +190,7 @@ class Run:
             OracleUnstable: too fast for the finest ones, too. SimDiverged: it was not for the time step.
         """
         wp.synchronize_device(self.coupled.fluid.device)
-        self.watch.end()  # of the tick before, where no step of this one was done
-        for factor in FACTORS:
+        for factor in self._fine_enough():
             restore(self.coupled, kept)
             if factor not in self._finer:
                 self._finer[factor] = finer(self.coupled, factor)
@@ -200,10 +204,27 @@ class Run:
                 continue
             if done is not None:
                 hand_over(self._finer[factor], self.coupled)
-                self.refined, self.alert = self.refined + 1, self.ticks + ALERT
+                self.refined, self.alert, self.factor = self.refined + 1, self.ticks + ALERT, factor
                 return done
         message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
         raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")
+
+    def _fine_enough(self) -> tuple[int, ...]:
+        """Factors to try, after what was seen at the end of the tick before, where no step of this one was done.
+
+        Water that ended too fast for that tick's steps, faster than any marker, asks for finer ones now.
+
+        Raises:
+            OracleUnstable: it was no matter of speed, or its steps were the finest.
+        """
+        try:
+            self.watch.end()
+        except OracleUnstable as error:
+            left = tuple(factor for factor in FACTORS if factor > self.factor)
+            if error.limit != "speed" or not left:
+                raise
+            return left
+        return FACTORS
 
     def arrived(self, step: int) -> np.ndarray:
         """What the servos aim at in step `step`, (J,) rad: the newest command that is old enough."""
