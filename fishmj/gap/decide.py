@@ -10,7 +10,7 @@
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
     G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
 
-The form error is measured (evidence.py): the relative error of what the effects change that makes the records most likely. A
+The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A
 right name leaves a few per cent; a name that stands in for something else leaves as much as is tried.
 
 An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is an

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit import chain, learned
+from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.fit import band, begin
 from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.prior import flat
@@ -58,10 +58,7 @@ class Swum:
         swim, water = Swim(ch, model.swimmer(robot)), flat(model.base)
         self.fleet = fleet_of(ch, robot, self.records, seconds=1e6)
         self.track = swim.run(self.fleet, water, model.learnt)
-        self.members = [
-            band.means(swim.run(self.fleet, row, model.learnt and learned.member(model.learnt, e)), self.fleet)
-            for e, row in enumerate(model.members)
-        ]
+        self.members = band.of_members(swim, self.fleet, model.members, model.learnt)
         self.late = _from(self.fleet, self.track, round(SETTLED / tick))
         self.seen = _from(self.fleet, recorded(self.fleet), round(SETTLED / tick))
         self.cruise, self.cruise_track = self._freerun(ch, robot, swim, model)

@@ -100,11 +100,11 @@ class Body:
         self.dt = self.model.opt.timestep = self._dt[0] = float(dt)
         self._weigh()
 
-    def place(self, qpos, qvel=None) -> None:
-        """Put the body into a state; its water moves with it, so that nothing is accelerated at once."""
+    def place(self, qpos, qvel=None, slide=np.nan) -> None:
+        """Put the body into a state; its water moves with it, or along the links at `slide` (L,) m/s: nothing speeds up."""
         self.data.qpos[:] = qpos
         self.data.qvel[:] = 0.0 if qvel is None else qvel
-        self.slide[:] = np.nan
+        self.slide[:] = slide
         self._weigh()
         self.forward()
         self._last[:] = self._now

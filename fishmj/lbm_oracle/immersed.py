@@ -106,6 +106,19 @@ def pose(
         jacobian[k, d] = wp.vec3(float(column[0]), float(column[1]), float(column[2]))
 
 
+@wp.func
+def pulled(f: wp.array(dtype=Any), directions: wp.array(dtype=wp.vec3i), x: int, y: int, z: int, shape: wp.vec3i):
+    """rho and rho u* of a cell, from the populations that its next step pulls."""
+    rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
+    for q in range(wp.static(Q)):  # unrolled: nineteen loads under way at once
+        c = directions[q]
+        px, py, pz = wrap(x - c[0], shape[0]), wrap(y - c[1], shape[1]), wrap(z - c[2], shape[2])
+        value = peek(f, ((q * shape[0] + px) * shape[1] + py) * shape[2] + pz)
+        rho += value
+        m += value * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
+    return rho, m
+
+
 @wp.kernel
 def read_cells(
     f: wp.array(dtype=Any),
@@ -123,13 +136,7 @@ def read_cells(
     i, j, l = o // (width * width), (o // width) % width, o % width
     at = store[k]
     x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
-    rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
-    for q in range(wp.static(Q)):  # unrolled: nineteen loads under way at once
-        c = directions[q]
-        px, py, pz = wrap(x - c[0], shape[0]), wrap(y - c[1], shape[1]), wrap(z - c[2], shape[2])
-        value = peek(f, ((q * shape[0] + px) * shape[1] + py) * shape[2] + pz)
-        rho += value
-        m += value * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
+    rho, m = pulled(f, directions, x, y, z, shape)
     p = cell[k]
     bx, by, bz = first(p[0], width) + i, first(p[1], width) + j, first(p[2], width) + l
     box_u[bx, by, bz] = m / rho + drive

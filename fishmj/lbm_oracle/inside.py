@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.delta import wrap
-from fishmj.lbm_oracle.immersed import Layout
+from fishmj.lbm_oracle.immersed import Layout, pulled
 from fishmj.lbm_oracle.lattice import Q
-from fishmj.lbm_oracle.memory import STORAGE, matrix3, peek, point3
+from fishmj.lbm_oracle.memory import STORAGE, matrix3, point3
 from fishmj.mjcf.geometry import Geometry
 
 wp.set_module_options({"enable_backward": False, "max_unroll": Q})
@@ -65,15 +64,7 @@ def look(
     for o in range(8):
         i, j, k = o // 4, (o // 2) % 2, o % 2
         weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
-        rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)
-        for q in range(wp.static(Q)):
-            c = directions[q]
-            px = wrap(low[0] + i - c[0], shape[0])
-            py = wrap(low[1] + j - c[1], shape[1])
-            pz = wrap(low[2] + k - c[2], shape[2])
-            value = peek(f, ((q * shape[0] + px) * shape[1] + py) * shape[2] + pz)
-            rho += value
-            m += value * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
+        rho, m = pulled(f, directions, low[0] + i, low[1] + j, low[2] + k, shape)
         total += weight * wp.dot(axis, m / rho + drive)
     along[p] = total
 

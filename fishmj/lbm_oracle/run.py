@@ -85,7 +85,7 @@ class Run:
         self.stopped = ""  # why the run ended early
         self.watch = Watch()
         self.fastest = 0.0  # marker in the last tick, m/s
-        self.factor = 1  # of the last tick: how many times finer its steps were
+        self.factor = 1  # of the last tick that was done: how many times finer its steps were
         self.refined = 0  # ticks that were done again with finer steps
         self.alert = 0  # until this tick checkpoints are kept whatever the fish does
 
@@ -133,11 +133,7 @@ class Run:
         except (SimDiverged, OracleUnstable):
             if kept is None:
                 raise
-        if done is None:  # a tick stops only where a checkpoint was kept
-            done = yield from self._again(cast(Checkpoint, kept))
-        else:
-            self.factor = 1
-        power, raw, whole = done
+        power, raw, whole = done or (yield from self._again(cast(Checkpoint, kept)))  # a tick stops only where one was kept
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -177,6 +173,7 @@ class Run:
             coupled.join()
             if not ended:
                 self.watch.pending = None  # of an attempt that was given up
+        self.factor = factor
         return driver.power, *coupled.take_wrench(count * dt)
 
     def _driver(self, coupled: Coupled, factor: int) -> Driver:
@@ -204,7 +201,7 @@ class Run:
                 continue
             if done is not None:
                 hand_over(self._finer[factor], self.coupled)
-                self.refined, self.alert, self.factor = self.refined + 1, self.ticks + ALERT, factor
+                self.refined, self.alert = self.refined + 1, self.ticks + ALERT
                 return done
         message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
         raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")

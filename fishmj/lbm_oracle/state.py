@@ -43,9 +43,8 @@ def resume(coupled: Coupled, state: dict[str, np.ndarray]) -> None:
     coupled.fluid.restore({name.removeprefix("fluid."): value for name, value in state.items() if name.startswith("fluid.")})
     data.time = float(state["time"])
     data.ctrl[:], body.applied[:] = state["ctrl"], state["applied"]
-    body.place(state["qpos"], state["qvel"])
-    body.momentum, body.slide[:] = state["momentum"].copy(), state["slide"]
-    body.forward()
+    body.place(state["qpos"], state["qvel"], state["slide"])
+    body.momentum = state["momentum"].copy()
     coupled.gain, coupled.steps = state["gain"].copy(), int(state["steps"])
     coupled.boundary.wrench.assign(state["wrench"])
 

@@ -84,9 +84,7 @@ def restore(coupled: Coupled, kept: Checkpoint) -> None:
         wp.copy(coupled.boundary.wrench, kept.wrench)
         _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
     qpos, qvel, data.ctrl[:], data.time, momentum_before, slide = kept.body
-    body.place(qpos, qvel)
-    body.slide[:] = slide
-    body.forward()
+    body.place(qpos, qvel, slide)
     body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
 
 

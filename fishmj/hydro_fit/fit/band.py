@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.hydro_fit.fit.rollout import Fleet, Track
+from fishmj.hydro_fit import learned
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track
 
 CHANNELS = ("speed", "yaw_rate", "power")
 COVER = 0.90
@@ -33,6 +34,11 @@ def means(track: Track, fleet: Fleet) -> Means:
     surge = np.cos(yaw) * track.v[..., 0] + np.sin(yaw) * track.v[..., 1]
     over = lambda a: (a * fleet.mask).sum(1) / fleet.mask.sum(1)  # noqa: E731
     return Means(over(surge), over(track.v[..., 2]), over(track.power))
+
+
+def of_members(swim: Swim, fleet: Fleet, waters, learnt) -> list[Means]:
+    """Those of every member of the ensemble: waters (E, P), each with its own part of the residual where there is one."""
+    return [means(swim.run(fleet, row, learnt and learned.member(learnt, e)), fleet) for e, row in enumerate(waters)]
 
 
 def half_width(channel: str, mean: Means, members: list[Means], band: dict[str, list[float]]) -> np.ndarray:

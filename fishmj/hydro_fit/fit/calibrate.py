@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit import chain, learned
+from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.fit import band
 from fishmj.hydro_fit.fit.prior import flat
 from fishmj.hydro_fit.fit.rollout import Swim, fleet_of, is_free, recorded
@@ -47,10 +47,7 @@ def _scaled(model: HydroModel, robot: Robot, swims: Sequence[Record]) -> dict[st
     ch = chain.chain_of(robot)
     swim, fleet = Swim(ch, model.swimmer(robot)), fleet_of(ch, robot, swims, seconds=1e6)
     mean = band.means(swim.run(fleet, flat(model.base), model.learnt), fleet)
-    members = [
-        band.means(swim.run(fleet, row, model.learnt and learned.member(model.learnt, e)), fleet)
-        for e, row in enumerate(model.members)
-    ]
+    members = band.of_members(swim, fleet, model.members, model.learnt)
     seen, out = band.means(recorded(fleet), fleet), {}
     for channel in band.CHANNELS:
         error = np.abs(getattr(mean, channel) - getattr(seen, channel))

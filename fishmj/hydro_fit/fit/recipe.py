@@ -186,10 +186,11 @@ class Fit:
         return kept | {"taken": np.array(learnt is not None)}
 
     def _band(self, fleet, water, waters, learnt) -> dict[str, list[float]]:
-        swum = lambda w, r: band.means(self.swim.run(fleet, w, r), fleet)  # noqa: E731
-        parts = [swum(w, learnt and learned.member(learnt, e)) for e, w in enumerate(waters)]
+        parts = band.of_members(self.swim, fleet, waters, learnt)
         trained = np.array([number < sum(map(rollout.is_free, self.train)) for number, _ in fleet.source])
-        return band.fit_band(swum(water, learnt), parts, band.means(rollout.recorded(fleet), fleet), trained)
+        return band.fit_band(
+            band.means(self.swim.run(fleet, water, learnt), fleet), parts, band.means(rollout.recorded(fleet), fleet), trained
+        )
 
     # what stages share
 
