@@ -8,6 +8,7 @@ from fishmj.calibrate.overlay import DESIRED, MEASURED, SIMULATED, pyplot_of
 from fishmj.calibrate.slip import COAST, RISE, WINDOW, Profile, profile
 
 TICKS = (0.0, 0.002, 0.01, 0.02, 0.05, 0.2, 1.0)  # 1 - s
+APART = 0.09  # of the axis, between two of them
 TITLES = {"gait": "speed at 1 Hz [m/s]", "gait_slow": "speed at 0.5 Hz [m/s]", COAST: "coasting distance [m]"}
 STYLES = {"gait": "-", "gait_slow": "--", COAST: ":"}
 HIGHEST = 30.0  # J that is drawn
@@ -37,7 +38,10 @@ def draw(found: Profile, path: Path) -> Path:
     axis.set_title("J(s) above its least", fontsize=10, loc="left")
     axis.legend(frameon=False, fontsize=8)
     axes[0, 0].legend(frameon=False, fontsize=8)
-    ticks = [d for d in TICKS if np.sqrt(d) <= x.max() + 0.01]
+    ticks: list[float] = []
+    for d in TICKS:  # those that fit beside each other
+        if np.sqrt(d) <= x.max() + 0.01 and (not ticks or np.sqrt(d) - np.sqrt(ticks[-1]) > APART * x.max()):
+            ticks.append(d)
     for axis in axes[0]:
         axis.axvspan(np.sqrt(1.0 - found.estimate.high), np.sqrt(1.0 - found.estimate.low), color="#DDDDDD", zorder=0)
         axis.set_xticks(np.sqrt(ticks), [f"{1 - d:g}" for d in ticks], fontsize=7)
