@@ -11,10 +11,12 @@
     G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
 
 The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A
-right name leaves a few per cent; a name that stands in for something else leaves as much as is tried.
+right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare as many
+records as G7 lets get worse (spared.py).
 
-An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is an
-effect named that is much smaller than usual beside one that is not: what another's formula leaves may look like it.
+An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is one
+named that brings little and is much smaller than usual, or is what one that brings more is taken for, or that is far smaller
+than anywhere known beside one that brings more: what the formula of another leaves may look like it.
 """
 
 import numpy as np
@@ -27,15 +29,15 @@ from fishmj.gap.evidence import Evidence
 from fishmj.gap.gates import Gates
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Found
+from fishmj.gap.spared import error, strained
 from fishmj.gap.verdict import Named, Value, Verdict
 
 SPREAD = 0.3  # of the value, between folds
 SMALL = 0.1  # of the least typical size
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
 SLIGHT = 0.15  # of the gain over all records, by which one may get worse
-STRAIN = 30.0, 3e-4  # drop of the loss, and its share of the gain, from which a larger form error is not chance
 MINOR = 0.05  # share of the gain below which an effect brings little
-LESSER = 0.5  # the same for one that must not be much smaller than usual, where all are
+LESSER = 0.5  # the same for one that is far smaller than it is anywhere known
 USUAL = 0.5  # of the least typical size
 
 
@@ -58,10 +60,12 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
     weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     faint = {n.name for n in effects if small(e, n, USUAL)}
-    firm = brings.keys() - faint
-    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or n in faint and (b < LESSER or firm)}
-    wrong = found.near.error(found.best.row, gates.form)
-    checks |= unseen(e, found) | {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized}
+    alike = {n for n, b in brings.items() for other in brings if brings[other] > b and confused(e, n, other)}
+    tiny = {n.name for n in effects if small(e, n, SMALL)}
+    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak | faint | alike or b < LESSER and n in tiny}
+    checks |= unseen(e, found)
+    wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
+    checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
     kept = tuple(n for n in effects if n.name not in spoilt)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
@@ -77,6 +81,12 @@ def unsure(name: str, stand: Standing, gates: Gates) -> bool:
     return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
 
 
+def confused(e: Evidence, one: str, other: str) -> bool:
+    """Whether the catalogue lists one of two effects among those that the other is taken for."""
+    known = {x.name: {c.other for c in x.confusions} for x in e.plant.active.effects}
+    return other in known[one] or one in known[other]
+
+
 def _rival(name: str, rival: Rival) -> dict:
     return {"name": rival.name, "p_best": rival.p_best, "behind": rival.behind, "instead_of": name}
 
@@ -88,7 +98,7 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     if checks["rest"] > gates.rest:
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
         return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
-    if strained(checks):
+    if strained(checks["strain"], checks["gain"]):
         return "UNEXPLAINED", f"the best would have to be wrong by {checks['form']:.0%} of what it changes; it is tentative"
     if checks["size"] > gates.size:
         return "UNEXPLAINED", f"the best would have to be resized by {checks['size']:.0%} from record to record; it is tentative"
@@ -99,11 +109,6 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     if warnings:
         return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
     return "NAMED", "explains records that it has not seen, and nothing else does"
-
-
-def strained(checks: dict) -> bool:
-    """Whether the records ask for a larger form error than a formula may have."""
-    return checks.get("strain", 0.0) > max(STRAIN[0], STRAIN[1] * checks.get("gain", 0.0))
 
 
 def unseen(e: Evidence, found: Found) -> dict[str, float]:
@@ -165,20 +170,26 @@ def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
         place = e.plant.index(n.name, p.name)
         if any(b != p.null and abs(c.row[place] - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
             out.append(f"{n.name}.{p.name} = {c.row[place]:.4g} {p.unit} lies on its bound")
-    first = effect.parameters[0]
+    first, *others = sizes(effect)
     main = n.parameters[first.name]
     if small(e, n, SMALL):
         out.append(f"{n.name} is far smaller than it is anywhere known: it may stand in for something else")
     if len(effect.parameters) == 1 and (main.high - main.low) / 2 / HALF > SPREAD * abs(main.value - first.null):
         out.append(f"{n.name}: the records disagree about its size by more than {SPREAD:.0%}")
+    if others and all(n.parameters[p.name].low <= p.null <= n.parameters[p.name].high for p in (first, *others)):
+        out.append(f"{n.name}: the records do not tell any of its values from none")
     return tuple(out)
 
 
 def small(e: Evidence, n: Named, share: float) -> bool:
     """Whether every main value is less than `share` of the least that is typical."""
-    effect = next(x for x in e.plant.active.effects if x.name == n.name)
-    main = [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
+    main = sizes(next(x for x in e.plant.active.effects if x.name == n.name))
     return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
+
+
+def sizes(effect) -> list:
+    """The parameters that say how large an effect is: as the first, not those that shape it."""
+    return [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
 
 
 def described(step) -> dict:

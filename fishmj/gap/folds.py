@@ -3,6 +3,7 @@
 S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      what those leave open of the parameters counts
 b     = (r(theta) - r(theta_f) - J (theta - theta_f)) / max(1, cost(theta) - cost(theta_f) of the others)^1/2    not linear
 loss  = sum_f |z_f|^2 + log det S_f                                   twice the negative log likelihood of all records, unseen
+given = sum_f loss(all) - loss(others), both at theta_f               each fold given what the others tell of the constants
 """
 
 from typing import NamedTuple
@@ -37,6 +38,14 @@ class Fitted(NamedTuple):
     def loss(self, folds: np.ndarray) -> float:
         """Over all records, each unseen."""
         return sum(c.cost + search.whiten.logdet for search, c in self.unseen(folds))
+
+    def given(self, folds: np.ndarray) -> float:
+        """The same, given what the other records tell of the fish's constants, which all of them share."""
+        near, out = self.near, 0.0
+        for fold, fit, more in zip(folds, self.fits, self.left_open(folds), strict=True):
+            others = near.part(~fold, more[:, ~fold[near.layout.record]])
+            out += near.part(near.everything, more).loss(fit.row) - others.loss(fit.row)
+        return out
 
 
 def left_open(e: Evidence, fold: np.ndarray, fit: Candidate, best: Candidate, slopes: np.ndarray) -> np.ndarray:

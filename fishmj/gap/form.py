@@ -40,6 +40,10 @@ class Changed(NamedTuple):
     change: np.ndarray
     scatter: np.ndarray
 
+    def on(self, columns: np.ndarray) -> "Changed":
+        """The same on a part of the samples, columns (m,) bool."""
+        return Changed(*(values[..., columns] for values in self))
+
     def d(self, form: float) -> np.ndarray:
         """D^1/2 (m,)."""
         return np.sqrt(self.known + (form * self.scatter) ** 2)

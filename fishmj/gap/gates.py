@@ -10,16 +10,19 @@ class Gates:
     """Thresholds.
 
     adequacy: |z|^2 / m that null runs do not reach. gain: drop of twice the negative log likelihood, every record predicted
-    without its fold, below which nothing is added. A further effect must also take away `again` times the length of z and
-    `beside` of the gain so far, or the share `clear` of both where no other comes near it. closure, rest, form, size,
-    transfer: gates of decide.py. margin, ahead: share of the gain, and |z|^2, that a candidate must be behind the best by to be
-    no rival; p_best: as in evidence.py. shortlist, finalists: candidates fitted, and judged by the evidence around themselves.
+    without its fold, below which nothing is added; joint: what does instead for a first effect, on all records at once and each
+    fold given the others. A further effect must also take away `again` times the length of z, or the share `clear` of that where
+    no other comes near it; and in all `beside` of the gain so far, or `enough`. closure, rest, form, size, transfer: gates of
+    decide.py. margin, ahead: share of the gain, and |z|^2, that a candidate must be behind the best by to be no rival; p_best:
+    as in evidence.py. shortlist, finalists: candidates fitted, and judged by the evidence around themselves.
     """
 
     adequacy: float
     gain: float
+    joint: float
     again: float
     beside: float
+    enough: float
     clear: float
     closure: float
     margin: float

@@ -3,7 +3,8 @@
 screen      the whole catalogue on the few records in which most is unexpected
 refine      the best of them on all records
 judge       the finalists by the likelihood in the evidence around themselves
-accept      by what the first of them gains on records predicted without their fold
+accept      by what the first of them gains on records predicted without their fold; the first effect also by what it gains on
+            all records at once and on each fold given the others, which tell of the constants that all share, the less of both
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +31,8 @@ class Step:
     """One round.
 
     ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
-    candidate was worth judging. gain: what it takes off the loss of all records, each predicted without its fold.
+    candidate was worth judging. gain: what it takes off the loss of all records, each predicted without its fold; or,
+    where only that was enough, on all at once or given the others.
     """
 
     ranked: tuple[Candidate, ...]
@@ -63,7 +65,11 @@ def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: fl
     newest = [best.names[-1] for _, best in judged]
     ahead = min((loss[j] for j in order if j != first and not together(newest[first], newest[j])), default=np.inf) - loss[first]
     ranked = [replace(judged[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
-    return Step(tuple(ranked), fitted, gain, gain > asked(gates, known, gained, ahead > LEAD * gain))
+    accepted = gain > asked(gates, known, gained, ahead > LEAD * gain)
+    if not accepted and not known.best.names:
+        joint = min(whole.loss(known.best.row) - loss[first], known.given(folds) - fitted.given(folds))
+        accepted, gain = (True, joint) if joint > gates.joint else (False, gain)
+    return Step(tuple(ranked), fitted, gain, accepted)
 
 
 def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:
@@ -71,7 +77,7 @@ def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:
     if not known.best.names:
         return gates.gain
     share = gates.clear if clear else 1.0
-    return max(gates.gain + share * gates.again * known.near.layout.size, share * gates.beside * gained)
+    return max(gates.gain + share * gates.again * known.near.layout.size, min(gates.beside * gained, gates.enough))
 
 
 def shortlist(e: Evidence, base: Candidate, effects, gates: Gates) -> list[Candidate]:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
-from fishmj.gap.decide import strained
 from fishmj.gap.localise.words import percent
 from fishmj.gap.report.material import Material
+from fishmj.gap.spared import strained
 from fishmj.gap.verdict import Verdict
 
 SCALES = {
@@ -142,7 +142,7 @@ def gates(m: Material) -> list[Gate]:
         ("rest", "Is what is left within the error of any formula?")
         + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
         ("form", "Is it right to within what a formula may be wrong?")
-        + (percent(had("form")), f"≤ {percent(g.form)}", not strained(checks)),
+        + (percent(had("form")), f"≤ {percent(g.form)}", not strained(checks.get("strain", 0.0), checks.get("gain", 0.0))),
         ("size", "And in its size, from record to record?")
         + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size),
         ("transfer", "Do the records get better one by one, unseen?")
