@@ -11,56 +11,64 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F401
 
 from fishmj.gap import spared  # noqa: E402
-from fishmj.gap.decide import sanity  # noqa: E402
+from fishmj.gap.decide import confused, sanity  # noqa: E402
 from fishmj.gap.folds import Fitted, split  # noqa: E402
 from fishmj.gap.gates import frozen  # noqa: E402
 from fishmj.gap.nearby import nearest  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.rounds import asked, round_of  # noqa: E402
+from fishmj.gap.rounds import Step, asked, round_of  # noqa: E402
+from fishmj.gap.search import Found  # noqa: E402
 from fishmj.gap.verdict import Named, Value  # noqa: E402
 from fishmj.gap.workflow import evidence_of  # noqa: E402
 
 SIX = ("gait_fast", "drift_north", "turn_left", "tow_oblique", "gait", "burst_and_coast")
 
 
-def late(plant, runs, spoilt):  # noqa: F811
-    """Evidence around a latency that all records have; in those of `spoilt` the servos are weak, too."""
+def late(plant, runs, spoilt, by):  # noqa: F811
+    """Evidence around a latency that all records have; those of `spoilt` have another effect, too."""
     given = hidden({"command_latency": {"delay": 0.04}}, 71, runs)
-    weak = hidden({"command_latency": {"delay": 0.04}, "servo_gain": {"gain": -0.5}}, 71, runs)
-    mixed = [w if name in spoilt else g for g, w, name in zip(given, weak, runs, strict=True)]
+    other = hidden({"command_latency": {"delay": 0.04}} | by, 71, runs)
+    mixed = [w if name in spoilt else g for g, w, name in zip(given, other, runs, strict=True)]
     e = evidence_of(plant, [record_of(t, plant.dt) for t in mixed], NULL)
     row = row_of(plant, "command_latency", delay=0.04)
     return e.trusted(row), row
 
 
-def test_one_record_in_six_may_be_where_something_else_happens(plant):  # noqa: F811
+CURRENT, WEAK = {"steady_current": {"x": 0.03, "y": 0.02}}, {"servo_gain": {"gain": -0.5}}
+
+
+def test_one_path_in_six_may_bend_away(plant):  # noqa: F811
     gates = frozen()
-    near, row = late(plant, SIX, ("gait_fast",))
+    near, row = late(plant, SIX, ("turn_left",), CURRENT)
     whole = near.error(row, gates.form)
     assert not spared.believable(whole, 1e4, gates)
     less, names = spared.error(near, row, 1e4, gates)
-    assert names == (near.records[0].name,)
+    assert names == (near.records[2].name,)
     assert spared.believable(less, 1e4, gates)
     assert spared.error(near, row, gates.gain / 2, gates) == (whole, ())  # what gains too little has nothing to spare
 
 
-def test_not_three_records_in_six_nor_one_in_two(plant):  # noqa: F811
+@pytest.mark.parametrize(
+    ("runs", "spoilt", "by"),
+    [(SIX, ("gait", "burst_and_coast", "turn_left"), CURRENT), (SIX[1:3], ("turn_left",), CURRENT), (SIX, ("gait_fast",), WEAK)],
+)
+def test_neither_three_paths_in_six_nor_one_in_two_nor_a_joint(plant, runs, spoilt, by):  # noqa: F811
     gates = frozen()
-    near, row = late(plant, SIX, ("gait_fast", "gait", "turn_left"))
-    assert spared.error(near, row, 1e4, gates) == (near.error(row, gates.form), ())
-    near, row = late(plant, SIX[:2], ("gait_fast",))
-    assert not spared.believable(near.error(row, gates.form), 1e4, gates)
-    assert spared.error(near, row, 1e4, gates)[1] == ()
+    near, row = late(plant, runs, spoilt, by)
+    whole = near.error(row, gates.form)
+    assert not spared.believable(whole, 1e4, gates)
+    assert spared.error(near, row, 1e4, gates) == (whole, ())
 
 
-def test_the_error_on_some_records_is_that_of_evidence_on_them_alone(plant):  # noqa: F811
-    near, row = late(plant, SIX[:4], ())
+def test_the_error_on_some_samples_is_that_of_evidence_that_has_no_others(plant):  # noqa: F811
+    near, row = late(plant, SIX[:4], (), CURRENT)
     every = near.error(row, 0.15)
-    assert near.error(row, 0.15, near.everything) == every
-    kept = np.array([True, False, True, True])
-    moved = near._residuals(row[None])[0]
-    columns = kept[near.layout.record]
-    assert near.changed.on(columns).unlikely(moved[columns]).shape == near.changed.unlikely(moved).shape
+    assert near.error(row, 0.15, np.ones(near.layout.size, bool)) == pytest.approx(every)
+    kept = spared.but(near, [1])
+    assert set(near.layout.channel[~kept]) == {"position", "heading"} and set(near.layout.record[~kept]) == {1}
+    less = near.changed.on(kept)
+    assert less.factors.shape == (len(near.factors), kept.sum())
+    np.testing.assert_array_equal(less.d(0.1), near.changed.d(0.1)[kept])
     assert near.error(row, 0.15, kept) != every
 
 
@@ -97,6 +105,21 @@ def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_o
     step = round_of(known, folds, plant.active.effects, deaf, 0.0)
     assert step.accepted and step.ranked[0].names == ("command_latency",) and step.gain > gates.joint
     assert not round_of(known, folds, plant.active.effects, replace(deaf, joint=1e9), 0.0).accepted
+
+
+def test_the_share_of_an_effect_is_that_of_the_round_that_added_it():
+    step = lambda gain, accepted, *names: Step((SimpleNamespace(names=names),), None, gain, accepted)  # noqa: E731
+    steps = (step(900.0, True, "tether"), step(100.0, True, "tether", "swirl"), step(50.0, False, "tether", "swirl", "body_lift"))
+    found = Found(None, None, None, steps, 0.0)
+    assert found.share("tether", 0.0) == pytest.approx(0.9)
+    assert found.share("swirl", 0.0) == pytest.approx(0.1)
+    assert found.share("body_lift", 0.3) == 0.3  # in no round that was accepted
+
+
+def test_what_the_catalogue_takes_for_each_other_is_confused_both_ways(plant):  # noqa: F811
+    e = SimpleNamespace(plant=plant)
+    assert confused(e, "joint_sensor_delay", "command_latency") and confused(e, "command_latency", "joint_sensor_delay")
+    assert not confused(e, "steady_current", "speed_limit")
 
 
 def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # noqa: F811

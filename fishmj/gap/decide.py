@@ -11,8 +11,8 @@
     G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
 
 The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A
-right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare as many
-records as G7 lets get worse (spared.py).
+right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare the
+paths of as many records as G7 lets get worse (spared.py).
 
 An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is one
 named that brings little and is much smaller than usual, or is what one that brings more is taken for, or that is far smaller
@@ -37,6 +37,7 @@ SMALL = 0.1  # of the least typical size
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
 SLIGHT = 0.15  # of the gain over all records, by which one may get worse
 MINOR = 0.05  # share of the gain below which an effect brings little
+LITTLE = 0.1  # the same for one that is smaller than usual, or what a larger one is taken for
 LESSER = 0.5  # the same for one that is far smaller than it is anywhere known
 USUAL = 0.5  # of the least typical size
 
@@ -60,9 +61,11 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
     weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     faint = {n.name for n in effects if small(e, n, USUAL)}
-    alike = {n for n, b in brings.items() for other in brings if brings[other] > b and confused(e, n, other)}
+    least = {n: min(b, found.share(n, b)) for n, b in brings.items()}
+    alike = {n for n in least for other in least if least[other] > least[n] and confused(e, n, other)}
     tiny = {n.name for n in effects if small(e, n, SMALL)}
-    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak | faint | alike or b < LESSER and n in tiny}
+    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in tiny}
+    spoilt |= {n for n in faint | alike if least[n] < LITTLE}
     checks |= unseen(e, found)
     wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}

@@ -86,11 +86,9 @@ class Evidence:
         return there.within(there.changed.likely(self._residuals(row[None])[0]))
 
     def error(self, row: np.ndarray, most: float, keep: np.ndarray | None = None) -> Error:
-        """How wrong the formulas of the row are, around which this is. most: form error that they should have. keep: (L,) bool,
-        the records that count; default, all."""
-        keep = self.everything if keep is None else keep
-        columns, layout = keep[self.layout.record], Layout([r for r, k in zip(self.records, keep, strict=True) if k])
-        return self.changed.on(columns).error(self._residuals(row[None])[0][columns], layout, most)
+        """How wrong the formulas of the row are, around which this is. most: form error that they should have. keep: (m,) bool,
+        samples that count; default, all."""
+        return self.changed.error(self._residuals(row[None])[0], self.layout, most, keep)
 
     def part(self, keep: np.ndarray, more: np.ndarray | None = None) -> Search:
         """A search on the records where keep (L,) is true. more: (K, n) further factors of S there."""

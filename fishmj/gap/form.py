@@ -65,9 +65,15 @@ class Changed(NamedTuple):
         """The form error that makes a residual (m,) most likely, sizes taken as right."""
         return FORMS[int(np.argmin(self.unlikely(residual)))]
 
-    def error(self, residual: np.ndarray, layout, most: float) -> Error:
-        """Both errors that a residual (m,) asks for. most: form error that there should be."""
-        given = parts(layout, self.change)
+    def error(self, residual: np.ndarray, layout, most: float, keep: np.ndarray | None = None) -> Error:
+        """Both errors that a residual (m,) asks for. most: form error that there should be. keep: (m,) bool, samples that count;
+        default, all."""
+        if keep is not None:
+            return self.on(keep)._error(residual[keep], parts(layout, self.change * keep)[:, keep], most)
+        return self._error(residual, parts(layout, self.change), most)
+
+    def _error(self, residual: np.ndarray, given: np.ndarray, most: float) -> Error:
+        """The same, of parts (B, m)."""
         losses = self.unlikely(residual, FORMS, SIZES, given)
         i, j = np.unravel_index(np.argmin(losses), losses.shape)
         within = self.unlikely(residual, (most,), SIZES, given).min() if FORMS[j] > most else losses[i, j]

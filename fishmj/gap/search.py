@@ -39,6 +39,12 @@ class Found:
         """On all records."""
         return self.fitted.best
 
+    def share(self, name: str, otherwise: float) -> float:
+        """Of what all rounds gained, the part of the round that added an effect; `otherwise` where it came by a swap."""
+        gains = [(s.ranked[0].names[-1], s.gain) for s in self.steps if s.accepted]
+        mine = [gain for newest, gain in gains if newest == name]
+        return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
+
 
 def find(e: Evidence, gates: Gates, folds: np.ndarray, effects=None, progress=None) -> Found:
     """Add effects while records that no parameter saw get better."""

@@ -1,8 +1,8 @@
-"""How wrong the formulas of what was found are, but for the few records in which they are most wrong.
+"""How wrong the formulas of what was found are, but for the few paths on which they are most wrong.
 
-In one record a path bends away or a joint slips at another moment, and a right formula looks wrong there. Transfer lets some
-records get worse; as many are spared here, if what was found gains on records unseen. What stands in for something else is
-wrong wherever that is seen.
+Small errors add up along a path: where it bends away in one record, a right formula looks wrong there. Transfer lets some
+records get worse; the paths of as many are spared here, if what was found gains on records unseen. Joints are held by their
+servos, where nothing adds up, and never spared: what stands in for something else in a servo is wrong in them.
 """
 
 import numpy as np
@@ -12,6 +12,7 @@ from fishmj.gap.form import Error
 from fishmj.gap.gates import Gates
 
 STRAIN = 30.0, 3e-4  # drop of the loss, and its share of the gain, from which a larger form error is not chance
+PATH = ("position", "heading")  # channels
 
 
 def strained(strain: float, gain: float) -> bool:
@@ -25,7 +26,8 @@ def believable(error: Error, gain: float, gates: Gates) -> bool:
 
 
 def error(near: Evidence, row: np.ndarray, gain: float, gates: Gates) -> tuple[Error, tuple[str, ...]]:
-    """(error of the formulas of a row around which `near` is, names of the records that are spared). gain: on records unseen."""
+    """(error of the formulas of a row around which `near` is, names of the records whose path is spared). gain: on records
+    unseen."""
     whole = near.error(row, gates.form)
     few = int((1.0 - gates.transfer) * len(near.records) + 1e-9)
     if not few or gain < gates.gain or believable(whole, gain, gates):
@@ -36,8 +38,6 @@ def error(near: Evidence, row: np.ndarray, gain: float, gates: Gates) -> tuple[E
     return (less, tuple(near.records[i].name for i in worst)) if believable(less, gain, gates) else (whole, ())
 
 
-def but(near: Evidence, left_out) -> np.ndarray:
-    """(L,) bool: all records but those."""
-    keep = near.everything
-    keep[list(left_out)] = False
-    return keep
+def but(near: Evidence, spared) -> np.ndarray:
+    """(m,) bool: all samples but the paths of those records."""
+    return ~(np.isin(near.layout.record, list(spared)) & np.isin(near.layout.channel, PATH))
