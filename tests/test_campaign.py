@@ -211,5 +211,5 @@ def test_the_shipped_data_are_what_their_command_makes():
     stopped = [data.about[name] for name in data.lost()]  # held fish whose tail, to the letter, is too fast for the grid
     assert len(stopped) < 0.05 * len(made) and all(meta["prescribed"]["joints"] for meta in stopped)
     assert sum("file" not in meta for meta in stopped) <= 10
-    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 30e6
+    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 40e6
     assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 2900

@@ -39,7 +39,7 @@ def test_an_episode_is_in_one_split_at_every_slip_ratio_and_in_every_repeat():
 
 
 def test_the_campaign_is_as_large_as_designed():
-    assert 4800 < FULL.water < 5600, "seconds of water"
+    assert 6500 < FULL.water < 7500, "seconds of water"
     seconds = {row["block"]: row for row in FULL.rows()}
     assert seconds["all"]["test_s"] >= 300 and seconds["all"]["val_s"] >= 200
     train = [s for s in FULL.segments if s.split != "test"]

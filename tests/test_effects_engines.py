@@ -231,13 +231,13 @@ def fitted_water(tmp_path_factory):
 def test_a_fitted_water_and_effects_act_together_in_every_simulator(fitted_water):
     robot = engines.in_water(robot_with("coulomb_friction", "command_gain_error"), fitted_water)
     alone = engines.in_water(PLAIN, fitted_water)
-    assert alone.water["ke"] == 0.4 and engines.at_rest(alone, np.zeros((1, 3))).memory.shape == (1, 14)
+    assert alone.water["ke"] == 0.4 and engines.at_rest(alone, np.zeros((1, 3))).memory.shape == (1, 18)
     sim = Sim(robot_with("coulomb_friction", "command_gain_error"), water=str(fitted_water), flow=FLOW, pose=POSE)
     truth = sim.run(beat(), TICKS / 50).table("truth")
     state, trace = advance(batch.Engine(robot, threads=1, evaluator="jax"), robot, 1)
     np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
     np.testing.assert_allclose(state.memory[0], sim.solo.memory, rtol=0, atol=1e-8)
-    assert state.memory.shape == (1, 22) and np.abs(state.memory[0, 8:20]).max() > 1e-3  # time, current, friction, wake, ...
+    assert state.memory.shape == (1, 26) and np.abs(state.memory[0, 8:24]).max() > 1e-3  # time, current, friction, wake, ...
     strips = Sim(robot, flow=FLOW, pose=POSE)  # the robot carries its water
     np.testing.assert_allclose(strips.run(beat(), TICKS / 50).table("truth")["x"], truth["x"], atol=1e-12)
     with pytest.raises(ConfigError, match="fitted for robot"):

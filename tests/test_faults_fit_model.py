@@ -25,8 +25,9 @@ def learnt():
     net = residual.blank(N)
     net = net._replace(outer=rng.normal(0, 0.3, net.outer.shape), outer_bias=rng.normal(0, 0.3, net.outer_bias.shape))
     k = swimming(rng, 4000)
-    m = residual.motion(np, residual.panels(CHAIN), k)
-    return learned.Residual(net, learned.fitted(np.array(m.xi).transpose(2, 0, 1), np.array(m.speed).T, 2.0))
+    p = residual.panels(CHAIN)
+    xi, speed = learned.near(np, p, k, residual.motion(np, p, k))
+    return learned.Residual(net, learned.fitted(np.array(xi).transpose(2, 0, 1), np.array(speed).T, 2.0))
 
 
 def swimming(rng, count, speed=0.2, side=0.05):
@@ -37,7 +38,7 @@ def swimming(rng, count, speed=0.2, side=0.05):
 
 def pushed(model, k, count):
     """(sum of |force|, steps counted as outside) for motions k."""
-    hooks = learned.Learned(np, CHAIN, model, [np.zeros(count)] * len(learned.at_rest(N)))
+    hooks = learned.Learned(np, CHAIN, model, [np.zeros(count)] * len(learned.at_rest()))
     forces = hooks.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
     return sum(np.abs(f[c]) for f in forces for c in range(3)), hooks.guarded
 
@@ -56,7 +57,7 @@ def test_fault_18_outside_its_range_the_base_swims_alone_and_it_is_counted():
 def test_fault_18_in_the_physics_it_is_the_base_to_the_bit():
     q, v = [np.zeros(2) for _ in range(6)], [np.full(2, 3.0), np.full(2, 0.3), *(np.zeros(2) for _ in range(4))]
     still, given = [(0.0, 0.0)] * N, (np.full(2, 0.5), [0.1] * (N - 1))
-    hooks = learned.Learned(np, CHAIN, learnt(), [np.zeros(2)] * len(learned.at_rest(N)))
+    hooks = learned.Learned(np, CHAIN, learnt(), [np.zeros(2)] * len(learned.at_rest()))
     with_it = chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0), hooks)
     base = chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0))
     np.testing.assert_array_equal(np.array(with_it.v), np.array(base.v))
@@ -140,3 +141,15 @@ def test_fault_19_a_parameter_on_its_bound_is_said_and_not_quoted_as_calibrated(
     )  # fmt: skip
     back = HydroModel.load(replace(model, notes="made").save(tmp_path))
     assert set(back.calibrated) == {"cn1"} and "on bound" in (tmp_path / "swift.toml").read_text(encoding="utf-8")
+
+
+def test_a_range_grows_with_what_is_seen_beyond_it_and_keeps_what_it_had():
+    rng, p = np.random.default_rng(6), residual.panels(CHAIN)
+    told = lambda k: learned.near(np, p, k, residual.motion(np, p, k))  # noqa: E731
+    before = learnt().reach
+    for k, wider in ((swimming(rng, 800, speed=0.15), False), (swimming(rng, 800, speed=0.5), True)):
+        xi, speed = told(k)
+        after = learned.widened(before, np.array(xi).transpose(2, 0, 1), np.array(speed).T)
+        assert (after.limit >= before.limit).all() and (after.speed >= before.speed).all()
+        assert (after.speed > 1.5 * before.speed).all() == wider
+        np.testing.assert_array_equal(after.centre, before.centre)

@@ -4,6 +4,7 @@ Records are synthetic: the hidden water of `hidden_water.py`.
 """
 
 import json
+from dataclasses import replace
 
 import hidden_water as hidden
 import mujoco
@@ -24,7 +25,7 @@ from fishmj.hydro_fit.passive import world_matrix
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
 E = force.ellipsoids_of(ROBOT)
 SMALL = {"size": 0.34, "seconds": 5.0}  # as in test_hydro_fit.py: what makes it is compiled once
-QUICK = Settings(steps=20, swim=40.0)
+QUICK = Settings(steps=20, swim=40.0, swims=(0, 0))
 
 
 @pytest.fixture(scope="module")
@@ -213,8 +214,8 @@ def test_the_verb_makes_the_table_and_goes_on_where_it_was(records, tmp_path, ca
     about = {"settings": Settings(), "dataset": {"sha256": "another"}, "folder": tmp_path / "out"}
     ablation.table(ROBOT, *records.values(), names=["prior"], **about)
     assert done[1:] == ["strips: prior"]  # other data: done again
-    with pytest.raises(UnknownName, match="row of the ablation 'wakes'. Did you mean 'wake'"):
-        ablation.table(ROBOT, *records.values(), names=["wakes"], **about)
+    with pytest.raises(UnknownName, match="row of the ablation 'wholes'. Did you mean 'whole'"):
+        ablation.table(ROBOT, *records.values(), names=["wholes"], **about)
     with pytest.raises(ConfigError, match="no seed"):
         ablation.table(ROBOT, *records.values(), seeds=[], **about)
 
@@ -228,8 +229,8 @@ def test_learnt_rows_are_drawn_once_a_seed_and_shown_with_their_range(monkeypatc
 
     monkeypatch.setattr(ablation, "_one", one)
     about = {"settings": Settings(), "dataset": {}, "folder": tmp_path}
-    rows = ablation.table(ROBOT, [], [], [], names=["base", "wake"], seeds=[0, 1, 2], **about)
-    assert [(row["row"], row["seed"]) for row in rows] == [("base", 0), ("wake", 0), ("wake", 1), ("wake", 2)]
+    rows = ablation.table(ROBOT, [], [], [], names=["base", "whole"], seeds=[0, 1, 2], **about)
+    assert [(row["row"], row["seed"]) for row in rows] == [("base", 0), ("whole", 0), ("whole", 1), ("whole", 2)]
     base, wake, asked, count = ablation_table.cells(rows)
     assert base["speed"] == "2.0 %" and wake["speed"] == "3.0 % (2.0 to 4.0)" and wake["water"].endswith("(3 seeds)")
     assert asked["speed"] == "3.0 %" and base["thrust / tow drag"] == "-" and count["speed"] == "4"
@@ -239,7 +240,7 @@ def test_learnt_rows_are_drawn_once_a_seed_and_shown_with_their_range(monkeypatc
 def test_fits_that_differ_later_share_their_first_stages(records, tmp_path):
     kept = {"settings": QUICK, "dataset": {}, "folder": tmp_path, "code": "1"}
     make = lambda **changes: ablation.Variant(ROBOT, records["train"], records["val"], **kept | changes)  # noqa: E731
-    whole, plain, other = make(), make(retune=False), make(settings=Settings(steps=30, swim=40.0))
+    whole, plain, other = make(), make(retune=False), make(settings=replace(QUICK, steps=30))
     names = lambda one: [one._path(stage).name for stage in ("linear", "rollout", "residual", "retune")]  # noqa: E731
     assert names(whole)[:3] == names(plain)[:3] and names(whole)[3] != names(plain)[3]
     assert names(whole)[:2] == names(other)[:2] and names(whole)[2] != names(other)[2]

@@ -15,14 +15,17 @@ from fishmj.mjcf import load_robot
 ROBOT = load_robot("fish")
 CHAIN, NOMINAL = chain.chain_of(ROBOT), chain.nominal(ROBOT)
 N = CHAIN.n
-SIZE = len(learned.at_rest(N))
+SIZE = len(learned.at_rest())
+
+
+DRAWN = ("wake_bias", "inner_bias", "outer", "outer_bias", "even", "odd")
 
 
 def wild(seed=0, members=5, hidden=16):
     """Random weights, large enough that every bound is felt."""
     rng = np.random.default_rng(seed)
     net = residual.blank(N, members, hidden, seed=seed)
-    net = net._replace(**{k: rng.normal(0, 1, getattr(net, k).shape) for k in ("wake_bias", "inner_bias", "outer", "outer_bias")})
+    net = net._replace(**{k: rng.normal(0, 1, getattr(net, k).shape) for k in DRAWN})
     return learned.Residual(net, learned.unlimited(N)._replace(spread=np.array(1.0)))
 
 
@@ -31,7 +34,7 @@ def states(seed, count):
     rng = np.random.default_rng(seed)
     q = [*rng.uniform(-2, 2, (2, count)), rng.uniform(-np.pi, np.pi, count), *rng.uniform(-1, 1, (N - 1, count))]
     v = [*rng.normal(0, 0.4, (2, count)), rng.normal(0, 2, count), *rng.normal(0, 4, (N - 1, count))]
-    memory = [*rng.uniform(-1, 1, (3 * N, count)), rng.uniform(0, 0.2, count), np.zeros(count)]
+    memory = [*rng.uniform(-1, 1, (residual.WAKES, count)), rng.uniform(0, 0.2, count), np.zeros(count)]
     return q, v, memory, [tuple(rng.normal(0, 0.3, (2, count))) for _ in range(N)]
 
 
@@ -45,7 +48,7 @@ def step(xp, learnt, q, v, memory, flow, **options):
 def test_a_mirrored_fish_mirrors_its_force():
     q, v, memory, flow = states(1, 200)
     flip = lambda a: [-x if i in (1, 2) or i > 2 else x for i, x in enumerate(a)]  # noqa: E731
-    sign = np.array([*residual.WAKE * N, 1.0, 1.0])
+    sign = np.array([*residual.WAKE, 1.0, 1.0])
     there = step(np, wild(), q, v, memory, flow)
     mirrored = step(np, wild(), flip(q), flip(v), [s * m for s, m in zip(sign, memory, strict=True)], [(a, -b) for a, b in flow])
     signs = np.array([*[1, -1, -1, *[-1] * (N - 1)] * 2, *sign])[:, None]
@@ -80,7 +83,7 @@ def test_forces_grow_with_speed_squared_and_are_bounded():
         forces = made.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
         m = residual.motion(np, p, k)
         for i in range(N):
-            limit = residual.BOUND * 500.0 * p.area[i] * m.square[i]
+            limit = residual.BOUND * 500.0 * p.area[i] * m.push[i]
             assert (np.abs(forces[i][0]) <= limit * (1 + 1e-12)).all() and (np.abs(forces[i][1]) <= limit * (1 + 1e-12)).all()
 
 
@@ -103,26 +106,34 @@ def test_the_residual_only_gives_back_what_drag_took():
     assert (given != 0).all()
 
 
-def test_numpy_jax_unrolled_and_single_fish_agree():
+def test_numpy_jax_and_single_fish_agree():
     q, v, memory, flow = states(7, 6)
     expected = step(np, wild(), q, v, memory, flow)
     with jax.enable_x64(True):
         traced = jax.jit(lambda *a: step(jnp, wild(), *a))(q, v, memory, flow)
     np.testing.assert_allclose(np.asarray(traced), expected, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(step(np, wild(), q, v, memory, flow, unrolled=True), expected, rtol=0, atol=1e-12)
     alone = step(np, wild(), *([a[2] for a in part] for part in (q, v, memory)), [(a[2], b[2]) for a, b in flow])
     np.testing.assert_allclose(alone, expected[:, 2], rtol=0, atol=1e-12)
 
 
-def test_the_wake_takes_one_step_as_well_as_two_halves():
+def test_a_wake_that_is_told_nothing_of_itself_takes_one_step_as_well_as_two_halves():
     rng = np.random.default_rng(8)
     k = chain.Links([], [], *(list(rng.normal(0, 1, (N, 20))) for _ in range(3)), [])
     m, net = residual.motion(np, residual.panels(CHAIN), k), wild(2).net
-    z = [list(rng.uniform(-1, 1, (3, 20))) for _ in range(N)]
+    net.wake[:, 3 * N + 1 :] = 0.0
+    z = list(rng.uniform(-1, 1, (residual.WAKES, 20)))
     once = residual.wake_step(np, net, m, z, 0.02)
-    half = residual.wake_step(np, net, m, z, 0.01)
-    twice = residual.wake_step(np, net, m, [z[0]] if N == 1 else [half[0], *half[1:]], 0.01)
-    np.testing.assert_allclose(twice[0], once[0], rtol=0, atol=1e-12)  # the head sees no link before it: exact
+    twice = residual.wake_step(np, net, m, residual.wake_step(np, net, m, z, 0.01), 0.01)
+    np.testing.assert_allclose(twice, once, rtol=0, atol=1e-12)
+    assert np.abs(np.array(once) - z).max() > 1e-3
+
+
+def test_products_mirror_as_the_force_that_they_make():
+    """Of every pair of features exactly one kind, so that the bilinear part needs no second branch."""
+    even, odd = residual.products(N)
+    assert len(even[0]) + len(odd[0]) == (3 * N + 1) * (3 * N + 2) // 2
+    sign = np.array([*[1] * (N + 1), *[-1] * (2 * N)])
+    assert (sign[even[0]] * sign[even[1]] == 1).all() and (sign[odd[0]] * sign[odd[1]] == -1).all()
 
 
 def test_it_acts_together_with_effects():

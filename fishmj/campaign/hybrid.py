@@ -48,7 +48,7 @@ class Surrogate:
         self.swimmer = chain.nominal(robot)
         self.q, self.v = np.array([*pose, *np.zeros(ch.n - 1)], float), np.zeros(ch.n + 2)
         self.attached: Any = 0.5
-        self.memory = learned.at_rest(ch.n)
+        self.memory = learned.at_rest()
         self.commands, self.ticks = [np.zeros(ch.n - 1)], 0
         self.trail: list | None = None  # states after every physics step, while someone wants them
 

@@ -29,7 +29,7 @@ DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
 EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
 EVERY_VAL = 8
 # What steers unless others are named; those that are made for the fish.
-POLICIES = ("paper", "fitted", "dob", "paper-sac", "pi", "adrc-c1", "pd")
+POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
 SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
@@ -51,7 +51,7 @@ TRAINING = (
     Part("random", 24, 10.0, 2),
     Part("manoeuvre", 12, 10.0, 2),
     Part("uneven", 12, 10.0, 1),
-    Part("policy", 28, 25.0, 1),
+    Part("policy", 70, 25.0, 1),
 )
 TEST = (
     Part("straight", 6, 12.0),
@@ -62,7 +62,7 @@ TEST = (
     Part("uneven", 2, 15.0),
     Part("chirp", 1, 15.0),
     Part("flapping", 6, 6.0),
-    Part("policy", 2, 20.0),
+    Part("policy", 7, 20.0),
 )
 REPEATED = ("straight", "turning", "random", "flapping")  # the first test episode of each: how well the oracle repeats itself
 LONGEST_PREVIEW = 4.0  # s

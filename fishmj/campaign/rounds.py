@@ -159,7 +159,7 @@ def _next(model: HydroModel, folder: Path, row: dict, refit: Callable[[HydroMode
 
 def sha256_of(model: HydroModel) -> str:
     """Of what decides how a fish swims in it."""
-    parts: list = [flat(model.base), *(() if model.learnt is None else (*model.learnt.net, *model.learnt.reach))]
+    parts: list = [flat(model.base), *(() if model.learnt is None else (*model.learnt.net, *(model.learnt.reach or ())))]
     return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()
 
 

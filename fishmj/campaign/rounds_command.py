@@ -1,4 +1,4 @@
-"""The verb `correct`: rounds of a policy in the surrogate and in the flow solver, the factors fitted again after each.
+"""The verb `correct`: rounds of a policy in the surrogate and in the flow solver, the surrogate fitted again after each.
 
 python -m fishmj.hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
 
@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
 
 
 def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path) -> HydroModel:
-    """Its factors fitted again to the free swims of all rounds and, thinned to `SWIMS` s, of the first data set."""
+    """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set."""
     from fishmj.hydro_fit.fit.again import Again
     from fishmj.hydro_fit.fit.newton import flaps
     from fishmj.hydro_fit.fit.rollout import is_free

@@ -60,11 +60,11 @@ class Added:
             from fishmj.hydro_fit.learned import at_rest
 
             ch = chain.chain_of(robot)
-            memory += at_rest(ch.n)
+            memory += at_rest()
         return cls(active, row, np.array(memory, float), learnt, ch)
 
-    def hooks(self, xp, parameters, memory, *, unrolled: bool = False, wet: float = 1.0) -> Any:
-        """Hooks for one `chain.step`, None where nothing is added. unrolled: scalar sums, for generated code."""
+    def hooks(self, xp, parameters, memory, *, wet: float = 1.0) -> Any:
+        """Hooks for one `chain.step`, None where nothing is added."""
         parameters, memory = list(parameters), list(memory)
         inner = None
         if self.active is not None:
@@ -73,7 +73,7 @@ class Added:
             return inner
         from fishmj.hydro_fit.learned import Learned
 
-        return Learned(xp, self.chain, self.learnt, memory, inner, unrolled=unrolled)
+        return Learned(xp, self.chain, self.learnt, memory, inner)
 
     def late(self, xp, rows, clock: str, t=0.0):
         """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 where no effect delays it."""

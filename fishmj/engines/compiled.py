@@ -47,7 +47,7 @@ class Engine:
         threads: at most so many; default, the CPUs this process may use.
         dtype: of `advance`: "float32", or "float64" for comparisons (about half as fast).
     Raises:
-        MissingExtra: numba is not installed.
+        MissingExtra: numba is not installed. ConfigError: the robot's water has a learnt residual.
     """
 
     jittable = True  # through a host callback, CPU only
@@ -61,6 +61,12 @@ class Engine:
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.steps, self.ticks = ticks_per(self.robot)
         self.buffer, self.added = rows_of(self.robot), Added.of(self.robot)
+        if self.added.learnt is not None:
+            name = self.robot.water["model"]
+            raise ConfigError(
+                f"compiled engine: water {name!r} has a learnt residual, which is not compiled; expected strips alone:"
+                f" take {name}-base, or the engine planar, batch or mjx"
+            )
         self.threads = threads or usable_cpus()
         self._pool: ThreadPoolExecutor | None = None
         self._owner = 0  # process of the pool

@@ -113,7 +113,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
     def step(a):
         water = terms.Coefficients(a["water"][:n], a["water"][n : 2 * n], *a["water"][2 * n :])
         sw = chain.Swimmer(a["mass"], a["kp"], a["kv"], a["kb"], a["zero"], water)
-        hooks = added.hooks(jnp, a["effects"], a["memory"], unrolled=True)
+        hooks = added.hooks(jnp, a["effects"], a["memory"])
         return chain.step(jnp, ch, sw, a["q"], a["v"], a["attached"], a["target"], a["flow"], a["ambient"], hooks)
 
     def physics(a):

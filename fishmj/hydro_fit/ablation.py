@@ -51,10 +51,11 @@ ROWS: dict[str, Row] = {
     "ellipsoid-inertia": Row("MuJoCo's ellipsoids, inertia added: fitted", "ellipsoid", inertia=True),
     "forces": Row("strips: forces", changes=BASE | {"rollout": False}),
     "base": Row("strips: forces, swims", changes=BASE),
-    "memoryless": Row("strips: forces, swims, residual without memory", changes={"memory": False}, drawn=True),
-    "wake": Row("strips: forces, swims, residual with wake", drawn=True),
-    "wake-no-retune": Row("strips: forces, swims, residual with wake, no retune", retune=False, drawn=True),
-    "wake-no-swims": Row("strips: forces, residual with wake", changes={"rollout": False}, drawn=True),
+    "whole": Row("strips and residual", drawn=True),
+    "memoryless": Row("the same, no wake", changes={"memory": False}, drawn=True),
+    "no-products": Row("the same, no products", changes={"products": False}, drawn=True),
+    "forces-only": Row("the same, residual taught by forces alone", changes={"swims": (0, 0)}, drawn=True),
+    "no-retune": Row("the same, strips not fitted again", retune=False, drawn=True),
 }
 
 

@@ -21,7 +21,8 @@ from fishmj.store import plain
 NEEDS = {  # settings that a stage depends on, besides those of the stages before it
     "linear": (),
     "rollout": ("seed", "members", "swim", "rollout"),
-    "residual": ("residual", "memory", "hidden", "steps"),
+    "residual": ("residual", "memory", "products", "hidden", "steps"),
+    "swims": ("swims",),
     "retune": ("retune",),
 }
 ALIKE = 2  # members of a model without an error bar: the check wants a spread, here 0

@@ -1,15 +1,16 @@
 """The learnt residual in the physics: hooks for `chain.step` that add its force and carry its memory.
 
-    hooks = Learned(np, ch, residual, memory)               memory = at_rest(n), later Step.memory
+    hooks = Learned(np, ch, residual, memory)               memory = at_rest(), later Step.memory
     s = chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
-What is added is gamma_i sigma f_i, the members' mean f_i of `residual` faded twice:
-    gamma_i = in range_i / (1 + (spread_i / spread0)^2)      0 where the motion of the link left what was fitted
-    sigma   = smooth min(1, (eta D + R / T) / P+)            P = power of the faded forces, D = what drag takes
-    R'      = eta D - sigma P+ - R / T,   R >= 0             a reservoir: only wake energy can come back
+What is added is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
+    gamma   = min_i (in range)_i / (1 + (spread / spread0)^2)    0 where the motion of a link left what was fitted
+    sigma   = (1 + (P+ / (eta D + R / T))^4)^-1/4                P = power of the faded forces, D = what drag takes
+    R'      = eta D - sigma P+ - R / T,   R >= 0                 a reservoir: only wake energy can come back
 in the frame of the water. So the whole water stays passive up to the reservoir, and beyond its range it is the base alone.
+The range of a link is told by its own motion and that of the link before it, xi = [u_i, u_i-1 | w_i, w_i-1, Omega_i L_i] / V_i.
 
-The memory is flat, 3 N + 2 scalars or arrays of one batch shape: wake states link by link, R [J], and the number of steps that
+The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states, R [J], and the number of steps that
 had a link outside the range while it moved. `inner` are other hooks that act first, on the same fish.
 """
 
@@ -20,8 +21,9 @@ import numpy as np
 from fishmj.hydro_fit import chain, residual, terms
 
 ETA, STORED = 0.3, 1.0  # share of the dissipated power that may be kept, and for how long, s
-TINY = 1e-24  # W4: 1 uW may pass
+TINY, MOST = 1e-6, 1e6  # W: so much may pass; of P+ over what may be kept, so that its fourth power stays finite
 FADE = 0.85  # of the limit: from here the force fades, beyond the limit it is gone
+EVEN, SEEN = 2, 5  # features of a link's range: those that a mirror leaves alone come first
 
 
 class Range(NamedTuple):
@@ -38,24 +40,33 @@ class Residual(NamedTuple):
     """Weights and where they hold."""
 
     net: residual.Net
-    reach: Range
+    reach: Range | None  # None: everywhere
 
 
-def at_rest(links: int) -> list:
+def at_rest() -> list:
     """The memory of a fish in still water."""
-    return [0.0] * (3 * links + 2)
+    return [0.0] * (residual.WAKES + 2)
 
 
-def inside(xp, r: Range, m: residual.Motion, i: int):
+def near(xp, p: residual.Panels, k: chain.Links, m: residual.Motion) -> tuple[list, list]:
+    """xi of every link, N lists of 5, and its own V_i, m/s: what its range is told by."""
+    xi, speed = [], [xp.sqrt(square + residual.FLOOR**2) for square in m.square]
+    for i, v in enumerate(speed):
+        j = max(i - 1, 0)
+        xi.append([value / v for value in (k.u[i], k.u[j], m.middle[i], m.middle[j], k.omega[i] * p.length[i])])
+    return xi, speed
+
+
+def inside(xp, r: Range, xi: list, speed, i: int):
     """1 well inside what was fitted for link i, 0 outside, and how far out its motion is (1 at the limit)."""
-    off = [m.xi[i][c] - r.centre[i][c] for c in range(5)]
+    off = [xi[c] - r.centre[i][c] for c in range(SEEN)]
     distance: Any = 0.0
-    for row in range(5):
-        block = range(residual.EVEN) if row < residual.EVEN else range(residual.EVEN, 5)
+    for row in range(SEEN):
+        block = range(EVEN) if row < EVEN else range(EVEN, SEEN)
         part = sum(r.whiten[i][row][c] * off[c] for c in block)
         distance = distance + part * part
     distance = distance / (r.limit[i] * r.limit[i])
-    fast = m.speed[i] / r.speed[i]
+    fast = speed / r.speed[i]
     far = xp.maximum(distance, fast * fast)  # squares
     fade = xp.minimum(xp.maximum((1.0 - far) / (1.0 - FADE**2), 0.0), 1.0)
     return fade, far
@@ -68,16 +79,13 @@ class Learned:
         ch: the chain whose links the residual was fitted for.
         memory: flat list, inner's first where there is an `inner`.
         inner: other hooks, such as `hooks.Effects`.
-        unrolled: scalar sums, for generated code.
     """
 
-    def __init__(self, xp, ch: chain.Chain, learnt: Residual, memory, inner: Any = None, *, unrolled: bool = False):
-        self.xp, self.learnt, self.inner, self.unrolled = xp, learnt, inner, unrolled
-        self.panels, n = residual.panels(ch), ch.n
-        own = list(memory)[-(3 * n + 2) :]
-        self.z, self.store, self.guarded = [own[3 * i : 3 * i + 3] for i in range(n)], own[-2], own[-1]
+    def __init__(self, xp, ch: chain.Chain, learnt: Residual, memory, inner: Any = None):
+        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, residual.panels(ch)
+        *self.z, self.store, self.guarded = list(memory)[-(residual.WAKES + 2) :]
         self.forces: list = []
-        self.spread: list = []  # of the members' coefficients, a link
+        self.spread: Any = 0.0  # variance between the members' coefficients
 
     def fish(self, ch, sw):
         return (ch, sw) if self.inner is None else self.inner.fish(ch, sw)
@@ -101,27 +109,37 @@ class Learned:
 
     def end(self, ch, sw, v, drive):
         first = () if self.inner is None else tuple(self.inner.end(ch, sw, v, drive))
-        return (*first, *(value for row in self.z for value in row), self.store, self.guarded)
+        return (*first, *self.z, self.store, self.guarded)
 
     def advance(self, s: terms.Strips, c: terms.Coefficients, k: chain.Links, dt: float) -> list:
         """Forces on the links from the present wake, (F_t, F_n, moment) each; the wake moves on by dt."""
-        xp, p = self.xp, self.panels
-        m = residual.motion(xp, p, _batched(k))
-        z = [[value + 0.0 * m.speed[0] for value in row] for row in self.z]
-        g = residual.coefficients(xp, self.learnt.net, m, z, unrolled=self.unrolled)
-        forces, outside = [], 0.0 * m.speed[0]
-        self.spread = []
-        for i in range(len(k.u)):
-            mean, spread = _mean_and_spread(xp, g, i)
-            fade, far = inside(xp, self.learnt.reach, m, i)
-            gamma = fade / (1.0 + spread / self.learnt.reach.spread**2)
-            forces.append(residual.load(p, s.rho, m, i, [gamma * value for value in mean]))
-            outside = xp.maximum(outside, xp.where(m.square[i] > residual.FLOOR**2, xp.where(far > 1.0, 1.0, 0.0), 0.0))
-            self.spread.append(spread)
+        xp, p, reach = self.xp, self.panels, self.learnt.reach
+        k = _batched(k)
+        m = residual.motion(xp, p, k)
+        z = [value + 0.0 * m.speed for value in self.z]
+        g = residual.coefficients(xp, self.learnt.net, m, z)
+        mean, self.spread = _mean_and_spread(g)
+        gamma: Any = 1.0
+        outside: Any = 0.0
+        if reach is not None:
+            fade, outside = self._inside(reach, k, m)
+            gamma = fade / (1.0 + self.spread / reach.spread**2)
+        forces = [residual.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
         scale, self.store = bounded(xp, forces, residual.dissipated(xp, s, c, k), k, self.store, dt)
-        self.z = residual.wake_step(xp, self.learnt.net, m, z, dt, unrolled=self.unrolled)
+        self.z = residual.wake_step(xp, self.learnt.net, m, z, dt)
         self.guarded = self.guarded + outside
         return [tuple(scale * value for value in f) for f in forces]
+
+    def _inside(self, reach: Range, k: chain.Links, m: residual.Motion):
+        """How far inside the range the whole fish is, and 1 where a link that moves is outside."""
+        xp, (xi, speed) = self.xp, near(self.xp, self.panels, k, m)
+        fade: Any = 1.0
+        outside: Any = 0.0
+        for i in range(len(xi)):
+            one, far = inside(xp, reach, xi[i], speed[i], i)
+            fade = xp.minimum(fade, one)
+            outside = xp.maximum(outside, xp.where((m.square[i] > residual.FLOOR**2) & (far > 1.0), 1.0, 0.0))
+        return fade, outside
 
 
 def bounded(xp, forces: list, taken, k: chain.Links, store, dt: float):
@@ -130,9 +148,9 @@ def bounded(xp, forces: list, taken, k: chain.Links, store, dt: float):
     for i, (ft, fn, moment) in enumerate(forces):
         power = power + ft * k.u[i] + fn * k.w[i] + moment * k.omega[i]
     gain, cap = xp.maximum(power, 0.0), ETA * taken + store / STORED
-    two, four = gain * gain, cap * cap
-    two, four = two * two, four * four
-    scale = xp.sqrt(xp.sqrt((four + TINY) / (four + two + TINY)))
+    ratio = xp.minimum(gain / (cap + TINY), MOST)
+    square = ratio * ratio
+    scale = 1.0 / xp.sqrt(xp.sqrt(1.0 + square * square))
     return scale, xp.maximum(store + dt * (ETA * taken - scale * gain - store / STORED), 0.0)
 
 
@@ -143,20 +161,18 @@ def _batched(k: chain.Links) -> chain.Links:
     return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
 
 
-def _mean_and_spread(xp, g, i: int):
-    """Members' mean coefficients of link i, and the variance between members, mean over the three."""
-    members = range(len(g))
-    mean = [sum(g[e][c][i] for e in members) / len(g) for c in range(3)]
+def _mean_and_spread(g):
+    """Members' mean coefficients (3, N, ..), and the variance between members, mean over all."""
+    mean = g.mean(0)
     if len(g) == 1:
-        return mean, 0.0 * mean[0]
-    spread = sum((g[e][c][i] - mean[c]) * (g[e][c][i] - mean[c]) for e in members for c in range(3))
-    return mean, spread / (3.0 * (len(g) - 1))
+        return mean, 0.0 * mean[0, 0]
+    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
 
 
 def member(learnt: Residual, e: int) -> Residual:
     """The ensemble with member e in every place: that member alone, in arrays of the same shapes."""
     net = learnt.net
-    alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in net._fields[4:]}
+    alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in residual.MEMBERS}
     return learnt._replace(net=net._replace(**alike))
 
 
@@ -165,23 +181,32 @@ def unlimited(links: int) -> Range:
     return Range(np.zeros((links, 5)), np.tile(np.eye(5), (links, 1, 1)), np.full(links, 1e6), np.full(links, 1e6), np.array(1e6))
 
 
-def fitted(xi: np.ndarray, speed: np.ndarray, spread: float, *, share: float = 0.999, margin: float = 1.15) -> Range:
-    """The range that data span.
+SHARE, MARGIN = 0.999, 1.15  # of the data that lies inside a range, and how much further it goes
+
+
+def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> Range:
+    """The range that data span: `SHARE` of them, and `MARGIN` on top for distance and speed.
 
     Args:
         xi: (M, N, 5) features. speed: (M, N) V, m/s.
         spread: of the members' coefficients at which the force is halved.
-        share: of the data that lies inside; `margin` on top, for distance and speed.
     """
     links = xi.shape[1]
-    centre, whiten, limit = np.zeros((links, 5)), np.zeros((links, 5, 5)), np.zeros(links)
+    centre, whiten = np.zeros((links, SEEN)), np.zeros((links, SEEN, SEEN))
     for i in range(links):
-        centre[i, : residual.EVEN] = xi[:, i, : residual.EVEN].mean(0)
+        centre[i, :EVEN] = xi[:, i, :EVEN].mean(0)
         off = xi[:, i] - centre[i]  # odd features have mean 0: a fish turns both ways
-        for block in (slice(0, residual.EVEN), slice(residual.EVEN, 5)):
+        for block in (slice(0, EVEN), slice(EVEN, SEEN)):
             part = off[:, block]
             cov = part.T @ part / len(part)
             cov += 1e-4 * np.eye(len(cov)) * max(np.trace(cov) / len(cov), 1e-6)
             whiten[i, block, block] = np.linalg.inv(np.linalg.cholesky(cov))
-        limit[i] = margin * np.quantile(np.linalg.norm(off @ whiten[i].T, axis=1), share)
-    return Range(centre, whiten, limit, margin * np.quantile(speed, share, axis=0), np.array(float(spread)))
+    none = np.zeros(links)
+    return widened(Range(centre, whiten, none, none, np.array(float(spread))), xi, speed)
+
+
+def widened(r: Range, xi: np.ndarray, speed: np.ndarray) -> Range:
+    """The same range, as wide as these data need where they go further; arguments as in `fitted`."""
+    off = np.einsum("mic,idc->mid", xi - r.centre, r.whiten)
+    limit = MARGIN * np.quantile(np.linalg.norm(off, axis=2), SHARE, axis=0)
+    return r._replace(limit=np.maximum(r.limit, limit), speed=np.maximum(r.speed, MARGIN * np.quantile(speed, SHARE, axis=0)))

@@ -88,7 +88,7 @@ class HydroModel:
     @property
     def memory_size(self) -> int:
         """Numbers that the water remembers besides the attachment."""
-        return 0 if self.learnt is None else 3 * len(self.base.k) + 2
+        return 0 if self.learnt is None else len(learned.at_rest())
 
     def swimmer(self, robot: Robot) -> chain.Swimmer:
         """The nominal robot in this water.
@@ -105,7 +105,7 @@ class HydroModel:
             raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
         return chain.nominal(robot)._replace(water=self.base)
 
-    def water(self, xp, ch: chain.Chain, memory=None, inner: Any = None, *, unrolled: bool = False):
+    def water(self, xp, ch: chain.Chain, memory=None, inner: Any = None):
         """Hooks for `chain.step` that add the residual, after `inner`; `inner` itself where there is none.
 
         Args:
@@ -113,8 +113,8 @@ class HydroModel:
         """
         if self.learnt is None:
             return inner
-        memory = learned.at_rest(ch.n) if memory is None else memory
-        return learned.Learned(xp, ch, self.learnt, memory, inner, unrolled=unrolled)
+        memory = learned.at_rest() if memory is None else memory
+        return learned.Learned(xp, ch, self.learnt, memory, inner)
 
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""

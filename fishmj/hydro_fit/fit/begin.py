@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.hydro_fit import chain, learned, residual, terms
+from fishmj.hydro_fit.fit.lessons import links_of
 from fishmj.hydro_fit.fit.rows import Rows
 
 
@@ -15,8 +16,8 @@ class Walk(NamedTuple):
     """A model along M recorded ticks."""
 
     force: np.ndarray  # (3, N, M) of the residual, N and N m about the link's origin
-    memory: np.ndarray  # (M, 3 N + 2) before each tick
-    spread: np.ndarray  # (N, M) variance between the members' coefficients
+    memory: np.ndarray  # (M, WAKES + 2) before each tick
+    spread: np.ndarray  # (M,) variance between the members' coefficients
     outside: np.ndarray  # (M,) 1 where a link was outside the fitted range
 
 
@@ -28,14 +29,14 @@ def walk(ch: chain.Chain, rows: Rows, c: terms.Coefficients, learnt: learned.Res
     for j, span in enumerate(spans):
         for f, value in enumerate((rows.u, rows.w, rows.omega)):
             wide[f, :, : span.stop - span.start, j] = value[1, :, span]
-    memory = [np.zeros(count) for _ in learned.at_rest(n)]
+    memory = [np.zeros(count) for _ in learned.at_rest()]
     kept: list[tuple] = []
     for k in range(longest):
         motion = chain.Links([], [], list(wide[2, :, k]), list(wide[0, :, k]), list(wide[1, :, k]), [])
         hooks = learned.Learned(np, ch, learnt, memory)
         force = np.array(hooks.advance(ch.strips, c, motion, tick))  # (N, 3, R)
         new = [value + np.zeros(count) for value in hooks.end(ch, None, None, None)]
-        kept.append((force.transpose(1, 0, 2), np.array(memory), np.array(hooks.spread), new[-1] - memory[-1]))
+        kept.append((force.transpose(1, 0, 2), np.array(memory), hooks.spread + np.zeros(count), new[-1] - memory[-1]))
         memory = new
     force, before, spread, outside = (np.stack(column, -2) for column in zip(*kept, strict=True))
     line = lambda a: np.concatenate([a[..., : s.stop - s.start, j] for j, s in enumerate(spans)], -1)  # noqa: E731
@@ -43,8 +44,7 @@ def walk(ch: chain.Chain, rows: Rows, c: terms.Coefficients, learnt: learned.Res
 
 
 def features(ch: chain.Chain, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """xi (M, N, 5) and V (M, N) of every row: what the fitted range is made from."""
-    n = ch.n
-    middle = lambda a: [a[1, i] for i in range(n)]  # noqa: E731
-    m = residual.motion(np, residual.panels(ch), chain.Links([], [], middle(rows.omega), middle(rows.u), middle(rows.w), []))
-    return np.array(m.xi).transpose(2, 0, 1), np.array(m.speed).T
+    """xi (M, N, 5) and V_i (M, N) of every row: what the fitted range is made from."""
+    p, k = residual.panels(ch), links_of(rows)
+    xi, speed = learned.near(np, p, k, residual.motion(np, p, k))
+    return np.array(xi).transpose(2, 0, 1), np.array(speed).T

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from fishmj import console
-from fishmj.errors import FishmjError
+from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.store import sha256
 
@@ -32,9 +32,13 @@ def keep(model: HydroModel, folder: Path, *, score: float, standing: float | Non
 
 
 def standing_model(folder: Path, name: str, robot_sha256: str) -> HydroModel | None:
-    """What stands in the place, if it is for the same robot."""
+    """What stands in the place, if it is for the same robot and of the present form."""
     path = Path(folder) / f"{name}.toml"
     if not path.is_file():
         return None
-    model = HydroModel.load(path)
+    try:
+        model = HydroModel.load(path)
+    except ConfigError as error:
+        console.warn(f"what stands in the place cannot be compared and will be replaced: {error}")
+        return None
     return model if model.robot_sha256 == robot_sha256 else None

@@ -1,6 +1,6 @@
 """The residual, learnt: forces tick by tick.
 
-    L = mean_rows,members b |dF / size|^2 + thrust b |mean dF_t / size|^2 + decay |W|^2
+    L = mean_rows,members b min(|dF / size|^2, far) + thrust b |mean dF_t / size|^2 + decay |W|^2
 
 b are bootstrap weights, drawn by episode: each member sees another sample of the episodes. Features get noise, so that
 small differences are no information. Adam with a cosine schedule; one seed gives one result on one machine.
@@ -20,6 +20,7 @@ from fishmj.hydro_fit.fit.lessons import Lessons, taken
 
 NOISE = 0.01  # of the features
 THRUST, DECAY = 3.0, 1e-4
+FAR = 25.0  # squared error from which a row pulls no more
 RATE, BATCH = 4e-3, 40  # pieces a step
 THIN = 2  # forces are looked at in every second row, from a random one on
 
@@ -39,57 +40,59 @@ def bootstrap(episodes: np.ndarray, members: int, seed: int) -> np.ndarray:
     return drawn[:, episodes].astype(np.float32)
 
 
-def wakes(net: residual.Net, xi, speed, tick: float, start=None, *, memory: bool = True):
-    """Wake states before every tick, (T, 3, N, P), from features (T, 5, N, P) and V (T, N, P); and after the last."""
-    n = xi.shape[2]
-    zero = jnp.zeros((3, n, xi.shape[3]), xi.dtype) if start is None else start
+def wakes(net: residual.Net, x, speed, step: float):
+    """Wake states before every row, (T, G, P), from features (T, F, P) and V (T, P), each piece from rest; and after the last.
 
-    def step(z, given):
+    Rows of no speed leave the wake alone.
+    """
+
+    def advance(z, given):
         features, v = given
-        m = residual.Motion([[features[f, i] for f in range(5)] for i in range(n)], [v[i] for i in range(n)], [])
-        new = residual.wake_step(jnp, net, m, [[z[c, i] for c in range(3)] for i in range(n)], tick)
-        new = jnp.stack([jnp.stack([new[i][c] for i in range(n)]) for c in range(3)])
-        return (new if memory else zero), z
+        new = residual.wake_step(jnp, net, residual.Motion(list(features), v, [], [], []), list(z), step)
+        return jnp.stack(new), z
 
-    last, before = lax.scan(step, zero, (xi, speed))
+    last, before = lax.scan(advance, jnp.zeros((residual.WAKES, x.shape[2]), x.dtype), (x, speed))
     return before, last
 
 
-def forces(net: residual.Net, p: residual.Panels, rho: float, xi, square, z):
-    """Forces of every member, (E, T, 3, N, P), moments about the middle of each link."""
-    n = xi.shape[2]
-    m = residual.Motion([[xi[:, f, i] for f in range(5)] for i in range(n)], [], [])
-    g = residual.coefficients(jnp, net, m, [[z[:, c, i] for c in range(3)] for i in range(n)])  # (E, 3, N, T, P)
+def forces(net: residual.Net, p: residual.Panels, rho: float, x, push, z):
+    """Forces of every member, (E, T, 3, N, P), moments about the middle of each link, from x (T, F, P), z (T, G, P)."""
+    rows = lambda a: list(jnp.moveaxis(a, 1, 0))  # noqa: E731
+    g = residual.coefficients(jnp, net, residual.Motion(rows(x), None, [], [], []), rows(z))  # (E, 3, N, T, P)
+    n = push.shape[1]
     arm = np.stack([np.ones(n), np.ones(n), np.array(p.length)])[:, :, None] * (0.5 * rho * np.array(p.area))[:, None]
-    return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * square[None, :, None]
+    return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * push[None, :, None]
 
 
-def loss(net: residual.Net, lessons: Lessons, b, p: residual.Panels, rho: float, memory: bool = True, first: int = 0):
+def loss(net: residual.Net, lessons: Lessons, b, p: residual.Panels, rho: float, first: int = 0):
     """The force part of L; b (E, P). `first`: row from which every `THIN`th counts."""
-    z, _ = wakes(net, lessons.xi, lessons.speed, lessons.step, memory=memory)
+    z, _ = wakes(net, lessons.x, lessons.speed, lessons.step)
     thin = lambda a: a[first::THIN]  # noqa: E731
-    xi, square, left, weight = (thin(a) for a in (lessons.xi, lessons.square, lessons.left, lessons.weight))
-    error = (forces(net, p, rho, xi, square, thin(z)) - left) / lessons.size[:, :, None]
+    x, push, left, weight = (thin(a) for a in (lessons.x, lessons.push, lessons.left, lessons.weight))
+    error = (forces(net, p, rho, x, push, thin(z)) - left) / lessons.size[:, :, None]
     w = b[:, None] * weight[None]
-    whole = jnp.sum(w) + 1e-6
-    square = jnp.sum(w[:, :, None, None] * error**2) / (whole * error.shape[2] * error.shape[3])
+    square = jnp.sum(w[:, :, None, None] * jnp.minimum(error**2, FAR)) / ((jnp.sum(w) + 1e-6) * error.shape[2] * error.shape[3])
     along = (error[:, :, 0] * lessons.size[0][:, None]).sum(2) / jnp.sqrt((lessons.size[0] ** 2).sum())  # sum over links
     mean = (along * weight).sum(1) / (weight.sum(0) + 1e-6)
     thrust = jnp.sum(b * mean**2) / (jnp.sum(b) + 1e-6)
-    decay = sum(jnp.mean(getattr(net, k) ** 2) for k in ("inner", "outer", "wake", "wake_out"))
-    return square + THRUST * thrust + DECAY * decay
+    return square + THRUST * thrust + DECAY * size_of(net)
+
+
+def size_of(net: residual.Net):
+    """Mean squares of the weights."""
+    return sum(jnp.mean(getattr(net, k) ** 2) for k in ("inner", "outer", "wake", "even", "odd"))
 
 
 def learn(
-    ch: chain.Chain, lessons: Lessons, net: residual.Net, *, steps: int = 800, seed: int = 0, memory: bool = True,
+    ch: chain.Chain, lessons: Lessons, net: residual.Net, *, steps: int = 800, seed: int = 0, left: dict | None = None,
     report: Callable | None = None,
 ) -> Schooling:  # fmt: skip
     """Teach forces.
 
     Args:
-        memory: without, the wake stays at rest (for comparison). report: called with (step, steps, loss).
+        left: what `residual.without` is told, for comparison. report: called with (step, steps, loss).
     """
-    p, rho = residual.panels(ch), ch.strips.rho
+    p, rho, told = residual.panels(ch), ch.strips.rho, left or {}
     b = bootstrap(lessons.episode, net.members, seed)
     schedule = optax.cosine_decay_schedule(RATE, steps, 0.03)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
@@ -99,8 +102,8 @@ def learn(
     @jax.jit
     def step(net, state, part, weights, key):
         part = part._replace(step=lessons.step)
-        part = part._replace(xi=part.xi + NOISE * jax.random.normal(key, part.xi.shape))
-        value, slope = jax.value_and_grad(loss)(net, part, weights, p, rho, memory)
+        part = part._replace(x=part.x + NOISE * jax.random.normal(key, part.x.shape))
+        value, slope = jax.value_and_grad(lambda net: loss(residual.without(net, **told), part, weights, p, rho))(net)
         change, state = optimiser.update(slope, state)
         return optax.apply_updates(net, change), state, value
 
@@ -113,4 +116,4 @@ def learn(
             losses.append(float(value))
             if report is not None:
                 report(k + 1, steps, losses[-1])
-    return Schooling(jax.tree.map(np.asarray, net), np.array(losses))
+    return Schooling(residual.without(jax.tree.map(np.asarray, net), **told), np.array(losses))

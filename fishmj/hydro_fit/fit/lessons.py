@@ -21,9 +21,9 @@ class Lessons(NamedTuple):
     """
 
     step: float  # s from row to row
-    xi: Any  # (T, 5, N, P)
-    speed: Any  # (T, N, P)
-    square: Any  # (T, N, P)
+    x: Any  # (T, F, P) features
+    speed: Any  # (T, P) V, m/s
+    push: Any  # (T, N, P) m2/s2
     left: Any  # (T, 3, N, P)
     weight: Any  # (T, P)
     size: Any  # (3, N)
@@ -32,9 +32,13 @@ class Lessons(NamedTuple):
 
 def motion_of(p: residual.Panels, rows: Rows) -> residual.Motion:
     """Features in the middle of every tick; component lists of (M,)."""
-    n = len(p.area)
-    middle = lambda a: [a[1, i] for i in range(n)]  # noqa: E731
-    return residual.motion(np, p, chain.Links([], [], middle(rows.omega), middle(rows.u), middle(rows.w), []))
+    return residual.motion(np, p, links_of(rows))
+
+
+def links_of(rows: Rows) -> chain.Links:
+    """What the links did through the water in the middle of every tick."""
+    u, w, omega = (list(value[1]) for value in (rows.u, rows.w, rows.omega))
+    return chain.Links([], [], omega, u, w, [])
 
 
 def remaining(ch: chain.Chain, rows: Rows, c: terms.Coefficients, tick: float) -> tuple[np.ndarray, np.ndarray]:
@@ -54,8 +58,6 @@ def lessons_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients
     rows = rows_of(ch, records)
     m = motion_of(residual.panels(ch), rows)
     left, drag = remaining(ch, rows, c, tick)
-    xi = np.array([[m.xi[i][f] for i in range(ch.n)] for f in range(5)])  # (5, N, M)
-    speed, square = np.array(m.speed), np.array(m.square)
     size = np.sqrt(((left + drag) ** 2).mean(-1)) + 1e-6
     names = sorted({record.meta["episode"] for record in records})
     step = EVERY * tick
@@ -80,7 +82,8 @@ def lessons_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients
     ends, skips = np.array([b - a for a, b, _, _ in pieces]), np.array([s for _, _, s, _ in pieces])
     weight = ((time >= skips) & (time < ends)).astype(np.float32)
     episode = np.array([e for *_, e in pieces])
-    return Lessons(step, cut(xi), cut(speed), cut(square), cut(left), weight, size.astype(np.float32), episode)
+    features = (np.array(m.x), m.speed, np.array(m.push), left)
+    return Lessons._make([step, *(cut(values) for values in features), weight, size.astype(np.float32), episode])
 
 
 def taken(lessons: Lessons, at) -> Lessons:

@@ -2,11 +2,14 @@
 
 import numpy as np
 
+from fishmj.errors import ConfigError
 from fishmj.hydro_fit import learned, residual
 
 
 def packed(learnt: learned.Residual) -> dict:
-    """A residual as named arrays."""
+    """A residual with a range as named arrays."""
+    if learnt.reach is None:
+        raise ConfigError("a residual without a range is for learning only; expected one with learned.Range")
     net = {f"net.{key}": np.asarray(value) for key, value in learnt.net._asdict().items()}
     return net | {f"range.{key}": np.asarray(value) for key, value in learnt.reach._asdict().items()}
 

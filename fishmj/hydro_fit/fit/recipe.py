@@ -1,8 +1,8 @@
 """The whole fit, stage by stage: each is kept when done, so an interrupted fit goes on where it was.
 
     linear     least squares on wrenches                               rollout   factors by free swims
-    residual   forces that are left over                               retune    the factors again, with the residual in place
-    finish     members, range and error bar
+    residual   forces that are left over                               swims     the residual again, by free swims
+    retune     the factors again, with the residual in place           finish    members, range and error bar
 A stage that makes the validation swims worse is not taken; the notes say so. The test part is never looked at.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
-from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout, starts
+from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout, starts, swims
 from fishmj.hydro_fit.fit.code import code
 from fishmj.hydro_fit.fit.pack import packed, unpacked
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
@@ -29,20 +29,26 @@ from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 
-STAGES = ("linear", "rollout", "residual", "retune", "finish")
+STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a fit may be told. steps of learning; `swim` seconds of free swimming at most in each Gauss-Newton batch."""
+    """What a fit may be told.
+
+    steps, swims: of learning by forces and by free swims, a number a course (swims.py).
+    swim: seconds of free swimming at most in each Gauss-Newton batch.
+    """
 
     seed: int = 0
     members: int = 5
     hidden: int = 16
-    steps: int = 700
+    steps: int = 400
+    swims: tuple[int, ...] = (250, 70)
     swim: float = 600.0
     residual: bool = True
     memory: bool = True
+    products: bool = True
     rollout: bool = True
 
 
@@ -144,22 +150,40 @@ class Fit:
         s = self.settings
         if not s.residual:
             return {}
-        c = unflat(state["water"].tolist())
         told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)  # noqa: E731
         net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
         taught = self._lessons(state["water"])
-        net = learning.learn(self.chain, taught, net, steps=s.steps, seed=s.seed, memory=s.memory, report=told).net
-        if not s.memory:
-            net = net._replace(wake_out=0.0 * net.wake_out)  # a wake that stays at rest
+        net = learning.learn(self.chain, taught, net, steps=s.steps, seed=s.seed, left=self._left, report=told).net
+        return packed(self._reached(net, state["water"]))
+
+    def _swims(self, state) -> dict:
+        learnt, water = unpacked(state), state["water"]
+        if learnt is None or not any(self.settings.swims):
+            return {}
+        s, c = self.settings, unflat(water.tolist())
+        taught, held, net, whole = self._lessons(water), swims.held_of(self.chain, self.train, c), learnt.net, sum(s.swims)
+        for number, (course, steps) in enumerate(zip(swims.COURSES, s.swims, strict=True)):
+            before = sum(s.swims[:number])
+            told = lambda k, n, cost, before=before: self._tell("swims", (before + k) / whole, loss=cost)  # noqa: E731
+            if steps:
+                pieces = swims.pieces_of(self.chain, self.robot, self.train, c, course.length)
+                school = swims.School(self.robot, self.swim, pieces, held, taught, water, course=course, left=self._left)
+                net = school.learn(net, steps=steps, seed=s.seed, report=told)
+        return packed(self._reached(net, water))
+
+    @property
+    def _left(self) -> dict:
+        return {"memory": self.settings.memory, "products": self.settings.products}
+
+    def _reached(self, net: residual.Net, water) -> learned.Residual:
+        """The net with the range that it was taught in, and a note on how it swims."""
         rows = rows_of(self.chain, self.taught)
-        xi, speed = begin.features(self.chain, rows)
-        reach = learned.fitted(xi, speed, 1e6)
-        spread = begin.walk(self.chain, rows, c, learned.Residual(net, reach), self.tick).spread
-        reach = reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6))
-        learnt = learned.Residual(net, reach)
-        before, after = self.score(state["water"], None), self.score(state["water"], learnt)
+        reach = learned.fitted(*begin.features(self.chain, rows), 1e6)
+        spread = begin.walk(self.chain, rows, unflat(water.tolist()), learned.Residual(net, reach), self.tick).spread
+        learnt = learned.Residual(net, reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6)))
+        before, after = self.score(water, None), self.score(water, learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
-        return packed(learnt)
+        return learnt
 
     def _retune(self, state) -> dict:
         learnt = unpacked(state)
@@ -216,7 +240,8 @@ class Fit:
         most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
         if len(fleet.q) > most:
             rng = np.random.default_rng([59, self.settings.seed])
-            fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False)))
+            share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
+            fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
         held = [r for r in records if newton.flaps(r)]
         rows: Rows | None = rows_of(self.chain, held) if held else None
         return newton.Match(self.swim, fleet, self.tick, rows, newton.tow_drag(self.chain, self.robot), learnt)

@@ -71,6 +71,11 @@ def fleet_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], *, second
         ]
     if not pieces:
         raise DatasetError("no free swim among the records; the fit of speed and turning needs some: collect gaits")
+    return cut(ch, robot, records, pieces)
+
+
+def cut(ch: chain.Chain, robot: Robot, records: Sequence[Record], pieces: Sequence[tuple[int, int, int]]) -> Fleet:
+    """These pieces, (number of the record, first tick, end)."""
     longest = max(b - a for _, a, b in pieces)
     columns = [_piece(ch, robot, records[n], a, b, longest) for n, a, b in pieces]
     return Fleet._make([*(np.stack(c) for c in zip(*columns, strict=True)), tuple((n, a) for n, a, _ in pieces)])
@@ -143,14 +148,14 @@ class Swim:
 
         Args:
             water: (P,) or (B, P) flat coefficients. learnt: a residual, or None for the base alone.
-            attached: (B,) at the start, 0.5 by default; memory: (B, 3 N + 2), at rest by default.
+            attached: (B,) at the start, 0.5 by default; memory: (B, WAKES + 2), at rest by default.
         Returns:
             Track of NumPy arrays; a fish that left the finite numbers is nan from there on.
         """
         batch = len(fleet.q)
         water = np.broadcast_to(np.asarray(water, np.float32), (batch, np.shape(water)[-1]))
         attached = np.full(batch, 0.5) if attached is None else attached
-        memory = np.zeros((batch, 3 * self.chain.n + 2)) if memory is None else memory
+        memory = np.zeros((batch, len(learned.at_rest()))) if memory is None else memory
         given = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient, water, attached, memory)
         size = LEAST * -(-batch // LEAST)  # few sizes, so that few are compiled
         wide = [np.concatenate([a, np.repeat(a[-1:], size - batch, 0)]) for a in map(np.asarray, given)]
@@ -185,7 +190,7 @@ class Swim:
 
         ahead = tuple(jnp.swapaxes(a, 0, 1) for a in (target, flow, ambient))
         start = (split(q), split(v), attached, split(memory))
-        state, out = lax.scan(tick, start, ahead)
+        state, out = lax.scan(jax.checkpoint(tick), start, ahead)  # a gradient goes back tick by tick
         return tuple(jnp.swapaxes(a, 0, 1) for a in out), state
 
 

@@ -1,0 +1,229 @@
+"""The residual, learnt by what fish do: gradients through free swims from recorded states.
+
+    L = mean h(dv / size) + power mean h(dP / size) + mean h(dT / asked) + L_forces
+    h(e) = 2 c^2 (sqrt(1 + e^2 / c^2) - 1)
+
+dv: surge, sway and yaw rate over windows of 0.2 s, dP: servo power, in shares of the record with floors (tolerance.py); dT: mean
+thrust of held fish; L_forces (learning.py) keeps the forces true where swims do not tell. What is right to a per cent in every
+force may still swim away: the swims decide. The wake at a start is filled by the recorded motion of the 1.2 s before it;
+gradients go through that, too. The members act together, as they do in a fish. Two courses: many short swims, from which most
+is learnt in a given time, then a few long ones, which alone show a speed that creeps away. Backpropagation through a
+differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from fishmj.errors import DatasetError
+from fishmj.hydro_fit import chain, learned, residual, terms
+from fishmj.hydro_fit.fit import learning
+from fishmj.hydro_fit.fit.lessons import EVERY, Lessons, motion_of, taken
+from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, cut, is_free
+from fishmj.hydro_fit.fit.rows import attachment, base_force, rows_of
+from fishmj.hydro_fit.fit.tolerance import TOLERANCE
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+
+BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means that are compared
+CLIP, POWER = 6.0, 0.3
+THRUST = 0.10  # of the tow drag: what is asked for
+LESSONS = 32  # pieces of forces a step
+
+
+class Course(NamedTuple):
+    """How swims are taken. length: of a piece, s; they begin half of it apart. floors: of the tolerances, which are for means."""
+
+    length: float
+    batch: int  # pieces a step
+    rate: float
+    floors: float
+
+
+COURSES = (Course(2.0, 64, 1e-3, 2.0), Course(6.0, 32, 4e-4, 1.0))
+
+
+class Pieces(NamedTuple):
+    """P free swims of T ticks; x (T_b, F, P), speed (T_b, P): recorded motion before them, no speed where there is none."""
+
+    fleet: Fleet
+    x: Any
+    speed: Any
+    attached: Any  # (P,)
+    share: np.ndarray  # (P,) how often each is drawn, sum 1
+
+
+class Held(NamedTuple):
+    """R held fish that flap, T rows as far apart as those of lessons; thrusts are means over a record, (R,) N."""
+
+    x: Any  # (T, F, R)
+    speed: Any  # (T, R)
+    push: Any  # (T, N, R)
+    weight: Any  # (T, R)
+    strips: Any  # thrust of the strips
+    seen: Any  # as recorded
+
+
+def pieces_of(
+    ch: chain.Chain, robot: Robot, records: Sequence[Record], c: terms.Coefficients, length: float = COURSES[0].length
+) -> Pieces:
+    """Overlapping pieces of all free swims.
+
+    Raises:
+        DatasetError: none is long enough.
+    """
+    free = [r for r in records if is_free(r) and r.seconds >= length]
+    if not free:
+        raise DatasetError(f"no free swim of {length:g} s among the records; collect gaits")
+    tick = free[0].tick
+    size, apart, burn = (round(seconds / tick) for seconds in (length, length / 2, BURN))
+    rows = rows_of(ch, free)
+    m, attached = motion_of(residual.panels(ch), rows), attachment(rows, ch.strips, c, tick)
+    features = np.array(m.x)
+    at, x, speed, state = [], [], [], []
+    for number, (record, span) in enumerate(zip(free, rows.spans(), strict=True)):
+        settled = record.meta.get("settle", 0.0) > 0
+        for a in range(burn if settled else 0, len(record.q) - size + 1, apart):
+            before, more = slice(span.start + max(0, a - burn), span.start + a), max(0, burn - a)
+            at.append((number, a, a + size))
+            x.append(np.pad(features[:, before], ((0, 0), (more, 0))).T)
+            speed.append(np.pad(m.speed[before], (more, 0)))
+            state.append(attached[span.start + a] if a else 0.5)
+    fleet = cut(ch, robot, free, at)
+    share = shares([free[number].meta["block"] for number, _, _ in at])
+    return Pieces(fleet, np.stack(x, -1), np.stack(speed, -1), np.array(state), share)
+
+
+def shares(blocks: Sequence[str]) -> np.ndarray:
+    """Blocks count by the square root of their pieces: what there is most of does not drown the rest."""
+    _, at, count = np.unique(blocks, return_inverse=True, return_counts=True)
+    share = 1 / np.sqrt(count[at])
+    return share / share.sum()
+
+
+def held_of(ch: chain.Chain, records: Sequence[Record], c: terms.Coefficients) -> Held | None:
+    """The held fish that flap, if any."""
+    chosen = [r for r in records if flaps(r)]
+    if not chosen:
+        return None
+    rows, tick = rows_of(ch, chosen), chosen[0].tick
+    m, strips = motion_of(residual.panels(ch), rows), base_force(rows, ch.strips, c, attachment(rows, ch.strips, c, tick))
+    longest = max(len(r.q) for r in chosen)
+
+    def wide(values):  # (.., M) -> (T, .., R)
+        parts = [values[..., span] for span in rows.spans()]
+        return np.moveaxis(
+            np.stack([np.pad(v, [(0, 0)] * (v.ndim - 1) + [(0, longest - v.shape[-1])]) for v in parts], -1), -2, 0
+        )
+
+    weight = wide(np.ones(len(rows.record)))[::EVERY]
+    pushed = (thrusts(rows, force) for force in (strips, rows.force))
+    motion = (wide(np.asarray(values))[::EVERY] for values in (m.x, m.speed, m.push))
+    return Held._make([*motion, weight / weight.sum(0), *pushed])
+
+
+def some(pieces: Pieces, at) -> Pieces:
+    """Some of the pieces; without their sources."""
+    fleet = Fleet._make([*(a[at] for a in pieces.fleet[:-1]), ()])
+    return Pieces(fleet, pieces.x[..., at], pieces.speed[..., at], pieces.attached[at], pieces.share[at])
+
+
+def huber(error):
+    """Mean of h."""
+    return jnp.mean(2 * CLIP**2 * (jnp.sqrt(1 + (error / CLIP) ** 2) - 1))
+
+
+class School:
+    """What a net is taught by.
+
+    Args:
+        water: flat coefficients of the strips, which stay. course: whose pieces these are.
+        left: what `residual.without` is told, for comparison.
+    """
+
+    def __init__(
+        self, robot: Robot, swim: Swim, pieces: Pieces, held: Held | None, lessons: Lessons, water: np.ndarray, *,
+        course: Course = COURSES[0], left: dict | None = None,
+    ):  # fmt: skip
+        self.course, self.swim, self.water, self.left = course, swim, np.asarray(water, np.float32), left or {}
+        single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)  # noqa: E731
+        self.pieces, self.lessons = single(pieces._replace(fleet=pieces.fleet._replace(source=()))), lessons
+        self.held, self.share = None if held is None else single(held), pieces.share
+        self.ch, self.tick = swim.chain, lessons.step / EVERY
+        self.panels, self.drag = residual.panels(self.ch), tow_drag(self.ch, robot)
+
+    def loss(self, net: residual.Net, part: Pieces, lessons: Lessons, weights):
+        """L of a batch."""
+        net = residual.without(net, **self.left)
+        total = self.swum(net, part) + learning.loss(net, lessons, weights, self.panels, self.ch.strips.rho)
+        return total if self.held is None else total + huber(self.pushed(net, self.held))
+
+    def swum(self, net: residual.Net, part: Pieces):
+        """What the swims are off by."""
+        fleet, count = part.fleet, len(part.attached)
+        _, wake = learning.wakes(net, part.x, part.speed, self.tick)
+        memory = jnp.concatenate([wake.T, jnp.zeros((count, 2))], 1)
+        learnt = learned.Residual(net, None)
+        water = jnp.tile(self.water, (count, 1))
+        start = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient)
+        (q, v, power), _ = self.swim.trace(*start, water, part.attached, memory, learnt)
+        error, spent = self.errors(q, v, power, fleet)
+        return huber(error) + POWER * huber(spent)
+
+    def errors(self, q, v, power, fleet: Fleet):
+        """Of movement (P, W, 3) and of power (P, W), in units of what is tolerated."""
+        size = round(WINDOW / self.tick)
+
+        def mean(a):
+            whole = a.shape[1] // size * size
+            return a[:, :whole].reshape(len(a), -1, size, *a.shape[2:]).mean(2)
+
+        got, seen = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
+        (share, floor), (turn, still), (part, least) = (TOLERANCE[key] for key in ("speed", "yaw", "power"))
+        speed = share * jnp.hypot(seen[..., 0], seen[..., 1]) + self.course.floors * floor
+        wide = jnp.stack([speed, speed, turn * jnp.abs(seen[..., 2]) + self.course.floors * still], -1)
+        spent, wanted = mean(power), mean(fleet.power)
+        off = (spent - wanted) / (part * jnp.abs(wanted) + self.course.floors * least)
+        return (got - seen) / wide, jnp.where(jnp.isfinite(off), off, 0.0)
+
+    def pushed(self, net: residual.Net, held: Held):
+        """Errors of the mean thrust of held fish, (R,), in what is asked for."""
+        z, _ = learning.wakes(net, held.x, held.speed, self.lessons.step)
+        force = learning.forces(net, self.panels, self.ch.strips.rho, held.x, held.push, z).mean(0)  # (T, 3, N, R)
+        got = held.strips + (held.weight * force[:, 0].sum(1)).sum(0)
+        return (got - held.seen) / (THRUST * self.drag)
+
+    def learn(self, net: residual.Net, *, steps: int, seed: int = 0, report: Callable | None = None) -> residual.Net:
+        """Go down L from `net`. One seed gives one result on one machine. report: called with (step, steps, loss)."""
+        schedule = optax.cosine_decay_schedule(self.course.rate, steps, 0.03)
+        optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+        net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
+        state, rng = optimiser.init(net), np.random.default_rng([47, seed])
+        drawn, count = learning.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
+        swims = len(self.pieces.attached)
+
+        @jax.jit
+        def step(net, state, part, lessons, weights):
+            lessons = lessons._replace(step=self.lessons.step)
+            value, slope = jax.value_and_grad(self.loss)(net, part, lessons, weights)
+            change, state = optimiser.update(slope, state)
+            return optax.apply_updates(net, change), state, value
+
+        for k in range(steps):
+            at = rng.choice(swims, min(self.course.batch, swims), replace=False, p=self.share)
+            told = rng.choice(count, min(LESSONS, count), replace=False)
+            net, state, value = step(net, state, some(self.pieces, at), taken(self.lessons, told), drawn[:, told])
+            if report is not None and (k % 5 == 4 or k + 1 == steps):
+                report(k + 1, steps, float(value))
+        return residual.without(jax.tree.map(np.asarray, net), **self.left)
+
+
+def _body(q, v):
+    """Velocity ahead and to the left, and yaw rate, (P, T, 3)."""
+    c, s = jnp.cos(q[..., 2]), jnp.sin(q[..., 2])
+    return jnp.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
