@@ -1,14 +1,22 @@
 """A water corrected while it runs: a few factors that follow how a better water's fish moves over short stretches.
 
-    min |r(s)|^2 + (ln s - ln s')^T P^-1 (ln s - ln s')        Gauss-Newton; s', P: before, P grown by forgetting
+    min |r(s)|^2 + |ln s - ln s'|^2_P                           Gauss-Newton; s', P: before, P grown by forgetting
     P_k^-1 = prior + lambda (P_k-1^-1 - prior) + J^T J          lambda = exp(-t / MEMORY), t since the stretch before
 
-r are differences of movement over what a right surrogate misses by, too: its error has no factor that mends it. Before any
-stretch a fitted water is taken to be right to a few per cent (`TRUST`) but for friction, which tells a hull that holds the
-water from one along which it slides: so a right surrogate is hardly moved, and a wrong hull found at once. Wrenches are no
-guide: large forces, each wrong by a few per cent, leave speed and turning over, and ten factors find many ways to mend the sum.
+r (R,) are differences of movement over what a right surrogate misses by, whose error has no factor that mends it. Two beliefs
+explain a stretch. `right`: the factors stay where they are; `wrong`: they are somewhere in P. The factors move where
 
-Recursive least squares with a forgetting factor: Ljung 1999, System Identification, section 11.2.
+    |r(s')|^2 > R    and    2 ln(p_wrong / p_right) = |r(s')|^2 - |r(s)|^2 - |ln s - ln s'|^2_P - ln det(1 + J P J^T) > 0
+
+The first, since a right surrogate is off the same way in window after window: within its own misses any pattern may be its own.
+The second is Laplace's approximation of both likelihoods: free factors must gain more than they could by chance. So a stretch
+that a right surrogate could have swum moves nothing, to the bit, and P need not protect it: `WRONG` is how far a wrong one may
+have to move. Friction, which tells a hull that holds the water from one along which it slides, and cross-flow drag by half and
+more; the others less, since two seconds from rest hardly tell them from these two. Wrenches are no guide: large forces, each
+wrong by a few per cent, leave speed and turning over, and ten factors find many ways to mend the sum.
+
+Recursive least squares with a forgetting factor: Ljung 1999, System Identification, section 11.2. The likelihood of a belief with
+free factors: MacKay 1992, Bayesian interpolation, Neural Computation 4.
 """
 
 from collections.abc import Callable
@@ -22,7 +30,7 @@ KINDS = ("added_mass", "cross_flow", "friction", "form", "edge")
 BOUNDS = (0.3, 3.0)
 WIDER = (0.001, 30.0)  # of friction, which is all of a hull that holds the water and next to none of one that lets it slide
 LIMITS = np.array([[b if kind != "friction" else w for kind in 2 * KINDS] for b, w in zip(BOUNDS, WIDER, strict=True)])[..., None]
-TRUST = np.array([0.05, 0.1, 2.0, 0.2, 0.1])  # standard deviation of ln factor by kind, before any stretch
+WRONG = np.array([0.02, 0.5, 1.5, 0.2, 0.1])  # standard deviation of ln factor by kind, of a surrogate that is wrong
 MEMORY = 30.0  # s, after which what was seen counts for 1/e
 FREE = [0, 1, 2, 3, 5, 6, 9]  # factors of the ten that touch a coefficient
 ROUNDS, NUDGE, DAMPING, LEAST = 6, 0.05, (0.0, 0.1, 1.0, 10.0), 0.01  # Gauss-Newton: of ln factor, of the objective
@@ -41,7 +49,7 @@ def fresh() -> Correction:
 
 
 def _prior() -> np.ndarray:
-    return np.diag(1 / np.tile(TRUST, 2) ** 2)
+    return np.diag(1 / np.tile(WRONG, 2) ** 2)
 
 
 def applied(c: terms.Coefficients, state: Correction) -> terms.Coefficients:
@@ -64,27 +72,36 @@ def matched(state: Correction, misses: Callable[[np.ndarray], np.ndarray], *, id
     Args:
         misses: (10, B) factors of B surrogates -> (R, B) differences of movement over what a right one differs by. idle: s since
             the stretch before.
+    Returns:
+        The state after it: where the stretch does not refute them, the same factors, known as they were but for forgetting.
     """
     belief = _prior() + np.exp(-idle / MEMORY) * (state.information - _prior())
     start = x = np.log(state.factors)
     free = FREE
     held, jacobian = belief[np.ix_(free, free)], np.zeros((0, len(free)))
+    first = last = misses(state.factors[:, None])[:, 0]
+    if first @ first <= len(first):
+        return Correction(state.factors, belief)
     for _ in range(ROUNDS):
-        tries = np.repeat(x[:, None], len(free) + 1, 1)
-        tries[free, np.arange(1, len(free) + 1)] += NUDGE
-        r = misses(np.exp(tries))
-        jacobian, off = (r[:, 1:] - r[:, :1]) / NUDGE, (x - start)[free]
-        normal, slope = jacobian.T @ jacobian + held, jacobian.T @ r[:, 0] + held @ off
+        tries = np.repeat(x[:, None], len(free), 1)
+        tries[free, np.arange(len(free))] += NUDGE
+        jacobian, off = (misses(np.exp(tries)) - last[:, None]) / NUDGE, (x - start)[free]
+        normal, slope = jacobian.T @ jacobian + held, jacobian.T @ last + held @ off
         tries = np.repeat(x[:, None], len(DAMPING), 1)
         tries[free] -= np.stack([np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in DAMPING], 1)
         tries = np.clip(tries, *np.log(LIMITS))
-        off = (tries - start[:, None])[free]
-        costs = (misses(np.exp(tries)) ** 2).sum(0) + np.einsum("ib,ij,jb->b", off, held, off)
-        best, now = int(np.argmin(costs)), float(r[:, 0] @ r[:, 0] + (x - start)[free] @ held @ (x - start)[free])
+        r, far = misses(np.exp(tries)), (tries - start[:, None])[free]
+        costs = (r**2).sum(0) + np.einsum("ib,ij,jb->b", far, held, far)
+        costs = np.where(np.isfinite(costs), costs, np.inf)  # a fish that a step too far has lost
+        best, now = int(np.argmin(costs)), float(last @ last + off @ held @ off)
         if not costs[best] < now:  # nan, too
             break
-        x = tries[:, best]
+        x, last = tries[:, best], r[:, best]
         if costs[best] > (1 - LEAST) * now:
             break
+    off = (x - start)[free]
+    chance = np.linalg.slogdet(held + jacobian.T @ jacobian)[1] - np.linalg.slogdet(held)[1]  # ln det(1 + J P J^T)
+    if not first @ first - last @ last - off @ held @ off > chance:
+        return Correction(state.factors, belief)
     belief[np.ix_(free, free)] += jacobian.T @ jacobian
     return Correction(np.exp(x), belief)
