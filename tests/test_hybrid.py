@@ -1,5 +1,7 @@
 """A surrogate is corrected by stretches of a better water, and by rounds of what a policy does. That water is made up here."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -192,6 +194,19 @@ class Tanks:
             none = np.zeros((len(q), 4, 3))
             arrays = {"q": q, "v": v, "command": q[:, 3:], "wrench": none, "raw": none, "flow": none[..., :2]}
             yield Finished(segment, meta, arrays | {"power": np.ones(len(q))})
+
+
+def test_the_trial_places_its_stretch_where_it_is_told(monkeypatch):
+    """A swim of 6 s in the true water in the solver's place; its stretch begins after 2 s: 0.3 s led, 0.3 s free."""
+    segment = hybrid_trial.episodes_of(ROBOT, SimpleNamespace(episodes=1, seconds=6.0, seed=1))[0]
+    truth = SimpleNamespace(q=rounds.roll(ROBOT, model_in(TRUE), segment)[0], meta={"wall_s": 0.0})
+    oracle, setup = Made(), Setup(domain=preset("laptop"), device="cpu")
+    monkeypatch.setattr(hybrid_trial, "Solver", lambda *_, **__: oracle)
+    monkeypatch.setattr(hybrid_trial, "transient", lambda *_: np.zeros(1))
+    when = {"first": 2.0, "every": 20.0, "lead": 0.3, "span": 0.3}
+    row = hybrid_trial._one(ROBOT, model_in(WRONG), setup, segment, truth, when, "none", 1e-3)
+    assert oracle.asked == [(75, 15)] and row["stretches"][0]["t"] == pytest.approx(2.0) and row["covered"] == pytest.approx(0.1)
+    assert row["after_m"] < 0.5 * row["before_m"] and row["before_m"] > 0.05
 
 
 def test_rounds_end_when_the_returns_agree(tmp_path):

@@ -121,7 +121,7 @@ class Hybrid:
 
     Attributes:
         first, every, lead, span: s of bus ticks; from `first` on the solver runs for (lead + span) of every `every`. A stretch
-            that begins at rest has no lead, but as long a span.
+            that begins at rest has no lead, but as long a span. Whole windows of `WINDOW` s are compared.
         own: mean square, in tolerances, that nine of ten swims from rest of a right surrogate miss by less than,
             `HydroModel.scores["from_rest"]`: the unit of what a stretch misses by.
         patience: wall-clock s that a stretch may take.
@@ -132,8 +132,8 @@ class Hybrid:
     own: float = 1.0
     every: float = 20.0
     first: float = 0.0
-    lead: float = 1.2
-    span: float = 0.8
+    lead: float = 1.0
+    span: float = 1.0
     patience: float = 60.0
     off: str = ""
     state: correct.Correction = field(default_factory=correct.fresh)

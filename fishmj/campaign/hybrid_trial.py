@@ -2,6 +2,7 @@
 
 python -m fishmj.hydro_fit hybrid --wrong both --device cuda --out runs/hybrid     ten episodes of 20 s; goes on where it was
 python -m fishmj.hydro_fit hybrid --wrong none ...                     the same with the fitted surrogate as it is
+python -m fishmj.hydro_fit hybrid --first 4 ...                        a stretch in full swim: 1 s led, 1 s by its servos
 python -m fishmj.hydro_fit hybrid --domain laptop --episodes 1         a look on a CPU
 
 Wrong: `slip`, fitted to a hull along which no water slides (fit --slip 0 --base --name NAME-noslip makes it); `tail`, a tail 10 %
@@ -49,7 +50,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--wrong", choices=WRONG, default="both", help="what is wrong about the surrogate")
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each episode")
-    parser.add_argument("--every", type=float, default=20.0, help="s from stretch to stretch; each is 2 s, the first from rest")
+    parser.add_argument("--every", type=float, default=20.0, help="s from stretch to stretch; each is 2 s")
+    parser.add_argument("--first", type=float, default=0.0, help="s before the first stretch; later than 0 the fish is led first")
+    parser.add_argument(
+        "--lead", type=float, default=1.0, help="s of a stretch for which the fish is led, where it is not at rest"
+    )
     parser.add_argument("--domain", default="window")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--tanks", type=int, default=1, help="continuous runs side by side; 12 fill a GPU")
@@ -62,7 +67,8 @@ def main(argv: list[str]) -> int:
     plan = plans.Plan(label="hybrid", robot=robot, seed=args.seed, segments=tuple(segments))
     collect(plan, out / "solver", setup, pool=Local(args.tanks), quiet=args.json)
     own = float(HydroModel.load(args.model).scores.get("from_rest", 1.0))  # of a right one, whatever is corrected
-    found = trial(robot, model, setup, segments, out, every=args.every, wrong=args.wrong, own=own)
+    when = {"first": args.first, "every": args.every, "lead": args.lead, "span": STRETCH - args.lead}
+    found = trial(robot, model, setup, segments, out, when=when, wrong=args.wrong, own=own)
     console.say(console.table([{k: row[k] for k in SHOWN} for row in found["episodes"]]))
     console.say(f"place, mean over episodes: {found['before']:.3f} m -> {found['after']:.3f} m; transient {found['transient']}")
     write_json(out / f"{args.wrong}.json", found)
@@ -92,24 +98,25 @@ def episodes_of(robot: Robot, args) -> list[Segment]:
     return [replace(s, seconds=args.seconds, settle=0.0) for s in made]
 
 
-def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *, every: float, wrong: str, own: float) -> dict:
+def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *, when: dict, wrong: str, own: float) -> dict:
     """Every episode: in the solver (from `out`), in the surrogate alone before and after, and in the hybrid between.
 
-    An episode that is done is kept in `out` with what it was made from, and not done again.
+    `when`: `first`, `every`, `lead` and `span` of `Hybrid`. An episode that is done is kept in `out` with what it was made from,
+    and not done again.
     """
     data, rows = open_dataset(out / "solver", test=True), []
     for segment in segments:
         kept = out / wrong / f"{segment.id}.json"
         made = {
             "model": model.base._asdict(),
-            "every": every,
+            "when": when,
             "own": own,
             "solver": data.about[segment.id]["file"]["sha256"],
             "wrong": wrong,
         }
         row = read_json(kept) if kept.is_file() else {}
         if row.get("made") != made:
-            row = _one(robot, model, setup, segment, data[segment.id], every, wrong, own) | {"made": made}
+            row = _one(robot, model, setup, segment, data[segment.id], when, wrong, own) | {"made": made}
             write_json(kept, row)
         rows.append(row)
         console.say(f"{segment.id}: {row['before_m']:.3f} m -> {row['after_m']:.3f} m")
@@ -123,7 +130,7 @@ def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *,
 
 
 def _one(
-    robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth: Record, every: float, wrong: str, own: float
+    robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth: Record, when: dict, wrong: str, own: float
 ) -> dict:
     ch = shorter_tail(robot) if wrong in ("tail", "both") else chain.chain_of(robot)
     water, ticks = model.swimmer(robot).water, min(ticks_of(segment, robot)[1], len(truth.q))
@@ -137,7 +144,7 @@ def _one(
         return fish.q
 
     solver = Solver(robot, setup.domain, slip=segment.slip, device=setup.device)
-    hybrid = Hybrid(Surrogate(robot, ch, water, pose=segment.pose), solver, own, every=every)
+    hybrid = Hybrid(Surrogate(robot, ch, water, pose=segment.pose), solver, own, **when)
     for command in commands:
         hybrid.tick(command)
     ends = (alone(water), alone(hybrid.surrogate.water), hybrid.surrogate.q)
