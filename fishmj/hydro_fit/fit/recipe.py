@@ -202,7 +202,7 @@ class Fit:
         fleet = rollout.fleet_of(self.chain, self.robot, swims, seconds=1e6)
         members, bands = [], []
         for w, factors, r in ((water, state["factors"], learnt), (state["alone"], state["alone_factors"], None)):
-            waters = member_waters(w, factors, self.chain.n, self.limits)
+            waters = np.stack([newton.scaled(w, row, self.chain.n, self.limits) for row in factors])
             made = self._band(fleet, w, waters, r)
             members.append(waters)
             bands.append([made[channel] for channel in band.CHANNELS])
@@ -298,8 +298,3 @@ class Fit:
             return None
         self.found, self.notes, self.seconds = meta["found"], meta["notes"], meta["seconds"]
         return arrays
-
-
-def member_waters(water: np.ndarray, factors: np.ndarray, links: int, limits) -> np.ndarray:
-    """(E, P): the base, moved along what the swims leave open."""
-    return np.stack([newton.scaled(water, row, links, limits) for row in factors])
