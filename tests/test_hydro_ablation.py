@@ -25,7 +25,7 @@ from fishmj.hydro_fit.passive import world_matrix
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
 E = force.ellipsoids_of(ROBOT)
 SMALL = {"size": 0.34, "seconds": 5.0}  # as in test_hydro_fit.py: what makes it is compiled once
-QUICK = Settings(steps=20, swim=40.0, swims=(0, 0))
+QUICK = Settings(steps=20, swim=40.0, swims=0)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from fishmj.hydro_fit.model import HydroModel
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
 SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
-QUICK = Settings(steps=200, swim=40.0, swims=(25, 0))
+QUICK = Settings(steps=200, swim=40.0, swims=25)
 
 
 @pytest.fixture(scope="module")

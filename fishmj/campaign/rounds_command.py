@@ -15,6 +15,7 @@ from fishmj.campaign.command import ON_GPU
 from fishmj.campaign.rounds import correct
 from fishmj.campaign.tank import Setup
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
+from fishmj.hydro_fit.fit.dealt import several
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import preset
@@ -37,6 +38,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--domain", default="window")
     parser.add_argument("--device", default="auto")
     args = parser.parse_args(argv)
+    several()
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
     first = open_dataset(args.data or Path("data") / "hydro" / robot.name)

@@ -151,10 +151,12 @@ def fitted_parts(data: Dataset, robot: Robot, slip: float) -> tuple[list[Record]
 
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
+    from fishmj.hydro_fit.fit.dealt import several
     from fishmj.hydro_fit.fit.keep import keep, standing_model
     from fishmj.hydro_fit.fit.prior import flat
     from fishmj.hydro_fit.fit.recipe import Fit, Settings
 
+    several()
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
     train, val = fitted_parts(data, robot, args.slip)
     about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": train[0].meta["grid"].get("domain", "")}

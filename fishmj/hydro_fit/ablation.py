@@ -54,7 +54,7 @@ ROWS: dict[str, Row] = {
     "whole": Row("strips and residual", drawn=True),
     "memoryless": Row("the same, no wake", changes={"memory": False}, drawn=True),
     "no-products": Row("the same, no products", changes={"products": False}, drawn=True),
-    "forces-only": Row("the same, residual taught by forces alone", changes={"swims": (0, 0)}, drawn=True),
+    "forces-only": Row("the same, residual taught by forces alone", changes={"swims": 0}, drawn=True),
     "no-retune": Row("the same, strips not fitted again", retune=False, drawn=True),
 }
 

@@ -22,7 +22,7 @@ from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 
-STEPS = (100, 0)  # of learning by swims; the first fit had more of them, from forces alone
+STEPS = 100  # of learning by swims; the first fit had more of them, from forces alone
 
 
 class Again(Fit):

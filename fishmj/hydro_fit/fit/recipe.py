@@ -36,7 +36,7 @@ STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
 class Settings:
     """What a fit may be told.
 
-    steps, swims: of learning by forces and by free swims, a number a course (swims.py).
+    steps, swims: of learning by forces and by free swims.
     swim: seconds of free swimming at most in each Gauss-Newton batch.
     """
 
@@ -44,7 +44,7 @@ class Settings:
     members: int = 5
     hidden: int = 16
     steps: int = 400
-    swims: tuple[int, ...] = (250, 70)
+    swims: int = 1000
     swim: float = 600.0
     residual: bool = True
     memory: bool = True
@@ -158,17 +158,14 @@ class Fit:
 
     def _swims(self, state) -> dict:
         learnt, water = unpacked(state), state["water"]
-        if learnt is None or not any(self.settings.swims):
+        if learnt is None or not self.settings.swims:
             return {}
         s, c = self.settings, unflat(water.tolist())
-        taught, held, net, whole = self._lessons(water), swims.held_of(self.chain, self.train, c), learnt.net, sum(s.swims)
-        for number, (course, steps) in enumerate(zip(swims.COURSES, s.swims, strict=True)):
-            before = sum(s.swims[:number])
-            told = lambda k, n, cost, before=before: self._tell("swims", (before + k) / whole, loss=cost)  # noqa: E731
-            if steps:
-                pieces = swims.pieces_of(self.chain, self.robot, self.train, c, course.length)
-                school = swims.School(self.robot, self.swim, pieces, held, taught, water, course=course, left=self._left)
-                net = school.learn(net, steps=steps, seed=s.seed, report=told)
+        taught, held = self._lessons(water), swims.held_of(self.chain, self.train, c)
+        pieces = swims.pieces_of(self.chain, self.robot, self.train, c)
+        told = lambda k, n, cost: self._tell("swims", k / n, loss=cost)  # noqa: E731
+        school = swims.School(self.robot, self.swim, pieces, held, taught, water, left=self._left)
+        net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told)
         return packed(self._reached(net, water))
 
     @property

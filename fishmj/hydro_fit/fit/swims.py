@@ -1,17 +1,18 @@
 """The residual, learnt by what fish do: gradients through free swims from recorded states.
 
-    L = mean h(dv / size) + power mean h(dP / size) + mean h(dT / asked) + L_forces
+    L = mean h(dv / size) + mean h(dV / size) / part^2 + power mean h(dP / size) + mean h(dT / asked) + L_forces
     h(e) = 2 c^2 (sqrt(1 + e^2 / c^2) - 1)
 
-dv: surge, sway and yaw rate over windows of 0.2 s, dP: servo power, in shares of the record with floors (tolerance.py); dT: mean
-thrust of held fish; L_forces (learning.py) keeps the forces true where swims do not tell. What is right to a per cent in every
-force may still swim away: the swims decide. The wake at a start is filled by the recorded motion of the 1.2 s before it;
-gradients go through that, too. The members act together, as they do in a fish. Two courses: many short swims, from which most
-is learnt in a given time, then a few long ones, which alone show a speed that creeps away. Backpropagation through a
-differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
+dv: surge, sway and yaw rate over windows of 0.2 s, dV: over the whole piece, dP: servo power, in shares of the record with floors
+(tolerance.py); dT: mean thrust of held fish; L_forces (learning.py) keeps the forces true where swims do not tell. What is right
+to a per cent in every force may still swim away: the swims decide. A beat's error drowns that of the mean, by which a fish is
+late or turns too wide: the mean counts apart. The wake at a start is filled by the recorded motion of the 1.2 s before it;
+gradients go through that, too. The members act together, as they do in a fish. Backpropagation through a differentiable
+simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ import optax
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit import chain, learned, residual, terms
 from fishmj.hydro_fit.fit import learning
+from fishmj.hydro_fit.fit.dealt import dealt, devices, stacked
 from fishmj.hydro_fit.fit.lessons import EVERY, Lessons, motion_of, taken
 from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, cut, is_free
@@ -33,19 +35,11 @@ from fishmj.mjcf.description import Robot
 BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means that are compared
 CLIP, POWER = 6.0, 0.3
 THRUST = 0.10  # of the tow drag: what is asked for
+LENGTH, BATCH, RATE = 2.0, 32, 1.5e-3  # s of a piece, which begin half of it apart; pieces a step; of learning
 LESSONS = 32  # pieces of forces a step
-
-
-class Course(NamedTuple):
-    """How swims are taken. length: of a piece, s; they begin half of it apart. floors: of the tolerances, which are for means."""
-
-    length: float
-    batch: int  # pieces a step
-    rate: float
-    floors: float
-
-
-COURSES = (Course(2.0, 64, 1e-3, 2.0), Course(6.0, 32, 4e-4, 1.0))
+FLOORS, PART = 2.0, 0.5  # of the tolerances: times the floors in a window, times all of it for a mean
+TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
+QUICK = {"xla_cpu_use_fusion_emitters": False}  # of the compiler: 33 s in place of 54, steps as fast
 
 
 class Pieces(NamedTuple):
@@ -69,9 +63,7 @@ class Held(NamedTuple):
     seen: Any  # as recorded
 
 
-def pieces_of(
-    ch: chain.Chain, robot: Robot, records: Sequence[Record], c: terms.Coefficients, length: float = COURSES[0].length
-) -> Pieces:
+def pieces_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], c: terms.Coefficients, length: float = LENGTH) -> Pieces:
     """Overlapping pieces of all free swims.
 
     Raises:
@@ -142,15 +134,15 @@ class School:
     """What a net is taught by.
 
     Args:
-        water: flat coefficients of the strips, which stay. course: whose pieces these are.
+        water: flat coefficients of the strips, which stay.
         left: what `residual.without` is told, for comparison.
     """
 
     def __init__(
         self, robot: Robot, swim: Swim, pieces: Pieces, held: Held | None, lessons: Lessons, water: np.ndarray, *,
-        course: Course = COURSES[0], left: dict | None = None,
+        left: dict | None = None,
     ):  # fmt: skip
-        self.course, self.swim, self.water, self.left = course, swim, np.asarray(water, np.float32), left or {}
+        self.swim, self.water, self.left = swim, np.asarray(water, np.float32), left or {}
         single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)  # noqa: E731
         self.pieces, self.lessons = single(pieces._replace(fleet=pieces.fleet._replace(source=()))), lessons
         self.held, self.share = None if held is None else single(held), pieces.share
@@ -172,11 +164,11 @@ class School:
         water = jnp.tile(self.water, (count, 1))
         start = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient)
         (q, v, power), _ = self.swim.trace(*start, water, part.attached, memory, learnt)
-        error, spent = self.errors(q, v, power, fleet)
-        return huber(error) + POWER * huber(spent)
+        whole, (error, spent) = self.means(q, v, fleet), self.errors(q, v, power, fleet)
+        return huber(error) + huber(whole) / PART**2 + POWER * huber(spent)
 
     def errors(self, q, v, power, fleet: Fleet):
-        """Of movement (P, W, 3) and of power (P, W), in units of what is tolerated."""
+        """Of movement (P, W, 3) and of power (P, W) over windows, in units of what is tolerated."""
         size = round(WINDOW / self.tick)
 
         def mean(a):
@@ -184,12 +176,14 @@ class School:
             return a[:, :whole].reshape(len(a), -1, size, *a.shape[2:]).mean(2)
 
         got, seen = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
-        (share, floor), (turn, still), (part, least) = (TOLERANCE[key] for key in ("speed", "yaw", "power"))
-        speed = share * jnp.hypot(seen[..., 0], seen[..., 1]) + self.course.floors * floor
-        wide = jnp.stack([speed, speed, turn * jnp.abs(seen[..., 2]) + self.course.floors * still], -1)
-        spent, wanted = mean(power), mean(fleet.power)
-        off = (spent - wanted) / (part * jnp.abs(wanted) + self.course.floors * least)
-        return (got - seen) / wide, jnp.where(jnp.isfinite(off), off, 0.0)
+        (part, least), spent, wanted = TOLERANCE["power"], mean(power), mean(fleet.power)
+        off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
+        return (got - seen) / _tolerated(seen, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
+
+    def means(self, q, v, fleet: Fleet):
+        """Of movement over whole pieces, (P, 3), in the same units."""
+        got, seen = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
+        return (got - seen) / (_tolerated(seen, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
 
     def pushed(self, net: residual.Net, held: Held):
         """Errors of the mean thrust of held fish, (R,), in what is asked for."""
@@ -200,24 +194,26 @@ class School:
 
     def learn(self, net: residual.Net, *, steps: int, seed: int = 0, report: Callable | None = None) -> residual.Net:
         """Go down L from `net`. One seed gives one result on one machine. report: called with (step, steps, loss)."""
-        schedule = optax.cosine_decay_schedule(self.course.rate, steps, 0.03)
+        schedule = optax.cosine_decay_schedule(RATE, steps, 0.03)
         optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
         net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
         state, rng = optimiser.init(net), np.random.default_rng([47, seed])
         drawn, count = learning.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
-        swims = len(self.pieces.attached)
+        swims, told = (min(most, there) for most, there in ((BATCH, len(self.share)), (LESSONS, count)))
+        among = devices(swims, told)
+        slope_of = dealt(self.loss, among)
 
-        @jax.jit
-        def step(net, state, part, lessons, weights):
-            lessons = lessons._replace(step=self.lessons.step)
-            value, slope = jax.value_and_grad(self.loss)(net, part, lessons, weights)
+        @partial(jax.jit, compiler_options=QUICK if among[0].platform == "cpu" else None)
+        def step(net, state, *hands):
+            value, slope = slope_of(net, *hands)
             change, state = optimiser.update(slope, state)
             return optax.apply_updates(net, change), state, value
 
         for k in range(steps):
-            at = rng.choice(swims, min(self.course.batch, swims), replace=False, p=self.share)
-            told = rng.choice(count, min(LESSONS, count), replace=False)
-            net, state, value = step(net, state, some(self.pieces, at), taken(self.lessons, told), drawn[:, told])
+            at = np.split(rng.choice(len(self.share), swims, replace=False, p=self.share), len(among))
+            rows = np.split(rng.choice(count, told, replace=False), len(among))
+            hands = [(some(self.pieces, a), taken(self.lessons, r), drawn[:, r]) for a, r in zip(at, rows, strict=True)]
+            net, state, value = step(net, state, *stacked(hands))
             if report is not None and (k % 5 == 4 or k + 1 == steps):
                 report(k + 1, steps, float(value))
         return residual.without(jax.tree.map(np.asarray, net), **self.left)
@@ -227,3 +223,10 @@ def _body(q, v):
     """Velocity ahead and to the left, and yaw rate, (P, T, 3)."""
     c, s = jnp.cos(q[..., 2]), jnp.sin(q[..., 2])
     return jnp.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
+
+
+def _tolerated(seen, floors: float):
+    """Of surge, sway and yaw rate as recorded, (.., 3)."""
+    (share, floor), (turn, still) = TOLERANCE["speed"], TOLERANCE["yaw"]
+    speed = share * jnp.hypot(seen[..., 0], seen[..., 1]) + floors * floor
+    return jnp.stack([speed, speed, turn * jnp.abs(seen[..., 2]) + floors * still], -1)

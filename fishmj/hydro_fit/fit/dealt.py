@@ -1,0 +1,50 @@
+"""A loss on several devices: its batch is dealt out in equal hands, values and slopes are averaged.
+
+slope_of = dealt(loss, devices)          value, slope = slope_of(net, *stacked(hands)), a hand for each device
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax import lax
+from jax.sharding import Mesh, PartitionSpec
+
+MOST = 8  # devices: a hand of fewer than eight swims takes as long as one of eight
+
+
+def several() -> None:
+    """Let the CPU be as many devices as this process may use cores; nothing changes once JAX has begun."""
+    import os
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        jax.config.update("jax_num_cpu_devices", min(MOST, cores))
+    except RuntimeError:  # a backend is up already
+        return
+
+
+def devices(*sizes: int) -> list:
+    """As many of this process's devices as divide all sizes."""
+    there = jax.devices()[:MOST]
+    return there[: next(n for n in range(len(there), 0, -1) if not any(size % n for size in sizes))]
+
+
+def dealt(loss: Callable, among: Sequence) -> Callable:
+    """(net, *arrays with one row a device) -> mean value and slope of loss(net, *rows)."""
+
+    def mean(net, *hand):
+        return lax.pmean(jax.value_and_grad(loss)(net, *jax.tree.map(lambda a: a[0], hand)), "devices")
+
+    same, own = PartitionSpec(), PartitionSpec("devices")
+    mesh = Mesh(np.array(among), ("devices",))
+    slope_of = lambda net, *hands: jax.shard_map(  # noqa: E731
+        mean, mesh=mesh, in_specs=(same, *[own] * len(hands)), out_specs=same, check_vma=False
+    )(net, *hands)
+    return slope_of
+
+
+def stacked(hands: Sequence[tuple]) -> tuple[Any, ...]:
+    """Trees of arrays, one tuple a device, as one tuple of trees with a row for each."""
+    return jax.tree.map(lambda *rows: np.stack(rows), *hands)

@@ -1,0 +1,31 @@
+"""A batch dealt out to several devices has the slope of the batch on one."""
+
+import json
+import subprocess
+import sys
+
+SCRIPT = """
+import json
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_num_cpu_devices", 4)
+from fishmj.hydro_fit.fit.dealt import dealt, devices, several, stacked
+
+rng = np.random.default_rng(0)
+x, y = rng.normal(size=(12, 3)), rng.normal(size=12)
+loss = lambda net, x, y: jnp.mean((jnp.tanh(x @ net["w"]) + net["b"] - y) ** 2)
+net = {"w": rng.normal(size=3), "b": 0.3}
+wanted = jax.value_and_grad(loss)(net, x, y)
+several()
+counts = [len(devices(12, 8)), len(devices(12)), len(devices(9, 12)), len(devices(7))]
+hands = stacked([(x[k::4], y[k::4]) for k in range(4)])
+got = jax.jit(dealt(loss, devices(12, 8)))(net, *hands)
+off = jax.tree.map(lambda a, b: float(np.abs(a - b).max()), got, wanted)
+print(json.dumps({"counts": counts, "off": max(jax.tree.leaves(off)), "size": float(np.abs(wanted[1]["w"]).max())}))
+"""
+
+
+def test_four_hands_have_the_slope_of_one():
+    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["counts"] == [4, 4, 3, 1]
+    assert found["off"] < 1e-6 < found["size"]
