@@ -131,7 +131,7 @@ class Hybrid:
     oracle: Oracle | None
     own: float = 1.0
     every: float = 20.0
-    first: float = 0.0
+    first: float = 4.0
     lead: float = 1.0
     span: float = 1.0
     patience: float = 60.0
