@@ -24,8 +24,8 @@ from fishmj.lbm_oracle.domain import PREVIEWS, preset
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_json
 
-DEFAULT = ("dob", "pi", "pd", "adrc-c1", "paper-sac", "paper", "drift")
-MEANING = {"paper-sac": "SAC", "paper": "PPO", "dob": "flow observer", "pi": "vector PI", "adrc-c1": "PNL + ADRC-C1", "pd": "PD"}
+DEFAULT = ("dob", "pi", "pd", "adrc-c1", "fitted-sac", "fitted", "drift")
+MEANING = {"fitted-sac": "SAC", "fitted": "PPO", "dob": "flow observer", "pi": "vector PI", "adrc-c1": "PNL + ADRC-C1", "pd": "PD"}
 SAID = {True: "yes", False: "NO", None: "cannot be told"}
 
 
