@@ -2,7 +2,7 @@
 
 python -m fishmj.hydro_fit hybrid --wrong both --device cuda --out runs/hybrid     ten episodes of 20 s; goes on where it was
 python -m fishmj.hydro_fit hybrid --wrong none ...                     the same with the fitted surrogate as it is
-python -m fishmj.hydro_fit hybrid --first 0 ...                        a stretch from rest; else in full swim: 1 s led, 1 s by its servos
+python -m fishmj.hydro_fit hybrid --first 0 ...                        a stretch from rest; else 1 s led and 1 s by its servos
 python -m fishmj.hydro_fit hybrid --domain laptop --episodes 1         a look on a CPU
 
 Wrong: `slip`, fitted to a hull along which no water slides (fit --slip 0 --base --name NAME-noslip makes it); `tail`, a tail 10 %
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each episode")
     parser.add_argument("--every", type=float, default=20.0, help="s from stretch to stretch; each is 2 s")
-    parser.add_argument("--first", type=float, default=4.0, help="s before the first stretch; at 0 the fish is at rest and need not be led")
+    parser.add_argument("--first", type=float, default=4.0, help="s before the first stretch; at 0 the fish need not be led")
     parser.add_argument(
         "--lead", type=float, default=1.0, help="s of a stretch for which the fish is led, where it is not at rest"
     )

@@ -25,7 +25,14 @@ from fishmj.mjcf.description import load_robot
 from fishmj.store import write_json
 
 DEFAULT = ("dob", "pi", "pd", "adrc-c1", "fitted-sac", "fitted", "drift")
-MEANING = {"fitted-sac": "SAC", "fitted": "PPO", "dob": "flow observer", "pi": "vector PI", "adrc-c1": "PNL + ADRC-C1", "pd": "PD"}
+MEANING = {
+    "fitted": "PPO",
+    "fitted-sac": "SAC",
+    "dob": "flow observer",
+    "pi": "vector PI",
+    "pd": "PD",
+    "adrc-c1": "PNL + ADRC-C1",
+}
 SAID = {True: "yes", False: "NO", None: "cannot be told"}
 
 

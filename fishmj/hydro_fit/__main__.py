@@ -98,6 +98,8 @@ def options(verb: str) -> argparse.ArgumentParser:
     made.add_argument("--seed", type=int, default=0)
     made.add_argument("--base", action="store_true", help="the strip model alone, without the learnt residual")
     made.add_argument("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
+    if verb in ("fit", "all"):
+        made.add_argument("--swims", type=int, help="steps of learning by swims, 1000 by default; 0 learns from forces alone")
     if verb == "ablation":
         made.add_argument("--rows", type=lambda text: text.split(","), default=[], help="NAME,NAME; default the whole table")
         made.add_argument(
@@ -156,6 +158,8 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     from fishmj.hydro_fit.fit.prior import flat
     from fishmj.hydro_fit.fit.recipe import Fit, Settings
 
+    if args.swims is not None and args.swims < 0:
+        raise ConfigError(f"hydro_fit fit: --swims {args.swims}; expected 0 or more steps")
     several()
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
     train, val = fitted_parts(data, robot, args.slip)
@@ -164,7 +168,8 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     with console.Progress(1.0, f"fit {robot.name}") as bar:
         told = lambda stage, share, figures: bar.update(share, stage=stage, **figures)  # noqa: E731
         work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{args.slip:g}"
-        settings = Settings(seed=args.seed, residual=not args.base)
+        taught = {} if args.swims is None else {"swims": args.swims}
+        settings = Settings(seed=args.seed, residual=not args.base, **taught)
         done = Fit(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
         model = replace(done.run(), name=args.name or robot.name)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
