@@ -14,7 +14,8 @@ from collections.abc import Callable
 from statistics import median
 from typing import NamedTuple
 
-from fishmj.doctor.machine import processor, usable_cores
+from fishmj.cores import usable_cores
+from fishmj.doctor.machine import processor
 from fishmj.doctor.packages import version
 from fishmj.errors import MissingExtra, UnknownName
 

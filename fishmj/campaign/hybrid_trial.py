@@ -50,10 +50,12 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--wrong", choices=WRONG, default="both", help="what is wrong about the surrogate")
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each episode")
-    parser.add_argument("--every", type=float, default=20.0, help="s from stretch to stretch; each is 2 s")
-    parser.add_argument("--first", type=float, default=4.0, help="s before the first stretch; at 0 the fish need not be led")
+    parser.add_argument("--every", type=float, default=Hybrid.every, help="s from stretch to stretch; each is 2 s")
     parser.add_argument(
-        "--lead", type=float, default=1.0, help="s of a stretch for which the fish is led, where it is not at rest"
+        "--first", type=float, default=Hybrid.first, help="s before the first stretch; at 0 the fish need not be led"
+    )
+    parser.add_argument(
+        "--lead", type=float, default=Hybrid.lead, help="s of a stretch for which the fish is led, where it is not at rest"
     )
     parser.add_argument("--domain", default="window")
     parser.add_argument("--device", default="auto")

@@ -15,7 +15,6 @@ from fishmj.campaign.command import ON_GPU
 from fishmj.campaign.rounds import correct
 from fishmj.campaign.tank import Setup
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
-from fishmj.hydro_fit.fit.dealt import several
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import preset
@@ -38,7 +37,6 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--domain", default="window")
     parser.add_argument("--device", default="auto")
     args = parser.parse_args(argv)
-    several()
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
     first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
@@ -61,9 +59,11 @@ def main(argv: list[str]) -> int:
 def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path) -> HydroModel:
     """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set."""
     from fishmj.hydro_fit.fit.again import Again
+    from fishmj.hydro_fit.fit.dealt import several
     from fishmj.hydro_fit.fit.newton import flaps
     from fishmj.hydro_fit.fit.rollout import is_free
 
+    several()
     keep = lambda r: not r.meta.get("replicate_of") and (is_free(r) or flaps(r))  # noqa: E731
     of = lambda data, split: [r for r in data.records(split, slip=model.slip) if keep(r)]  # noqa: E731
     added = open_dataset(solver)

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from fishmj import calib
+from fishmj.cores import usable_cores
 from fishmj.doctor.finding import Finding
 from fishmj.errors import FishmjError
 
@@ -27,11 +28,6 @@ def findings() -> list[Finding]:
         ),
         Finding("machine", "cores", "ok", f"{usable_cores()} usable of {os.cpu_count()}, {processor()}"),
     ]
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def processor() -> str:

@@ -7,7 +7,6 @@ The closed form is evaluated in float64 by the compiled evaluator (extra `fast`)
 Masses, inertias and servo gains differ from fish to fish inside MuJoCo's models as well (`expand`).
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from fishmj import mjcf
+from fishmj.cores import usable_cores
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.added import Added, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
@@ -44,7 +44,7 @@ class Engine:
         model, ch = mjcf.build(self.robot, bare=True), chain.chain_of(self.robot)
         self.steps, self.ticks = ticks_per(self.robot)
         evaluate = evaluator_of(self.robot, ch, evaluator)
-        self.shoals = [Shoal(self.robot, model, ch, evaluate) for _ in range(threads or len(os.sched_getaffinity(0)))]
+        self.shoals = [Shoal(self.robot, model, ch, evaluate) for _ in range(threads or usable_cores())]
         self._pool = ThreadPoolExecutor(len(self.shoals), "fishmj-batch")
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj.cores import usable_cores
 from fishmj.engines import FishParams, FishState, Trace, approx, check_commands, native, rows_of, ticks_per
 from fishmj.engines.added import Added
 from fishmj.errors import ConfigError
@@ -67,7 +68,7 @@ class Engine:
                 f"compiled engine: water {name!r} has a learnt residual, which is not compiled; expected strips alone:"
                 f" take {name}-base, or the engine planar, batch or mjx"
             )
-        self.threads = threads or usable_cpus()
+        self.threads = threads or usable_cores()
         self._pool: ThreadPoolExecutor | None = None
         self._owner = 0  # process of the pool
 
@@ -181,11 +182,6 @@ class Engine:
         out = jax.pure_callback(host, shape, _pack(jnp, leaves, batch, real), current.table, vmap_method="sequential")
         out = _unpack(out, results)
         return FishState(*out[:5]), Trace(*out[5:])
-
-
-def usable_cpus() -> int:
-    """CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _reader(batch: int, dtype: np.dtype):

@@ -11,16 +11,15 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
+from fishmj.cores import usable_cores
+
 MOST = 8  # devices: a hand of fewer than eight swims takes as long as one of eight
 
 
 def several() -> None:
     """Let the CPU be as many devices as this process may use cores; nothing changes once JAX has begun."""
-    import os
-
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
-        jax.config.update("jax_num_cpu_devices", min(MOST, cores))
+        jax.config.update("jax_num_cpu_devices", min(MOST, usable_cores()))
     except RuntimeError:  # a backend is up already
         return
 
@@ -37,11 +36,12 @@ def dealt(loss: Callable, among: Sequence) -> Callable:
     def mean(net, *hand):
         return lax.pmean(jax.value_and_grad(loss)(net, *jax.tree.map(lambda a: a[0], hand)), "devices")
 
-    same, own = PartitionSpec(), PartitionSpec("devices")
     mesh = Mesh(np.array(among), ("devices",))
-    slope_of = lambda net, *hands: jax.shard_map(  # noqa: E731
-        mean, mesh=mesh, in_specs=(same, *[own] * len(hands)), out_specs=same, check_vma=False
-    )(net, *hands)
+
+    def slope_of(net, *hands):
+        specs = (PartitionSpec(), *[PartitionSpec("devices")] * len(hands))
+        return jax.shard_map(mean, mesh=mesh, in_specs=specs, out_specs=PartitionSpec(), check_vma=False)(net, *hands)
+
     return slope_of
 
 

@@ -83,6 +83,11 @@ def size_of(net: residual.Net):
     return sum(jnp.mean(getattr(net, k) ** 2) for k in ("inner", "outer", "wake", "even", "odd"))
 
 
+def adam(rate: float, steps: int) -> optax.GradientTransformation:
+    """Adam with short slopes and a rate that falls by a cosine."""
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.03)))
+
+
 def learn(
     ch: chain.Chain, lessons: Lessons, net: residual.Net, *, steps: int = 800, seed: int = 0, left: dict | None = None,
     report: Callable | None = None,
@@ -94,8 +99,7 @@ def learn(
     """
     p, rho, told = residual.panels(ch), ch.strips.rho, left or {}
     b = bootstrap(lessons.episode, net.members, seed)
-    schedule = optax.cosine_decay_schedule(RATE, steps, 0.03)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+    optimiser = adam(RATE, steps)
     net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
     state, rng, losses = optimiser.init(net), np.random.default_rng([43, seed]), []
 

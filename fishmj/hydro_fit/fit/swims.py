@@ -63,17 +63,17 @@ class Held(NamedTuple):
     seen: Any  # as recorded
 
 
-def pieces_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], c: terms.Coefficients, length: float = LENGTH) -> Pieces:
+def pieces_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], c: terms.Coefficients) -> Pieces:
     """Overlapping pieces of all free swims.
 
     Raises:
         DatasetError: none is long enough.
     """
-    free = [r for r in records if is_free(r) and r.seconds >= length]
+    free = [r for r in records if is_free(r) and r.seconds >= LENGTH]
     if not free:
-        raise DatasetError(f"no free swim of {length:g} s among the records; collect gaits")
+        raise DatasetError(f"no free swim of {LENGTH:g} s among the records; collect gaits")
     tick = free[0].tick
-    size, apart, burn = (round(seconds / tick) for seconds in (length, length / 2, BURN))
+    size, apart, burn = (round(seconds / tick) for seconds in (LENGTH, LENGTH / 2, BURN))
     rows = rows_of(ch, free)
     m, attached = motion_of(residual.panels(ch), rows), attachment(rows, ch.strips, c, tick)
     features = np.array(m.x)
@@ -194,8 +194,7 @@ class School:
 
     def learn(self, net: residual.Net, *, steps: int, seed: int = 0, report: Callable | None = None) -> residual.Net:
         """Go down L from `net`. One seed gives one result on one machine. report: called with (step, steps, loss)."""
-        schedule = optax.cosine_decay_schedule(RATE, steps, 0.03)
-        optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+        optimiser = learning.adam(RATE, steps)
         net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
         state, rng = optimiser.init(net), np.random.default_rng([47, seed])
         drawn, count = learning.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
