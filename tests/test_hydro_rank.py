@@ -65,6 +65,15 @@ def test_drift_is_shown_and_neither_ranked_nor_judged():
     assert found["gap_max"] == pytest.approx(0.01) and found["passed"] == {"gap_max": True, "tau": True}
 
 
+def test_what_the_solver_itself_moves_by_is_allowed_twice():
+    solver, surrogate = water(dob=0.1, pi=0.2), water(dob=0.15, pi=0.25)
+    again = [water(dob=0.13, pi=0.201), water(dob=0.09, pi=0.2)]
+    again[1]["pi"][0] = np.nan
+    found = rank.judged(KEY, solver, surrogate, again)
+    assert [row["allowed"] for row in found["controllers"]] == pytest.approx([0.06, rank.GAP])
+    assert [row["within"] for row in found["controllers"]] == [True, False] and found["passed"]["gap_max"] is False
+
+
 def test_the_worst_controller_decides_the_gap():
     found = rank.judged(KEY, water(dob=0.1, pi=0.2), water(dob=0.1, pi=0.221))
     assert found["gap_max"] == pytest.approx(0.021) and found["passed"]["gap_max"] is False
@@ -115,14 +124,18 @@ class MadeUp:
     asked, patience = 0, 1000
     stopped: list[str] = []
 
-    def __init__(self, robot, flows, *, domain, slip, device):
+    def __init__(self, robot, flows, *, domain, slip, device, nudge=(0.0, 0.0), finer=1):
         type(self).asked += len(flows)
+        self.nudge = np.array(nudge) * 0.02
         if self.asked > self.patience:
             raise KeyboardInterrupt
         self.body, self.current, self.stopped = engines.make("batch", robot), stack(flows), [""] * len(flows)
 
     def advance(self, state, commands, params, current, tick):
-        return self.body.advance(state, commands, params, self.current, tick)
+        q = np.asarray(state.q).copy()
+        q[:, :2] += self.nudge
+        self.nudge = 0.0
+        return self.body.advance(state._replace(q=q), commands, params, self.current, tick)
 
 
 @pytest.fixture
@@ -172,6 +185,17 @@ def test_the_command_ranks_draws_and_says_that_it_is_a_preview(tmp_path, solver,
     assert judged["of"] == 1 and [row["n"] for row in judged["controllers"]] == [6, 6, 6]
     assert code == {True: 0, False: 1, None: 3}[found["ok"]]
     assert (tmp_path / "rank.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_solver_is_asked_again_a_part_of_a_cell_away_and_both_are_kept(tmp_path, solver, capsys):
+    for _ in range(2):
+        command(tmp_path, "pd", "--trials", "2", "--again", "1")
+        found = json.loads((tmp_path / "rank.json").read_text())
+        assert solver.asked == 4, "two trials and their repeats; the second time all were kept"
+        first, again = found["by_trial"]["solver"]["pd"][KEY], found["by_trial"]["solver_again"][0]["pd"][KEY]
+        assert 1e-4 < np.abs(np.subtract(first, again)).max() < 0.02, "the fish began a few mm elsewhere"
+        assert found[KEY]["controllers"][0]["repeats"] == pytest.approx([np.mean(np.subtract(again, first))])
+    assert "solver again" in capsys.readouterr().out
 
 
 def test_the_same_water_twice_has_no_gap(solver, tmp_path):

@@ -9,6 +9,7 @@ into moving water and let go at once is carried along within 0.1 s, because all 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,18 +32,23 @@ class Engine:
     Args:
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
+        nudge: cells by which every fish is shifted at its start. finer: time steps in one of the domain's.
     """
 
     jittable = False
 
-    def __init__(self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto"):
+    def __init__(
+        self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
+        nudge: tuple[float, float] = (0.0, 0.0), finer: int = 1,
+    ):  # fmt: skip
         if robot.effects:
             listed = ", ".join(fitted.name for fitted in robot.effects)
             raise ConfigError(
                 f"tanks: the flow solver's fish has no place for effects, {robot.name} has {listed}; use its nominal file"
             )
         self.robot, self.flows = robot, list(flows)
-        self.domain, self.slip, self.device = preset(domain), slip, device
+        box = preset(domain)
+        self.domain, self.slip, self.device, self.nudge = replace(box, dt=box.dt / finer), slip, device, nudge
         self.tanks: Tanks | None = None
 
     @property
@@ -101,7 +107,7 @@ class Engine:
             robot=self.robot,
             flow=self.flows[i],
             slip=self.slip,
-            pose=(float(q[0]), float(q[1]), float(q[2])),
+            pose=(float(q[0] + self.nudge[0] * self.domain.dx), float(q[1] + self.nudge[1] * self.domain.dx), float(q[2])),
             joints=tuple(float(a) for a in q[3:]),
             device=self.device,
         )

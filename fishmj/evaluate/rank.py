@@ -1,6 +1,7 @@
 """Do two waters rank controllers alike? Gaps of one figure, and Kendall's tau over the pairs that both waters tell apart.
 
     gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval
+    allowed    0.02 m, or twice what the solver's own mean moves by when the trials are repeated in it
     told apart in a water: the interval of the paired difference of two controllers excludes 0; at least `LEAST` trials
     tau-b      sum s_a s_b / sqrt(sum s_a^2 sum s_b^2),  s = sign of a pair's mean difference in each water (Kendall 1945)
 
@@ -9,7 +10,7 @@ is better. Of fewer than `LEAST` trials even equal controllers would all have th
 2^(1 - n), so that no 95 % interval can be had from them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -21,15 +22,18 @@ LEAST = 6  # trials
 UNRANKED = ("drift",)  # shown beside the others
 
 
-def judged(key: str, solver: Mapping[str, np.ndarray], surrogate: Mapping[str, np.ndarray]) -> dict:
+Figures = Mapping[str, np.ndarray]  # controller -> (n,) one figure a trial, m, NaN where a trial has none
+
+
+def judged(key: str, solver: Figures, surrogate: Figures, again: Sequence[Figures] = ()) -> dict:
     """Everything that one figure says about two waters.
 
     Args:
-        key: name of the figure. solver, surrogate: controller -> (n,) one figure a trial, m, NaN where a trial has none.
+        key: name of the figure. again: the solver's repeats of the same trials.
     Returns:
         controllers, pairs (rows), tau, counted, of, tau_all_pairs, gap_max, tolerances, passed by figure (None: cannot be told).
     """
-    rows = [controller(key, name, solver[name], surrogate[name]) for name in solver]
+    rows = [controller(key, name, solver[name], surrogate[name], [repeat[name] for repeat in again]) for name in solver]
     ranked = [row["controller"] for row in rows if row["ranked"]]
     pairs = [pair(key, a, b, solver, surrogate) for a, b in combinations(ranked, 2)]
     counted = [row for row in pairs if row["counted"]]
@@ -50,7 +54,7 @@ def judged(key: str, solver: Mapping[str, np.ndarray], surrogate: Mapping[str, n
     }
 
 
-def controller(key: str, name: str, solver, surrogate) -> dict:
+def controller(key: str, name: str, solver, surrogate, again: Sequence = ()) -> dict:
     """One controller in both waters: its figure and the gap, over the trials that have it in both."""
     both = np.isfinite(solver) & np.isfinite(surrogate)
     a, b = np.asarray(solver, float)[both], np.asarray(surrogate, float)[both]
@@ -63,8 +67,16 @@ def controller(key: str, name: str, solver, surrogate) -> dict:
         "solver": estimate(key, a)._asdict(),
         "surrogate": estimate(key, b)._asdict(),
         "gap": {"value": gap.value, "low": gap.low, "high": gap.high},
-        "within": bool(abs(gap.value) <= GAP) if gap.n else None,
+        "repeats": (repeats := [repeated(solver, other) for other in again]),
+        "allowed": (allowed := max([GAP, *(2 * abs(value) for value in repeats if np.isfinite(value))])),
+        "within": bool(abs(gap.value) <= allowed) if gap.n else None,
     }
+
+
+def repeated(solver, again) -> float:
+    """Mean over trials of what the solver's own figure moves by when a trial is repeated, m."""
+    moved = np.asarray(again, float) - np.asarray(solver, float)
+    return float(moved[np.isfinite(moved)].mean()) if np.isfinite(moved).any() else np.nan
 
 
 def all_of(passed: list[bool | None]) -> bool | None:

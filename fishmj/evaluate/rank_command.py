@@ -3,6 +3,8 @@
     python -m fishmj.hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all controllers, both waters
     python -m fishmj.hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
     python -m fishmj.hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
+    python -m fishmj.hydro_fit rank pd --again 3        how well the solver repeats itself: twice a part of a cell away, once with
+                                                        half its time step; a gap may be twice that
 
 Exit code 1 where a tolerance is missed, 3 where too few trials tell the controllers apart.
 """
@@ -49,6 +51,8 @@ def options(argv: list[str]):
     add("--tanks", type=int, metavar="N", help=f"trials side by side in the solver; {ON_GPU} on a GPU, else 1")
     add("--trials", type=int, default=24, metavar="N", help="of the decided 72, spread over speeds and directions; default 24")
     add("--seconds", type=float, help="of a trial; default 60")
+    often = range(len(two_waters.AGAIN) + 1)
+    add("--again", type=int, default=0, choices=often, metavar="N", help="repeats in the solver: what gap is allowed; 3 is all")
     add("--budget", type=float, help="s of wall clock after which no further trial is begun in the solver")
     add("--seed", type=int, default=0, help="of the trials")
     add("--out", type=Path, default=Path("runs") / "rank", metavar="DIR", help="finished trials, rank.json, rank.png")
@@ -70,21 +74,37 @@ def main(argv: list[str]) -> int:
     preset(args.domain)
     device = str(device_of(args.device))
     tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
-    total = trials.duration * len(trials) * len(brains)
+    repeats = (None, *two_waters.AGAIN[: args.again])
+    total = trials.duration * len(trials) * len(brains) * len(repeats)
     if args.device == "auto" and device == "cpu" and args.budget is None and total > PATIENCE:
         console.warn(
             f"rank: {total:.0f} s of water and no accelerator: nothing was run. --budget SECONDS or --device cpu runs it all the"
             " same; --domain laptop --trials 6 --seconds 10 is a preview"
         )
         return console.FAILED_CHECK
-    solver = two_waters.in_solver(robot, args.out, domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
+    box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
+    waters = [two_waters.in_solver(robot, args.out, **box, again=again) for again in repeats]
     surrogate = two_waters.in_surrogate(fitted, args.engine)
     with console.Progress(total, "rank in the solver", unit="sim s") as bar:
-        said = lambda name, water: bar.update(water, controller=name)  # noqa: E731
-        trials, solved = two_waters.solve(brains, trials, solver, group=tanks, budget=args.budget, report=said)
+        trials, solved, again = in_turn(brains, trials, waters, tanks, args.budget, bar)
     with console.Progress(trials.duration * len(trials) * len(brains), "rank in the surrogate", unit="sim s") as bar:
         swum = two_waters.swim(brains, trials, surrogate, report=lambda name, water: bar.update(water, controller=name))
-    return shown(verdict(trials, solved, swum, model, args), args)
+    return shown(verdict(trials, solved, swum, again, model, args), args)
+
+
+def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: float | None, bar) -> tuple:
+    """All trials in the solver, then again in its repeats: the trials that all of them have finished, their figures, those of
+    the repeats."""
+    found, before = [], 0.0
+    for water in waters:
+        said = lambda name, done: bar.update(before + done, controller=name)  # noqa: B023, E731  called at once
+        trials, figures = two_waters.solve(brains, trials, water, group=tanks, budget=budget, report=said)
+        found.append(figures)
+        before += trials.duration * len(trials) * len(brains)
+    first, *again = [
+        {name: {k: v[: len(trials)] for k, v in rows.items()} for name, rows in figures.items()} for figures in found
+    ]
+    return trials, first, again
 
 
 def default_model(fish: str) -> str:
@@ -113,16 +133,16 @@ def chosen(args) -> protocol.Trials:
     return replace(every, items=every.items[: args.trials])
 
 
-def verdict(trials: protocol.Trials, solved: dict, swum: dict, model: HydroModel, args) -> dict:
+def verdict(trials: protocol.Trials, solved: dict, swum: dict, again: list[dict], model: HydroModel, args) -> dict:
     """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told.
 
     Args:
-        solved, swum: controller -> key -> (n,) in solver and surrogate.
+        solved, swum: controller -> key -> (n,) in solver and surrogate. again: the same in the solver's repeats.
     Returns:
         among others conditions: (m/s, line of sight in deg, repeat) of each trial, in the order of `by_trial`.
     """
     of = lambda found, key: {name: figures[key] for name, figures in found.items()}  # noqa: E731
-    judged = {key: rank.judged(key, of(solved, key), of(swum, key)) for key in two_waters.KEYS}
+    judged = {key: rank.judged(key, of(solved, key), of(swum, key), [of(x, key) for x in again]) for key in two_waters.KEYS}
     return {
         "ok": rank.all_of(list(judged["rmse_after_arrival"]["passed"].values())),
         "preview": args.domain in PREVIEWS,
@@ -136,7 +156,7 @@ def verdict(trials: protocol.Trials, solved: dict, swum: dict, model: HydroModel
         "seed": args.seed,
         "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},
         "conditions": [[item.speed, round(float(np.degrees(item.los)), 6), item.repeat] for item in trials.items],
-        "by_trial": {"solver": solved, "surrogate": swum},
+        "by_trial": {"solver": solved, "surrogate": swum, "solver_again": again},
         **judged,
     }
 
@@ -174,14 +194,16 @@ def row_of(key: str, row: dict) -> dict:
         "surrogate [m]": cell(row["surrogate"]),
         "gap [m]": cell(row["gap"], "+"),
     }
-    return about | {f"within {rank.GAP:g} m": SAID[row["within"]] if row["ranked"] else ""}
+    if row["repeats"]:
+        about["solver again [m]"] = " ".join(f"{value:+.3f}" for value in row["repeats"])
+    return about | {"allowed [m]": f"{row['allowed']:.3f}", "within": SAID[row["within"]] if row["ranked"] else ""}
 
 
 def verdict_lines(judged: dict) -> list[str]:
     """What passed, in words."""
     told, passed = judged["told_apart"], judged["passed"]
     return [
-        f"largest gap {judged['gap_max']:.3f} m, at most {rank.GAP:g}: {SAID[passed['gap_max']]}",
+        f"largest gap {judged['gap_max']:.3f} m, each at most what is allowed: {SAID[passed['gap_max']]}",
         f"Kendall tau {judged['tau']:.2f}, at least {rank.TAU:g}: {SAID[passed['tau']]}; {judged['counted']} of {judged['of']}"
         f" pairs count, told apart in both waters ({told['solver']} in the solver, {told['surrogate']} in the surrogate);"
         f" over all pairs, counted or not: {judged['tau_all_pairs']:.2f}",
