@@ -185,12 +185,13 @@ class Swim:
                 memory = memory if learnt is None else tuple(s.memory)
                 return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
 
-            (q, v, x, memory, power), _ = lax.scan(step, (*state, 0.0 * state[2]), jnp.swapaxes(target, 0, 1))
+            again = jax.checkpoint(step, prevent_cse=False)  # a gradient does each step once more: it needs its state alone
+            (q, v, x, memory, power), _ = lax.scan(again, (*state, 0.0 * state[2]), jnp.swapaxes(target, 0, 1))
             return (q, v, x, memory), (jnp.stack(q, -1), jnp.stack(v, -1), power / target.shape[1])
 
         ahead = tuple(jnp.swapaxes(a, 0, 1) for a in (target, flow, ambient))
         start = (split(q), split(v), attached, split(memory))
-        state, out = lax.scan(jax.checkpoint(tick), start, ahead)  # a gradient goes back tick by tick
+        state, out = lax.scan(tick, start, ahead)
         return tuple(jnp.swapaxes(a, 0, 1) for a in out), state
 
 

@@ -36,7 +36,7 @@ BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means th
 CLIP, POWER = 6.0, 0.3
 THRUST = 0.10  # of the tow drag: what is asked for
 LENGTH, BATCH, RATE = 2.0, 32, 1.5e-3  # s of a piece, which begin half of it apart; pieces a step; of learning
-LESSONS = 32  # pieces of forces a step
+LESSONS, HOLDS = 32, 16  # pieces of forces, and held fish, a step
 FLOORS, PART = 2.0, 0.5  # of the tolerances: times the floors in a window, times all of it for a mean
 TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
 QUICK = {"xla_cpu_use_fusion_emitters": False}  # of the compiler: 33 s in place of 54, steps as fast
@@ -149,11 +149,11 @@ class School:
         self.ch, self.tick = swim.chain, lessons.step / EVERY
         self.panels, self.drag = residual.panels(self.ch), tow_drag(self.ch, robot)
 
-    def loss(self, net: residual.Net, part: Pieces, lessons: Lessons, weights):
+    def loss(self, net: residual.Net, part: Pieces, lessons: Lessons, weights, held: Held | None):
         """L of a batch."""
         net = residual.without(net, **self.left)
         total = self.swum(net, part) + learning.loss(net, lessons, weights, self.panels, self.ch.strips.rho)
-        return total if self.held is None else total + huber(self.pushed(net, self.held))
+        return total if held is None else total + huber(self.pushed(net, held))
 
     def swum(self, net: residual.Net, part: Pieces):
         """What the swims are off by."""
@@ -192,6 +192,13 @@ class School:
         got = held.strips + (held.weight * force[:, 0].sum(1)).sum(0)
         return (got - held.seen) / (THRUST * self.drag)
 
+    def drawn_held(self, rng: np.random.Generator, most: int) -> Held | None:
+        """At most so many of the held fish, at random."""
+        if self.held is None:
+            return None
+        at = rng.permutation(len(self.held.seen))[:most]
+        return Held._make(a[..., at] for a in self.held)
+
     def learn(self, net: residual.Net, *, steps: int, seed: int = 0, report: Callable | None = None) -> residual.Net:
         """Go down L from `net`. One seed gives one result on one machine. report: called with (step, steps, loss)."""
         optimiser = learning.adam(RATE, steps)
@@ -211,7 +218,10 @@ class School:
         for k in range(steps):
             at = np.split(rng.choice(len(self.share), swims, replace=False, p=self.share), len(among))
             rows = np.split(rng.choice(count, told, replace=False), len(among))
-            hands = [(some(self.pieces, a), taken(self.lessons, r), drawn[:, r]) for a, r in zip(at, rows, strict=True)]
+            fish = [self.drawn_held(rng, HOLDS // len(among)) for _ in among]
+            hands = [
+                (some(self.pieces, a), taken(self.lessons, r), drawn[:, r], h) for a, r, h in zip(at, rows, fish, strict=True)
+            ]
             net, state, value = step(net, state, *stacked(hands))
             if report is not None and (k % 5 == 4 or k + 1 == steps):
                 report(k + 1, steps, float(value))
