@@ -4,6 +4,7 @@ slope_of = dealt(loss, devices)          value, slope = slope_of(net, *stacked(h
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import jax
@@ -28,6 +29,22 @@ def devices(*sizes: int) -> list:
     """As many of this process's devices as divide all sizes."""
     there = jax.devices()[:MOST]
     return there[: next(n for n in range(len(there), 0, -1) if not any(size % n for size in sizes))]
+
+
+@cache
+def quick(platform: str) -> dict | None:
+    """Compiler options for a long loop of short operations; None where there are none, or this JAX knows them no longer.
+
+    JAX 0.10: compiled in 17 s in place of 42, a step takes 125 ms in place of 203. JAX 0.11 is as fast without.
+    """
+    if platform != "cpu":
+        return None
+    options = {"xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda x: x, compiler_options=options).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return None
+    return options
 
 
 def dealt(loss: Callable, among: Sequence) -> Callable:

@@ -23,7 +23,7 @@ import optax
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit import chain, learned, residual, terms
 from fishmj.hydro_fit.fit import learning
-from fishmj.hydro_fit.fit.dealt import dealt, devices, stacked
+from fishmj.hydro_fit.fit.dealt import dealt, devices, quick, stacked
 from fishmj.hydro_fit.fit.lessons import EVERY, Lessons, motion_of, taken
 from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, cut, is_free
@@ -39,7 +39,6 @@ LENGTH, BATCH, RATE = 2.0, 32, 1.5e-3  # s of a piece, which begin half of it ap
 LESSONS, HOLDS = 32, 16  # pieces of forces, and held fish, a step
 FLOORS, PART = 2.0, 0.5  # of the tolerances: times the floors in a window, times all of it for a mean
 TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
-QUICK = {"xla_cpu_use_fusion_emitters": False}  # of the compiler: 33 s in place of 54, steps as fast
 
 
 class Pieces(NamedTuple):
@@ -209,7 +208,7 @@ class School:
         among = devices(swims, told)
         slope_of = dealt(self.loss, among)
 
-        @partial(jax.jit, compiler_options=QUICK if among[0].platform == "cpu" else None)
+        @partial(jax.jit, compiler_options=quick(among[0].platform))
         def step(net, state, *hands):
             value, slope = slope_of(net, *hands)
             change, state = optimiser.update(slope, state)
