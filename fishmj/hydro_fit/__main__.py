@@ -239,8 +239,10 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
     from fishmj.hydro_fit import ablation_table
     from fishmj.hydro_fit.ablation import table
+    from fishmj.hydro_fit.fit.dealt import several
     from fishmj.hydro_fit.fit.recipe import Settings
 
+    several()
     data = open_dataset(folder, test=True)
     parts = [records_of(data, robot, split, args.slip) for split in ("train", "val", "test")]
     out = Path(args.out or Path("runs") / "hydro_fit" / f"ablation-{folder.name}-{robot.name}-{args.slip:g}")
