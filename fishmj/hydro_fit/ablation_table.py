@@ -18,6 +18,7 @@ SHOWN = {  # figure -> (heading, factor, format)
     "freerun_position_error": ("place", 1.0, "{:.3f} m"),
 }
 CLOUD, ASKED = "#20639b", "#c0502e"
+ROOM = 2.0  # beside the outermost dots, a factor
 
 
 def grouped(rows: Sequence[dict]) -> dict[str, list[dict]]:
@@ -89,12 +90,14 @@ def picture(rows: Sequence[dict]) -> bytes:
     figure, axes = plt.subplots(1, len(known), figsize=size, layout="constrained", sharey=True, squeeze=False)
     for axis, key in zip(axes[0], known, strict=True):
         heading, factor, text = SHOWN[key]
+        shown = [STATED[key], *(row["figures"][key] for row in rows if row["figures"][key])]
         for place, some in enumerate(waters.values()):
             values = [factor * row["figures"][key] for row in some if row["figures"][key] is not None]
             axis.plot(values, [place] * len(values), "o", ms=4.5, color=CLOUD, alpha=0.7)
         axis.axvline(factor * STATED[key], lw=0.9, color=ASKED)
         axis.set_xscale("log")
-        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.set_xlim(factor * min(shown) / ROOM, factor * max(shown) * ROOM)
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0), numticks=9))
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.xaxis.set_major_formatter("{x:g}")
         axis.tick_params(labelsize=8)
