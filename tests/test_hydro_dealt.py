@@ -4,6 +4,10 @@ import json
 import subprocess
 import sys
 
+import jax
+
+from fishmj.hydro_fit.fit.dealt import quick
+
 SCRIPT = """
 import json
 import jax, jax.numpy as jnp, numpy as np
@@ -29,3 +33,12 @@ def test_four_hands_have_the_slope_of_one():
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["counts"] == [4, 4, 3, 1]
     assert found["off"] < 1e-6 < found["size"]
+
+
+def test_a_compiler_option_that_jax_no_longer_knows_is_left_out(monkeypatch):
+    def unknown(fun, compiler_options=None):
+        raise jax.errors.JaxRuntimeError(f"INVALID_ARGUMENT: No such compile option: {compiler_options}")
+
+    assert quick("gpu") is None
+    monkeypatch.setattr(jax, "jit", unknown)
+    assert quick.__wrapped__("cpu") is None

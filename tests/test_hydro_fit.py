@@ -108,6 +108,9 @@ def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
     assert off[1] < 0.9 * off[0]
     pushed = [float(swims.huber(school.pushed(net, school.held))) for net in (before, after)]
     assert np.isfinite(pushed).all()
+    rng, every = np.random.default_rng(0), set(school.held.seen.tolist())
+    drawn = [set(school.drawn_held(rng, 2).seen.tolist()) for _ in range(40)]
+    assert {len(some) for some in drawn} == {min(2, len(every))} and set.union(*drawn) == every, "all of them in turn"
 
 
 def test_a_piece_begins_with_the_wake_of_the_motion_before_it(records):
