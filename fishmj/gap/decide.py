@@ -1,4 +1,4 @@
-"""From what was found to one of the five answers: nine gates, each a reason that a reader can check.
+"""From what was found to one of the five answers: ten gates, each a reason that a reader can check.
 
     G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
     G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
@@ -9,10 +9,11 @@
     G7 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
     G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
+    G10 force       no free force explains more, unseen (fallback/outdone.py)   else UNEXPLAINED
 
 The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A
 right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare the
-paths of as many records as G7 lets get worse (spared.py).
+paths of as many records as G7 lets get worse (spared.py), and G5 an effect that can only be right (pinned).
 
 An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is one
 named that brings little and is much smaller than usual, or is what one that brings more is taken for, or that is far smaller
@@ -70,6 +71,7 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
     kept = tuple(n for n in effects if n.name not in spoilt)
+    checks["pinned"] = pinned(e, found.best.names)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
     whole: dict = dict(effects=kept, rivals=rivals, warnings=warnings, gates=checks, steps=steps, explained=checks["closure"])
@@ -82,6 +84,16 @@ def unsure(name: str, stand: Standing, gates: Gates) -> bool:
     """Whether something else may be meant that is not the same by construction."""
     twins = [r for r in stand.rivals if together(name, r.name)]
     return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
+
+
+def pinned(e: Evidence, names) -> bool:
+    """Whether all that was found explains anything only where a value is right to a fraction of a per cent.
+
+    That stands in for nothing, and its form may be wrong: a command in steps jumps between the right values, though no two
+    robots do at the same moment.
+    """
+    known = {x.name: x for x in e.plant.active.effects}
+    return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
 
 
 def confused(e: Evidence, one: str, other: str) -> bool:
@@ -101,7 +113,7 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     if checks["rest"] > gates.rest:
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
         return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
-    if strained(checks["strain"], checks["gain"]):
+    if strained(checks["strain"], checks["gain"]) and not checks["pinned"]:
         return "UNEXPLAINED", f"the best would have to be wrong by {checks['form']:.0%} of what it changes; it is tentative"
     if checks["size"] > gates.size:
         return "UNEXPLAINED", f"the best would have to be resized by {checks['size']:.0%} from record to record; it is tentative"

@@ -43,6 +43,12 @@ class Evidence:
         """(L,) bool: all records."""
         return np.ones(len(self.records), bool)
 
+    def on(self, plant) -> "Evidence":
+        """The same records and null with other effects in question; `plant` at its null is the same model."""
+        there = copy(self.origin)
+        there.plant, there.origin = plant, there
+        return there
+
     def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the constants' tolerance does to the residual of a parameter row: (C, m) tangents, (m,) mean square of what is
         not linear in them."""

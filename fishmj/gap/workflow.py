@@ -1,6 +1,6 @@
 """`gap find` from end to end: a data set in, an answer out.
 
-read -> audit clocks -> repeatable? -> null runs -> find -> decide -> gap on records that no decision saw
+read -> audit clocks -> repeatable? -> null runs -> find -> decide -> free forces -> gap on records that no decision saw
 """
 
 from collections.abc import Callable
@@ -74,6 +74,10 @@ def investigate(
     e = evidence_of(plant, seen, null)
     found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)))
     verdict = decide(e, found, gates)
+    if verdict.answer in ("NAMED", "CLASS"):
+        from fishmj.gap.fallback import challenged
+
+        verdict = challenged(plant, e, found, verdict)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())

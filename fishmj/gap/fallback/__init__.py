@@ -26,4 +26,17 @@ def described(plant, e, null, seed: int = 0) -> tuple[dict, ...]:
     return tuple(asdict(t) | {"firm": t.firm} for t in terms_of(termed(plant.robot), e.records, residuals, seed))
 
 
-__all__ = ["Term", "described", "terms_of"]
+def challenged(plant, e, found, verdict):
+    """The verdict on what was found, UNEXPLAINED if a free force explains more (outdone.py); as it is for no swimming fish.
+
+    Args:
+        e: Evidence of the records.
+    """
+    from fishmj.gap.fallback import outdone
+    from fishmj.gap.fallback.plant import termed
+    from fishmj.gap.plants.fish import Fish
+
+    return outdone.challenged(termed(plant.robot), e, found, verdict) if isinstance(plant, Fish) else verdict
+
+
+__all__ = ["Term", "challenged", "described", "terms_of"]

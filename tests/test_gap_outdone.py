@@ -1,0 +1,99 @@
+"""What was found has to explain more than any free force; and an effect that can only be right may be wrong in its form."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("numba")
+
+from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
+
+from fishmj import effects  # noqa: E402
+from fishmj.gap.decide import _answer, pinned  # noqa: E402
+from fishmj.gap.fallback import outdone  # noqa: E402
+from fishmj.gap.fallback.library import library  # noqa: E402
+from fishmj.gap.fallback.own import own  # noqa: E402
+from fishmj.gap.fallback.plant import termed  # noqa: E402
+from fishmj.gap.folds import split  # noqa: E402
+from fishmj.gap.gates import frozen  # noqa: E402
+from fishmj.gap.nearby import polished, settled  # noqa: E402
+from fishmj.gap.search import Found  # noqa: E402
+from fishmj.gap.verdict import Verdict  # noqa: E402
+from fishmj.gap.workflow import investigate  # noqa: E402
+from fishmj.mjcf.description import load_robot  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def free():
+    """The plant that holds the terms."""
+    return termed(load_robot("fish"))
+
+
+def best(e) -> tuple[Found, Verdict]:
+    """The best single effect of the plant, as a search that stops there and names it would leave it."""
+    whole, folds = e.part(e.everything), split(e.records)
+    base = whole.base()
+    first = whole.refine(whole.screen(base, e.plant.active.effects)[:3], 4)[0]
+    fitted = settled(e, folds, first, tuple(polished(e.part(~f), first) for f in folds))
+    gain = sum(e.part(f).loss(base.row) for f in folds) - fitted.loss(folds)
+    return Found(base, fitted, folds, (), whole.whiten.logdet), Verdict("NAMED", gates={"gain": gain})
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("command_latency", {"delay": 0.03}), ("steady_current", {"x": 0.03, "y": -0.01}), ("yaw_drag", {"coefficient": 0.01})],
+)
+def test_a_right_name_is_led_by_no_free_force(plant, free, name, values):  # noqa: F811
+    e = evidence_on(plant, {name: values}, 81)
+    found, verdict = best(e)
+    assert found.best.names == (name,)
+    said = outdone.challenged(free, e, found, verdict)
+    assert said.answer == "NAMED" and said.gates["lead"] < outdone.LEAD / 2
+
+
+def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F811
+    e = evidence_on(plant, {"tail_yaw_cross_force": {"coefficient": 0.006}}, 82)
+    found, verdict = best(e)
+    said = outdone.challenged(free, e, found, verdict)
+    assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * outdone.LEAD
+    assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
+
+
+def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):  # noqa: F811
+    mine = lambda name: {t.formula for t in library() if own(effects.get(name), t)}  # noqa: E731
+    assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
+    assert mine("yaw_drag") == {"yaw moment ~ yaw rate squared, signed"}
+    assert mine("viscous_friction") == {"joint torque ~ rate"} and mine("skin_stiffness") == {"joint torque ~ angle"}
+    assert mine("tether") == mine("steady_current") == mine("coulomb_friction") == mine("skin_hysteresis") == set()
+    e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 84)
+    found, verdict = best(e)
+    assert found.best.names == ("yaw_drag",)
+    assert outdone.challenged(free, e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
+
+
+def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free):  # noqa: F811
+    e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 83)
+    there = e.on(free)
+    assert there.plant is free and there.origin is there and e.plant is plant
+    assert there.part(there.everything).base().cost == pytest.approx(e.part(e.everything).base().cost)
+
+
+def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
+    trials = hidden({"steady_current": {"x": 0.03, "y": -0.01}}, 11)
+    verdict = investigate(plant, trials, null=NULL).verdict
+    assert verdict.answer == "NAMED" and verdict.gates["lead"] < 0.0
+    assert not verdict.gates["believed"]  # a constant force is a poor current
+    monkeypatch.setattr(outdone, "LEAD", verdict.gates["lead"] - 1.0)
+    assert investigate(plant, trials, null=NULL).verdict.answer == "NAMED"
+    monkeypatch.setattr(outdone, "HALF", 1e3)
+    assert investigate(plant, trials, null=NULL).verdict.answer == "UNEXPLAINED"
+
+
+def test_only_what_can_only_be_right_may_have_a_wrong_form(plant):  # noqa: F811
+    e = SimpleNamespace(plant=plant)
+    assert pinned(e, ("command_quantisation",))
+    assert not pinned(e, ("command_quantisation", "yaw_drag")) and not pinned(e, ())
+    gates = frozen()
+    checks = {"closure": 1.0, "rest": 1.0, "strain": 500.0, "gain": 1e4, "form": 0.5, "size": 0.1, "transfer": 1.0}
+    assert _answer(checks | {"pinned": True}, gates, (), {}, (), ())[0] == "NAMED"
+    assert _answer(checks | {"pinned": False}, gates, (), {}, (), ())[0] == "UNEXPLAINED"
