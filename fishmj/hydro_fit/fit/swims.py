@@ -35,9 +35,9 @@ from fishmj.mjcf.description import Robot
 BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means that are compared
 CLIP, POWER = 6.0, 0.3
 THRUST = 0.10  # of the tow drag: what is asked for
-LENGTH, BATCH, RATE = 1.0, 64, 1.5e-3  # s of a piece, which begin half of it apart; pieces a step; of learning
+LENGTH, BATCH, RATE = 2.0, 32, 1.5e-3  # s of a piece, which begin half of it apart; pieces a step; of learning
 LESSONS, HOLDS = 32, 16  # pieces of forces, and held fish, a step
-FLOORS, PART = 2.0, 0.5  # of the tolerances: times the floors in a window, times all of it for a mean
+FLOORS, PART = 2.0, 0.25  # of the tolerances: times the floors in a window, times all of it for a mean
 TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
 
 
