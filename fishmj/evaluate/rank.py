@@ -21,11 +21,10 @@ GAP, TAU = 0.02, 0.8  # m; the least rank correlation
 LEAST = 6  # trials
 UNRANKED = ("drift",)  # shown beside the others
 
+ByController = Mapping[str, np.ndarray]  # (n,) one figure a trial, m, NaN where a trial has none
 
-Figures = Mapping[str, np.ndarray]  # controller -> (n,) one figure a trial, m, NaN where a trial has none
 
-
-def judged(key: str, solver: Figures, surrogate: Figures, again: Sequence[Figures] = ()) -> dict:
+def judged(key: str, solver: ByController, surrogate: ByController, again: Sequence[ByController] = ()) -> dict:
     """Everything that one figure says about two waters.
 
     Args:
@@ -58,7 +57,8 @@ def controller(key: str, name: str, solver, surrogate, again: Sequence = ()) -> 
     """One controller in both waters: its figure and the gap, over the trials that have it in both."""
     both = np.isfinite(solver) & np.isfinite(surrogate)
     a, b = np.asarray(solver, float)[both], np.asarray(surrogate, float)[both]
-    gap = difference(key, a, b)
+    gap, repeats = difference(key, a, b), [repeated(solver, other) for other in again]
+    allowed = max([GAP, *(2 * abs(value) for value in repeats if np.isfinite(value))])
     return {
         "controller": name,
         "ranked": name not in UNRANKED,
@@ -67,8 +67,8 @@ def controller(key: str, name: str, solver, surrogate, again: Sequence = ()) -> 
         "solver": estimate(key, a)._asdict(),
         "surrogate": estimate(key, b)._asdict(),
         "gap": {"value": gap.value, "low": gap.low, "high": gap.high},
-        "repeats": (repeats := [repeated(solver, other) for other in again]),
-        "allowed": (allowed := max([GAP, *(2 * abs(value) for value in repeats if np.isfinite(value))])),
+        "repeats": repeats,
+        "allowed": allowed,
         "within": bool(abs(gap.value) <= allowed) if gap.n else None,
     }
 
@@ -76,7 +76,8 @@ def controller(key: str, name: str, solver, surrogate, again: Sequence = ()) -> 
 def repeated(solver, again) -> float:
     """Mean over trials of what the solver's own figure moves by when a trial is repeated, m."""
     moved = np.asarray(again, float) - np.asarray(solver, float)
-    return float(moved[np.isfinite(moved)].mean()) if np.isfinite(moved).any() else np.nan
+    known = moved[np.isfinite(moved)]
+    return float(known.mean()) if len(known) else np.nan
 
 
 def all_of(passed: list[bool | None]) -> bool | None:
@@ -84,7 +85,7 @@ def all_of(passed: list[bool | None]) -> bool | None:
     return False if False in passed else True if passed and None not in passed else None
 
 
-def pair(key: str, a: str, b: str, solver: Mapping[str, np.ndarray], surrogate: Mapping[str, np.ndarray]) -> dict:
+def pair(key: str, a: str, b: str, solver: ByController, surrogate: ByController) -> dict:
     """b minus a in both waters, over the trials that all four have."""
     four = [np.asarray(water[name], float) for water in (solver, surrogate) for name in (a, b)]
     all_four = np.isfinite(four).all(0)

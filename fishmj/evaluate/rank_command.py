@@ -18,7 +18,7 @@ from fishmj import console, controllers, engines
 from fishmj.campaign.command import ON_GPU, PATIENCE
 from fishmj.campaign.solver import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
-from fishmj.evaluate import protocol, rank, two_waters
+from fishmj.evaluate import protocol, rank, tank, two_waters
 from fishmj.evaluate.rank_plot import picture
 from fishmj.hydro_fit.model import HydroModel, shipped
 from fishmj.lbm_oracle.device import device_of
@@ -74,8 +74,8 @@ def main(argv: list[str]) -> int:
     preset(args.domain)
     device = str(device_of(args.device))
     tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
-    repeats = (None, *two_waters.AGAIN[: args.again])
-    total = trials.duration * len(trials) * len(brains) * len(repeats)
+    runs = (tank.UNCHANGED, *two_waters.AGAIN[: args.again])
+    total = trials.duration * len(trials) * len(brains) * len(runs)
     if args.device == "auto" and device == "cpu" and args.budget is None and total > PATIENCE:
         console.warn(
             f"rank: {total:.0f} s of water and no accelerator: nothing was run. --budget SECONDS or --device cpu runs it all the"
@@ -83,7 +83,7 @@ def main(argv: list[str]) -> int:
         )
         return console.FAILED_CHECK
     box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
-    waters = [two_waters.in_solver(robot, args.out, **box, again=again) for again in repeats]
+    waters = [two_waters.in_solver(robot, args.out, **box, variation=run) for run in runs]
     surrogate = two_waters.in_surrogate(fitted, args.engine)
     with console.Progress(total, "rank in the solver", unit="sim s") as bar:
         trials, solved, again = in_turn(brains, trials, waters, tanks, args.budget, bar)

@@ -23,13 +23,16 @@ from fishmj.mjcf.description import Robot
 ARRAYS = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
 
 
-class Again(NamedTuple):
-    """The same trials once more, for how well the solver repeats itself: every fish shifted by so many cells, and time steps in
-    one of the domain's."""
+class Variation(NamedTuple):
+    """How trials are run that ought to come out the same: every fish shifted by so many cells, and time steps in one of the
+    domain's."""
 
-    name: str
+    name: str = ""
     nudge: tuple[float, float] = (0.0, 0.0)
     finer: int = 1
+
+
+UNCHANGED = Variation()
 
 
 def judge(
@@ -42,13 +45,13 @@ def judge(
     slip: float = 1.0,
     device: str = "auto",
     tanks: int = 1,
-    again: Again | None = None,
+    variation: Variation = UNCHANGED,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Result:
     """Judge one controller in the solver, `tanks` trials at a time.
 
     Args:
-        folder: where finished trials are kept and looked for; None keeps nothing. again: the trials are repeated so.
+        folder: where finished trials are kept and looked for; None keeps nothing. variation: the trials are run so.
         progress: called with the number of control steps done, summed over trials.
 
     Raises:
@@ -57,14 +60,15 @@ def judge(
     from fishmj.engines.tanks import Engine
 
     steps = round(trials.duration / robot.timing.control_dt)
-    label, other = fingerprint(brain, robot, trials, domain, slip), "" if again is None else f"_{again.name}"
-    varied: dict[str, Any] = {} if again is None else {"nudge": again.nudge, "finer": again.finer}
-    paths = [None if folder is None else folder / "lbm" / f"{name_of(brain, item)}_{label}{other}.npz" for item in trials.items]
+    label = "_".join(filter(None, (fingerprint(brain, robot, trials, domain, slip), variation.name)))
+    box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device}
+    box |= {"nudge": variation.nudge, "finer": variation.finer}
+    paths = [None if folder is None else folder / "lbm" / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
     found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
     waiting = [i for i in range(len(trials)) if i not in found]
     for group in (waiting[k : k + tanks] for k in range(0, len(waiting), tanks)):
         some = replace(trials, items=tuple(trials.items[i] for i in group))
-        engine = Engine(robot, some.flows(), domain=domain, slip=slip, device=device, **varied)
+        engine = Engine(robot, some.flows(), **box)
         done, many = len(found) * steps, len(group)
         result = run(brain, robot, some, engine, progress=lambda k: progress(done + many * k))  # noqa: B023  called at once
         for row, i in enumerate(group):

@@ -27,7 +27,7 @@ from fishmj.evaluate.result import Result, arrival_tick
 from fishmj.mjcf.description import Robot
 
 KEYS = ("rmse_after_arrival", "rmse_holding")
-AGAIN = (tank.Again("r1", (0.37, -0.21)), tank.Again("r2", (-0.14, 0.46)), tank.Again("half", finer=2))  # repeats of the solver
+AGAIN = (tank.Variation("r1", (0.37, -0.21)), tank.Variation("r2", (-0.14, 0.46)), tank.Variation("half", finer=2))
 STRIDE = 3  # between directions that follow each other in the order
 
 Report = Callable[[int], None]  # control steps done, summed over trials
@@ -42,13 +42,14 @@ def silent(name: str, seconds: float) -> None:
 
 
 def in_solver(
-    robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int, again: tank.Again | None = None
-) -> Water:
+    robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int,
+    variation: tank.Variation = tank.UNCHANGED,
+) -> Water:  # fmt: skip
     """The flow solver; finished trials are kept in `folder` under the solver's own sha256 and not run again."""
     kept = Path(folder) / f"solver-{solver_sha256()[:8]}"
 
     def judge(brain, trials: Trials, report: Report) -> Result:
-        box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "tanks": tanks, "again": again}
+        box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "tanks": tanks, "variation": variation}
         return tank.judge(brain, robot, trials, kept, progress=report, **box)
 
     return judge

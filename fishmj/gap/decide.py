@@ -30,7 +30,7 @@ from fishmj.gap.evidence import Evidence
 from fishmj.gap.gates import Gates
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Found
-from fishmj.gap.spared import error, strained
+from fishmj.gap.spared import error, misformed
 from fishmj.gap.verdict import Named, Value, Verdict
 
 SPREAD = 0.3  # of the value, between folds
@@ -113,7 +113,7 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     if checks["rest"] > gates.rest:
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
         return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
-    if strained(checks["strain"], checks["gain"]) and not checks["pinned"]:
+    if misformed(checks):
         return "UNEXPLAINED", f"the best would have to be wrong by {checks['form']:.0%} of what it changes; it is tentative"
     if checks["size"] > gates.size:
         return "UNEXPLAINED", f"the best would have to be resized by {checks['size']:.0%} from record to record; it is tentative"
@@ -144,7 +144,7 @@ def transfer(e: Evidence, found: Found) -> float:
     """
     rises, allowed = [], []
     record, near, fitted = e.layout.record, found.near, found.fitted
-    base = e.part(e.everything).loss(found.base.row)
+    base = e.loss(found.base.row)
     for fold, fit, more in zip(found.folds, fitted.fits, fitted.left_open(found.folds), strict=True):
         whole = near.part(near.everything, more).loss(fit.row)
         for i in np.flatnonzero(fold):

@@ -104,6 +104,10 @@ class Evidence:
         factors = factors if more is None else np.concatenate([factors, more])
         return Search(self.plant, records, Layout(records), whitening(factors, self.d[columns]))
 
+    def loss(self, row: np.ndarray) -> float:
+        """Twice the negative log likelihood of all records, of one parameter row."""
+        return self.part(self.everything).loss(row)
+
     def slopes(self, c: Candidate) -> np.ndarray:
         """(K, m) what a typical size of each parameter of a candidate does to the residual, about its values."""
         _, high, size = bounds(self.plant)

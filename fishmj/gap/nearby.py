@@ -21,11 +21,11 @@ def nearest(e: Evidence, best: Candidate, times: int = SETTLE) -> tuple[Evidence
     A step that makes the candidate less likely in the evidence around itself is not taken.
     """
     near = e.trusted(best.row)
-    loss = near.part(e.everything).loss(best.row)
+    loss = near.loss(best.row)
     for _ in range(times):
         ahead = polished(near.part(e.everything), best)
         there = e.trusted(ahead.row)
-        less = there.part(e.everything).loss(ahead.row)
+        less = there.loss(ahead.row)
         if less > loss:
             break
         near, best, loss = there, ahead, less

@@ -50,7 +50,7 @@ def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: fl
     if seen < HOPE * asked(gates, known, gained, True):
         return Step(tuple(short[: gates.finalists]), None, 0.0, False)
     judged = [nearest(known.near.origin, c, 1) for c in short[: gates.finalists] if base.cost - c.cost > FAR * seen]
-    loss = [near.part(near.everything).loss(best.row) for near, best in judged]
+    loss = [near.loss(best.row) for near, best in judged]
     order = np.argsort(loss)
     before, tried = known.loss(folds), []
     for i in order[:CHANCES]:

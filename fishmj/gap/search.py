@@ -89,7 +89,7 @@ def shorter(e: Evidence, folds: np.ndarray, fitted: Fitted, name: str) -> Fitted
 
 def lost(fitted: Fitted, less: Fitted, folds: np.ndarray) -> float:
     """What the records lose with the shorter set: the larger of all at once, and each without its fold."""
-    whole = [f.near.part(f.near.everything).loss(f.best.row) for f in (less, fitted)]
+    whole = [f.near.loss(f.best.row) for f in (less, fitted)]
     return max(less.loss(folds) - fitted.loss(folds), whole[0] - whole[1])
 
 

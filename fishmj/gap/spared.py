@@ -20,6 +20,11 @@ def strained(strain: float, gain: float) -> bool:
     return strain > max(STRAIN[0], STRAIN[1] * gain)
 
 
+def misformed(checks: dict) -> bool:
+    """Whether the formula is too wrong, by the gates of a verdict; not where that was never asked, nor of what is pinned."""
+    return strained(checks.get("strain", 0.0), checks.get("gain", 0.0)) and not checks.get("pinned", False)
+
+
 def believable(error: Error, gain: float, gates: Gates) -> bool:
     """Whether a right formula may be as wrong."""
     return not strained(error.strain, gain) and error.resized <= gates.size

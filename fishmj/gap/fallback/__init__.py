@@ -17,13 +17,11 @@ def described(plant, e, null, seed: int = 0) -> tuple[dict, ...]:
     Args:
         e: Evidence of the records. null: how its null runs are drawn.
     """
-    from fishmj.gap.fallback.plant import termed
-    from fishmj.gap.plants.fish import Fish
-
-    if not isinstance(plant, Fish):
+    there = _with_terms(plant)
+    if there is None:
         return ()
     residuals = null.residuals(plant, e.records, e.layout)
-    return tuple(asdict(t) | {"firm": t.firm} for t in terms_of(termed(plant.robot), e.records, residuals, seed))
+    return tuple(asdict(t) | {"firm": t.firm} for t in terms_of(there, e.records, residuals, seed))
 
 
 def challenged(plant, e, found, verdict):
@@ -33,10 +31,17 @@ def challenged(plant, e, found, verdict):
         e: Evidence of the records.
     """
     from fishmj.gap.fallback import outdone
+
+    there = _with_terms(plant)
+    return verdict if there is None else outdone.challenged(there, e, found, verdict)
+
+
+def _with_terms(plant):
+    """The fish with the library in place of the catalogue; None for a plant that is no swimming fish."""
     from fishmj.gap.fallback.plant import termed
     from fishmj.gap.plants.fish import Fish
 
-    return outdone.challenged(termed(plant.robot), e, found, verdict) if isinstance(plant, Fish) else verdict
+    return termed(plant.robot) if isinstance(plant, Fish) else None
 
 
 __all__ = ["Term", "challenged", "described", "terms_of"]

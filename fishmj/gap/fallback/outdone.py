@@ -65,7 +65,8 @@ def best(plant, e: Evidence, found: Found) -> Free:
     start, folds = e.on(plant), found.folds
     named = [x for x in e.plant.active.effects if x.name in found.best.names]
     terms = {x.name: x for x in plant.active.effects if x in library() and not any(own(n, x) for n in named)}
-    near, c = min((nearest(start, c, 1) for c in likely(start, list(terms.values()))), key=lambda t: _loss(*t))
+    tried = (nearest(start, c, 1) for c in likely(start, list(terms.values())))
+    near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
     fitted = Fitted(near, c, tuple(polished(near.part(~f), c) for f in folds))
     before = sum(e.part(f).loss(found.base.row) for f in folds)
     return Free(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
@@ -82,7 +83,3 @@ def likely(start: Evidence, terms: list) -> list[Candidate]:
     screened = few.screen(here, [terms[k] for k in shortlist(straight, probed)])[:SCREENED]
     fitted = sorted((moved(whole, c) for c in screened), key=lambda c: c.cost)[:FITTED]
     return whole.refine(fitted, 3)[:TRIED]
-
-
-def _loss(near: Evidence, c: Candidate) -> float:
-    return near.part(near.everything).loss(c.row)

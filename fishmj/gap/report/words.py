@@ -8,7 +8,7 @@ from fishmj.effects.effect import Effect
 from fishmj.gap.fallback.outdone import LEAD, outdone
 from fishmj.gap.localise.words import percent
 from fishmj.gap.report.material import Material
-from fishmj.gap.spared import strained
+from fishmj.gap.spared import misformed
 from fishmj.gap.verdict import Verdict
 
 SCALES = {
@@ -133,7 +133,6 @@ def gates(m: Material) -> list[Gate]:
     checks, accepted = v.gates, bool(first and first.accepted)
     had = lambda key: float(checks.get(key, float("nan")))  # noqa: E731
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
-    wrong = strained(checks.get("strain", 0.0), checks.get("gain", 0.0)) and not checks.get("pinned", False)
     rows = (
         ("gap", "Is there more than null runs reach?")
         + (f"{had('adequacy'):.2f}", f"> {g.adequacy:g}", had("adequacy") > g.adequacy or accepted),
@@ -144,7 +143,7 @@ def gates(m: Material) -> list[Gate]:
         ("rest", "Is what is left within the error of any formula?")
         + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
         ("form", "Is it right to within what a formula may be wrong?")
-        + (percent(had("form")), f"≤ {percent(g.form)}", not wrong),
+        + (percent(had("form")), f"≤ {percent(g.form)}", not misformed(checks)),
         ("size", "And in its size, from record to record?")
         + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size),
         ("transfer", "Do the records get better one by one, unseen?")
@@ -152,7 +151,7 @@ def gates(m: Material) -> list[Gate]:
         ("uniqueness", "Is no other effect nearly as good?")
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
         ("sanity", "Are the values believable?") + (f"{len(v.warnings)} warnings", "none", not v.warnings),
-        ("force", "Does no free force explain more, unseen, and is right in its form?")
+        ("force", "Does no free force that is right in its form explain more, unseen?")
         + (f"{had('lead'):+.0f}" if "lead" in checks else "-", f"≤ {LEAD:+.0f}", not outdone(checks)),
     )
     out, asked = [], True
