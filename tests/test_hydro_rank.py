@@ -46,7 +46,7 @@ def test_no_pair_has_no_tau():
 def test_a_pair_within_its_interval_in_either_water_does_not_count():
     solver = water(dob=0.1, pi=0.2, pd=0.201, paper=0.3)  # pi and pd cannot be told apart here
     surrogate = water(dob=0.1, pi=0.2, pd=0.31, paper=0.309)  # nor pd and paper here
-    found = rank.judged(KEY, solver, surrogate)
+    found = rank.judged(KEY, [solver], [surrogate])
     left_out = {(row["a"], row["b"]) for row in found["pairs"] if not row["counted"]}
     assert left_out == {("pi", "pd"), ("pd", "paper")}
     assert (found["counted"], found["of"]) == (4, 6) and found["told_apart"] == {"solver": 5, "surrogate": 5}
@@ -55,12 +55,12 @@ def test_a_pair_within_its_interval_in_either_water_does_not_count():
 
 
 def test_swapped_controllers_fail_and_the_tau_says_how_many():
-    found = rank.judged(KEY, water(dob=0.1, pi=0.2, pd=0.3), water(dob=0.1, pi=0.3, pd=0.2))
+    found = rank.judged(KEY, [water(dob=0.1, pi=0.2, pd=0.3)], [water(dob=0.1, pi=0.3, pd=0.2)])
     assert found["counted"] == 3 and found["tau"] == pytest.approx(1 / 3) and found["passed"] == {"gap_max": False, "tau": False}
 
 
 def test_drift_is_shown_and_neither_ranked_nor_judged():
-    found = rank.judged(KEY, water(dob=0.1, pi=0.2, drift=1.0), water(dob=0.11, pi=0.21, drift=2.0))
+    found = rank.judged(KEY, [water(dob=0.1, pi=0.2, drift=1.0)], [water(dob=0.11, pi=0.21, drift=2.0)])
     assert [row["controller"] for row in found["controllers"]] == ["dob", "pi", "drift"] and found["of"] == 1
     assert found["gap_max"] == pytest.approx(0.01) and found["passed"] == {"gap_max": True, "tau": True}
 
@@ -69,35 +69,44 @@ def test_what_the_solver_itself_moves_by_is_allowed_twice():
     solver, surrogate = water(dob=0.1, pi=0.2), water(dob=0.15, pi=0.25)
     again = [water(dob=0.13, pi=0.201), water(dob=0.09, pi=0.2)]
     again[1]["pi"][0] = np.nan
-    found = rank.judged(KEY, solver, surrogate, again)
+    found = rank.judged(KEY, [solver, *again], [surrogate])
     assert [row["allowed"] for row in found["controllers"]] == pytest.approx([0.06, rank.GAP])
     assert [row["within"] for row in found["controllers"]] == [True, False] and found["passed"]["gap_max"] is False
 
 
+def test_the_gap_of_repeated_trials_is_between_the_means_of_their_runs():
+    solver, surrogate = [water(dob=0.1), water(dob=0.11)], [water(dob=x) for x in (0.2, 0.1, 0.15)]
+    surrogate[0]["dob"][3] = solver[1]["dob"][5] = np.nan
+    row = rank.judged(KEY, solver, surrogate)["controllers"][0]
+    per_trial = np.full(8, 0.15 - 0.105)
+    per_trial[3], per_trial[5] = 0.125 - 0.105, 0.15 - 0.1
+    assert (row["n"], row["runs"]) == (8, [2, 3]) and row["gap"]["value"] == pytest.approx(per_trial.mean())
+
+
 def test_the_worst_controller_decides_the_gap():
-    found = rank.judged(KEY, water(dob=0.1, pi=0.2), water(dob=0.1, pi=0.221))
+    found = rank.judged(KEY, [water(dob=0.1, pi=0.2)], [water(dob=0.1, pi=0.221)])
     assert found["gap_max"] == pytest.approx(0.021) and found["passed"]["gap_max"] is False
     assert [row["within"] for row in found["controllers"]] == [True, False]
 
 
 def test_too_few_trials_tell_nobody_apart():
     few = lambda w: {name: x[: rank.LEAST - 1] for name, x in w.items()}  # noqa: E731
-    found = rank.judged(KEY, few(water(dob=0.1, pi=0.9)), few(water(dob=0.1, pi=0.9)))
+    found = rank.judged(KEY, [few(water(dob=0.1, pi=0.9))], [few(water(dob=0.1, pi=0.9))])
     assert found["counted"] == 0 and found["passed"]["tau"] is None and np.isnan(found["tau"])
 
 
 def test_a_trial_that_the_solver_lost_is_left_out_of_both_waters():
     solver, surrogate = water(dob=0.1, pi=0.2), water(dob=0.1, pi=0.2)
     solver["dob"][0], surrogate["dob"][0] = np.nan, 50.0
-    row = rank.judged(KEY, solver, surrogate)["controllers"][0]
+    row = rank.judged(KEY, [solver], [surrogate])["controllers"][0]
     assert (row["n"], row["lost"]) == (7, 1) and row["gap"]["value"] == pytest.approx(0)
 
 
 def test_a_controller_without_a_whole_trial_cannot_be_told_unless_another_fails():
     none = {"pd": np.full(8, np.nan)}
-    found = rank.judged(KEY, water(dob=0.1) | none, water(dob=0.1) | none)
+    found = rank.judged(KEY, [water(dob=0.1) | none], [water(dob=0.1) | none])
     assert found["gap_max"] == pytest.approx(0) and found["passed"] == {"gap_max": None, "tau": None}
-    assert rank.judged(KEY, water(dob=0.1) | none, water(dob=0.3) | none)["passed"]["gap_max"] is False
+    assert rank.judged(KEY, [water(dob=0.1) | none], [water(dob=0.3) | none])["passed"]["gap_max"] is False
 
 
 def test_every_beginning_of_the_order_is_spread_over_speeds_and_directions():
@@ -124,18 +133,14 @@ class MadeUp:
     asked, patience = 0, 1000
     stopped: list[str] = []
 
-    def __init__(self, robot, flows, *, domain, slip, device, nudge=(0.0, 0.0), finer=1):
+    def __init__(self, robot, flows, *, domain, slip, device, finer=1):
         type(self).asked += len(flows)
-        self.nudge = np.array(nudge) * 0.02
         if self.asked > self.patience:
             raise KeyboardInterrupt
         self.body, self.current, self.stopped = engines.make("batch", robot), stack(flows), [""] * len(flows)
 
     def advance(self, state, commands, params, current, tick):
-        q = np.asarray(state.q).copy()
-        q[:, :2] += self.nudge
-        self.nudge = 0.0
-        return self.body.advance(state._replace(q=q), commands, params, self.current, tick)
+        return self.body.advance(state, commands, params, self.current, tick)
 
 
 @pytest.fixture
@@ -192,8 +197,10 @@ def test_the_solver_is_asked_again_a_part_of_a_cell_away_and_both_are_kept(tmp_p
         command(tmp_path, "pd", "--trials", "2", "--again", "1")
         found = json.loads((tmp_path / "rank.json").read_text())
         assert solver.asked == 4, "two trials and their repeats; the second time all were kept"
-        first, again = found["by_trial"]["solver"]["pd"][KEY], found["by_trial"]["solver_again"][0]["pd"][KEY]
+        first, again = (run["pd"][KEY] for run in found["by_trial"]["solver"])
         assert 1e-4 < np.abs(np.subtract(first, again)).max() < 0.02, "the fish began a few mm elsewhere"
+        swum = [run["pd"][KEY][0] for run in found["by_trial"]["surrogate"]]
+        assert len(set(swum)) == 1 + two_waters.OFTEN and np.ptp(swum) < 0.02, "in the surrogate, too, each time"
         assert found[KEY]["controllers"][0]["repeats"] == pytest.approx([np.mean(np.subtract(again, first))])
     assert "solver again" in capsys.readouterr().out
 
@@ -204,7 +211,7 @@ def test_the_same_water_twice_has_no_gap(solver, tmp_path):
     solved = two_waters.in_solver(ROBOT, tmp_path, domain="laptop", slip=1.0, device="cpu", tanks=8)
     _, a = two_waters.solve(brains, plan, solved, group=8)
     b = two_waters.swim(brains, plan, two_waters.in_surrogate(ROBOT))
-    found = rank.judged(KEY, *({name: figures[KEY] for name, figures in water.items()} for water in (a, b)))
+    found = rank.judged(KEY, *([{name: figures[KEY] for name, figures in water.items()}] for water in (a, b)))
     assert found["gap_max"] == pytest.approx(0, abs=1e-12), "targets, flows, fish, latencies and noise are the same"
 
 

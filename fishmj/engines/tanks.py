@@ -32,14 +32,14 @@ class Engine:
     Args:
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
-        nudge: cells by which every fish is shifted at its start. finer: time steps in one of the domain's.
+        finer: time steps in one of the domain's.
     """
 
     jittable = False
 
     def __init__(
         self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
-        nudge: tuple[float, float] = (0.0, 0.0), finer: int = 1,
+        finer: int = 1,
     ):  # fmt: skip
         if robot.effects:
             listed = ", ".join(fitted.name for fitted in robot.effects)
@@ -48,7 +48,7 @@ class Engine:
             )
         self.robot, self.flows = robot, list(flows)
         box = preset(domain)
-        self.domain, self.slip, self.device, self.nudge = replace(box, dt=box.dt / finer), slip, device, nudge
+        self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
         self.tanks: Tanks | None = None
 
     @property
@@ -107,7 +107,7 @@ class Engine:
             robot=self.robot,
             flow=self.flows[i],
             slip=self.slip,
-            pose=(float(q[0] + self.nudge[0] * self.domain.dx), float(q[1] + self.nudge[1] * self.domain.dx), float(q[2])),
+            pose=(float(q[0]), float(q[1]), float(q[2])),
             joints=tuple(float(a) for a in q[3:]),
             device=self.device,
         )

@@ -24,6 +24,7 @@ def run(
     trials: Trials | None = None,
     engine="batch",
     seed: int = 0,
+    shift: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[int], None] = lambda step: None,
 ) -> Result:
     """Judge one controller.
@@ -32,6 +33,7 @@ def run(
         controller: name, policy file, or an object with `reset` and `__call__` (see `fishmj.controllers`).
         trials: default, the 72 trials with `seed`.
         engine: name or engine.
+        shift: m, by which every fish is let go beside where its trial says; its camera has not seen it yet.
         progress: called with the number of control steps done.
 
     Raises:
@@ -47,6 +49,7 @@ def run(
     (start, target), noise = trials.ends(), trials.sensor_noise(robot, steps)
     current = stack(trials.flows())
     state = engines.at_rest(robot, start)
+    state.q[:, :2] += shift
     state.q[:, 3:] = params.zero
     length, sensors = task.history_length(robot), Sensors(robot)
     history, recent = np.repeat(start[:, None], length, 1), np.zeros((n, sensors.behind + 1, 2 * robot.n_joints))

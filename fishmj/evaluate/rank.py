@@ -1,6 +1,7 @@
 """Do two waters rank controllers alike? Gaps of one figure, and Kendall's tau over the pairs that both waters tell apart.
 
-    gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval
+    gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval; of a trial that was repeated
+               in a water, the mean over its runs there: a fish that overshoots and turns back is chaotic
     allowed    0.02 m, or twice what the solver's own mean moves by when the trials are repeated in it
     told apart in a water: the interval of the paired difference of two controllers excludes 0; at least `LEAST` trials
     tau-b      sum s_a s_b / sqrt(sum s_a^2 sum s_b^2),  s = sign of a pair's mean difference in each water (Kendall 1945)
@@ -24,17 +25,19 @@ UNRANKED = ("drift",)  # shown beside the others
 ByController = Mapping[str, np.ndarray]  # (n,) one figure a trial, m, NaN where a trial has none
 
 
-def judged(key: str, solver: ByController, surrogate: ByController, again: Sequence[ByController] = ()) -> dict:
+def judged(key: str, solver: Sequence[ByController], surrogate: Sequence[ByController]) -> dict:
     """Everything that one figure says about two waters.
 
     Args:
-        key: name of the figure. again: the solver's repeats of the same trials.
+        key: name of the figure. solver, surrogate: runs of the same trials in each water, the trials as they are drawn first.
     Returns:
         controllers, pairs (rows), tau, counted, of, tau_all_pairs, gap_max, tolerances, passed by figure (None: cannot be told).
     """
-    rows = [controller(key, name, solver[name], surrogate[name], [repeat[name] for repeat in again]) for name in solver]
+    waters = [{name: np.array([run[name] for run in runs], float) for name in solver[0]} for runs in (solver, surrogate)]
+    rows = [controller(key, name, *(water[name] for water in waters)) for name in solver[0]]
     ranked = [row["controller"] for row in rows if row["ranked"]]
-    pairs = [pair(key, a, b, solver, surrogate) for a, b in combinations(ranked, 2)]
+    means = [{name: typical(runs) for name, runs in water.items()} for water in waters]
+    pairs = [pair(key, a, b, *means) for a, b in combinations(ranked, 2)]
     counted = [row for row in pairs if row["counted"]]
     within = [row["within"] for row in rows if row["ranked"]]
     tau = kendall(counted)
@@ -53,11 +56,12 @@ def judged(key: str, solver: ByController, surrogate: ByController, again: Seque
     }
 
 
-def controller(key: str, name: str, solver, surrogate, again: Sequence = ()) -> dict:
-    """One controller in both waters: its figure and the gap, over the trials that have it in both."""
-    both = np.isfinite(solver) & np.isfinite(surrogate)
-    a, b = np.asarray(solver, float)[both], np.asarray(surrogate, float)[both]
-    gap, repeats = difference(key, a, b), [repeated(solver, other) for other in again]
+def controller(key: str, name: str, solver: np.ndarray, surrogate: np.ndarray) -> dict:
+    """One controller in both waters, (runs, n) each: its figure and the gap, over the trials that have it in both."""
+    means = typical(solver), typical(surrogate)
+    both = np.isfinite(np.stack(means)).all(0)
+    a, b = (mean[both] for mean in means)
+    gap, repeats = difference(key, a, b), [repeated(solver[0], other) for other in solver[1:]]
     allowed = max([GAP, *(2 * abs(value) for value in repeats if np.isfinite(value))])
     return {
         "controller": name,
@@ -68,14 +72,22 @@ def controller(key: str, name: str, solver, surrogate, again: Sequence = ()) -> 
         "surrogate": estimate(key, b)._asdict(),
         "gap": {"value": gap.value, "low": gap.low, "high": gap.high},
         "repeats": repeats,
+        "runs": [len(solver), len(surrogate)],
         "allowed": allowed,
         "within": bool(abs(gap.value) <= allowed) if gap.n else None,
     }
 
 
-def repeated(solver, again) -> float:
-    """Mean over trials of what the solver's own figure moves by when a trial is repeated, m."""
-    moved = np.asarray(again, float) - np.asarray(solver, float)
+def typical(runs: np.ndarray) -> np.ndarray:
+    """Mean of every trial over the runs that have it, (runs, n) -> (n,)."""
+    known = np.isfinite(runs)
+    with np.errstate(invalid="ignore"):
+        return np.where(known, runs, 0.0).sum(0) / known.sum(0)
+
+
+def repeated(first: np.ndarray, again: np.ndarray) -> float:
+    """Mean over trials of what a water's own figure moves by when a trial is repeated, m."""
+    moved = again - first
     known = moved[np.isfinite(moved)]
     return float(known.mean()) if len(known) else np.nan
 

@@ -3,8 +3,10 @@
     python -m fishmj.hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all controllers, both waters
     python -m fishmj.hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
     python -m fishmj.hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
-    python -m fishmj.hydro_fit rank pd --again 3        how well the solver repeats itself: twice a part of a cell away, once with
-                                                        half its time step; a gap may be twice that
+    python -m fishmj.hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and once
+                                                                     with half its time step, in the surrogate eight times
+
+A gap may be twice what the solver's own mean moves by when it repeats the trials; of repeated trials it is between the means.
 
 Exit code 1 where a tolerance is missed, 3 where too few trials tell the controllers apart.
 """
@@ -52,7 +54,7 @@ def options(argv: list[str]):
     add("--trials", type=int, default=24, metavar="N", help="of the decided 72, spread over speeds and directions; default 24")
     add("--seconds", type=float, help="of a trial; default 60")
     often = range(len(two_waters.AGAIN) + 1)
-    add("--again", type=int, default=0, choices=often, metavar="N", help="repeats in the solver: what gap is allowed; 3 is all")
+    add("--again", type=int, default=0, choices=often, metavar="N", help="repeats in the solver, 8 in the surrogate; 3 is all")
     add("--budget", type=float, help="s of wall clock after which no further trial is begun in the solver")
     add("--seed", type=int, default=0, help="of the trials")
     add("--out", type=Path, default=Path("runs") / "rank", metavar="DIR", help="finished trials, rank.json, rank.png")
@@ -84,27 +86,35 @@ def main(argv: list[str]) -> int:
         return console.FAILED_CHECK
     box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
     waters = [two_waters.in_solver(robot, args.out, **box, variation=run) for run in runs]
-    surrogate = two_waters.in_surrogate(fitted, args.engine)
+    beside = [(0.0, 0.0), *(two_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]
+    body = engines.make(args.engine, fitted)
+    surrogates = [two_waters.in_surrogate(fitted, body, shift) for shift in beside]
     with console.Progress(total, "rank in the solver", unit="sim s") as bar:
-        trials, solved, again = in_turn(brains, trials, waters, tanks, args.budget, bar)
-    with console.Progress(trials.duration * len(trials) * len(brains), "rank in the surrogate", unit="sim s") as bar:
-        swum = two_waters.swim(brains, trials, surrogate, report=lambda name, water: bar.update(water, controller=name))
-    return shown(verdict(trials, solved, swum, again, model, args), args)
+        trials, solved = in_turn(brains, trials, waters, tanks, args.budget, bar)
+    each = trials.duration * len(trials) * len(brains)
+    with console.Progress(each * len(surrogates), "rank in the surrogate", unit="sim s") as bar:
+        reports = [report_after(bar, i * each) for i in range(len(surrogates))]
+        swum = [two_waters.swim(brains, trials, water, report=told) for water, told in zip(surrogates, reports, strict=True)]
+    return shown(verdict(trials, solved, swum, model, args), args)
+
+
+def report_after(bar: console.Progress, before: float) -> two_waters.Said:
+    """A report to the bar of a run that begins when `before` s of water are done."""
+    return lambda name, done: bar.update(before + done, controller=name)
 
 
 def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: float | None, bar) -> tuple:
-    """All trials in the solver, then again in its repeats: the trials that all of them have finished, their figures, those of
-    the repeats."""
+    """All trials in the solver, then again in its repeats: the trials that all of them have finished, and the figures of every
+    run."""
     found, before = [], 0.0
     for water in waters:
-        said = lambda name, done: bar.update(before + done, controller=name)  # noqa: B023, E731  called at once
-        trials, figures = two_waters.solve(brains, trials, water, group=tanks, budget=budget, report=said)
+        report = report_after(bar, before)
+        trials, figures = two_waters.solve(brains, trials, water, group=tanks, budget=budget, report=report)
         found.append(figures)
         before += trials.duration * len(trials) * len(brains)
-    first, *again = [
+    return trials, [
         {name: {k: v[: len(trials)] for k, v in rows.items()} for name, rows in figures.items()} for figures in found
     ]
-    return trials, first, again
 
 
 def default_model(fish: str) -> str:
@@ -133,16 +143,16 @@ def chosen(args) -> protocol.Trials:
     return replace(every, items=every.items[: args.trials])
 
 
-def verdict(trials: protocol.Trials, solved: dict, swum: dict, again: list[dict], model: HydroModel, args) -> dict:
+def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model: HydroModel, args) -> dict:
     """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told.
 
     Args:
-        solved, swum: controller -> key -> (n,) in solver and surrogate. again: the same in the solver's repeats.
+        solved, swum: controller -> key -> (n,) in solver and surrogate, of every run, the trials as they are drawn first.
     Returns:
         among others conditions: (m/s, line of sight in deg, repeat) of each trial, in the order of `by_trial`.
     """
-    of = lambda found, key: {name: figures[key] for name, figures in found.items()}  # noqa: E731
-    judged = {key: rank.judged(key, of(solved, key), of(swum, key), [of(x, key) for x in again]) for key in two_waters.KEYS}
+    of = lambda runs, key: [{name: figures[key] for name, figures in run.items()} for run in runs]  # noqa: E731
+    judged = {key: rank.judged(key, of(solved, key), of(swum, key)) for key in two_waters.KEYS}
     return {
         "ok": rank.all_of(list(judged["rmse_after_arrival"]["passed"].values())),
         "preview": args.domain in PREVIEWS,
@@ -156,7 +166,7 @@ def verdict(trials: protocol.Trials, solved: dict, swum: dict, again: list[dict]
         "seed": args.seed,
         "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},
         "conditions": [[item.speed, round(float(np.degrees(item.los)), 6), item.repeat] for item in trials.items],
-        "by_trial": {"solver": solved, "surrogate": swum, "solver_again": again},
+        "by_trial": {"solver": solved, "surrogate": swum},
         **judged,
     }
 

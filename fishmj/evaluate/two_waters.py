@@ -28,6 +28,7 @@ from fishmj.mjcf.description import Robot
 
 KEYS = ("rmse_after_arrival", "rmse_holding")
 AGAIN = (tank.Variation("r1", (0.37, -0.21)), tank.Variation("r2", (-0.14, 0.46)), tank.Variation("half", finer=2))
+OFTEN = 8  # repeats of the surrogate beside those of the solver, each with its fish half a cell away at most
 STRIDE = 3  # between directions that follow each other in the order
 
 Report = Callable[[int], None]  # control steps done, summed over trials
@@ -55,10 +56,18 @@ def in_solver(
     return judge
 
 
-def in_surrogate(robot: Robot, engine: str = "batch") -> Water:
-    """The robot's own water, fitted or not, on one of the engines."""
-    body = engines.make(engine, robot)
-    return lambda brain, trials, report: run(brain, robot, trials, body, progress=lambda k: report(k * len(trials)))
+def in_surrogate(robot: Robot, engine="batch", shift: tuple[float, float] = (0.0, 0.0)) -> Water:
+    """The robot's own water, fitted or not, in an engine or one by name; every fish let go `shift` m beside its trial's start."""
+    body = engines.make(engine, robot) if isinstance(engine, str) else engine
+    return lambda brain, trials, report: run(
+        brain, robot, trials, body, shift=shift, progress=lambda k: report(k * len(trials))
+    )
+
+
+def shifts(seed: int, cell: float) -> list[tuple[float, float]]:
+    """Where the fish of the surrogate's repeats are let go, m beside their trials: anywhere in the cell around that."""
+    drawn = np.random.default_rng([seed, OFTEN]).uniform(-0.5, 0.5, (OFTEN, 2)) * cell
+    return [(float(x), float(y)) for x, y in drawn]
 
 
 def solve(
