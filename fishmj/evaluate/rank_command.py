@@ -3,8 +3,8 @@
     python -m fishmj.hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all controllers, both waters
     python -m fishmj.hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
     python -m fishmj.hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
-    python -m fishmj.hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and once
-                                                                     with half its time step, in the surrogate eight times
+    python -m fishmj.hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and
+                                                                     once with half its time step, in the surrogate 8 times
 
 A gap may be twice what the solver's own mean moves by when it repeats the trials; of repeated trials it is between the means.
 
@@ -112,9 +112,7 @@ def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: f
         trials, figures = two_waters.solve(brains, trials, water, group=tanks, budget=budget, report=report)
         found.append(figures)
         before += trials.duration * len(trials) * len(brains)
-    return trials, [
-        {name: {k: v[: len(trials)] for k, v in rows.items()} for name, rows in figures.items()} for figures in found
-    ]
+    return trials, [{name: {k: v[: len(trials)] for k, v in rows.items()} for name, rows in figures.items()} for figures in found]
 
 
 def default_model(fish: str) -> str:

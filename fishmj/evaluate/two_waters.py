@@ -59,9 +59,7 @@ def in_solver(
 def in_surrogate(robot: Robot, engine="batch", shift: tuple[float, float] = (0.0, 0.0)) -> Water:
     """The robot's own water, fitted or not, in an engine or one by name; every fish let go `shift` m beside its trial's start."""
     body = engines.make(engine, robot) if isinstance(engine, str) else engine
-    return lambda brain, trials, report: run(
-        brain, robot, trials, body, shift=shift, progress=lambda k: report(k * len(trials))
-    )
+    return lambda brain, trials, report: run(brain, robot, trials, body, shift=shift, progress=lambda k: report(k * len(trials)))
 
 
 def shifts(seed: int, cell: float) -> list[tuple[float, float]]:

@@ -26,6 +26,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
 PLACES = (DATA, _ROOT / "_data" / "hydro")  # checkout, installed wheel
 SHIPPED = tuple(place / name for name in ("swift", "tendon_fish") for place in PLACES)  # the default fish, the second one
+FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the model had been made
 
 
 def main(argv: list[str]) -> int | None:
@@ -90,7 +91,9 @@ def options(verb: str) -> argparse.ArgumentParser:
     """The arguments of a verb."""
     made = console.parser(f"hydro_fit {verb}" if verb != "all" else "hydro_fit", (__doc__ or "").splitlines()[0])
     made.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    made.add_argument("--data", help="data set; default data/hydro/<robot>, else the shipped one")
+    made.add_argument(
+        "--data", help="data set; default data/hydro/<robot> (check, report: and <robot>-fresh beside it), else the shipped one"
+    )
     made.add_argument("--model", help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     made.add_argument("--out", help="folder of models and reports; default data/water")
     made.add_argument("--name", help="of the model that is fitted; default the robot's")
@@ -209,6 +212,21 @@ def repeats_of(data: Dataset, slip: float) -> list[tuple[Record, Record]]:
     return pairs
 
 
+def held_out(robot: Robot, folder: Path, args) -> tuple[list[Record], list[tuple[Record, Record]]]:
+    """What a model is judged on: the test part, with that of the fresh episodes beside it unless --data asks for one set.
+
+    Returns:
+        the records, repeats left out, and pairs of a repeat and what it repeats.
+    """
+    beside = folder.with_name(folder.name + FRESH)
+    records, repeats = [], []
+    for place in [folder] if args.data or not (beside / MANIFEST).is_file() else [folder, beside]:
+        data = open_dataset(place, test=True)
+        records += records_of(data, robot, "test", args.slip)
+        repeats += repeats_of(data, args.slip)
+    return records, repeats
+
+
 def calibrate(robot: Robot, folder: Path, args) -> dict:
     """Scale the error bar of the model in its place by the test part of a data set that nothing else is judged by."""
     from fishmj.hydro_fit.fit.calibrate import calibrated
@@ -229,8 +247,7 @@ def check(robot: Robot, folder: Path, args) -> dict:
     from fishmj.hydro_fit.check import judge
     from fishmj.hydro_fit.report import check_rows
 
-    data = open_dataset(folder, test=True)
-    found = judge(chosen(robot, args), robot, records_of(data, robot, "test", args.slip), repeats_of(data, args.slip))
+    found = judge(chosen(robot, args), robot, *held_out(robot, folder, args))
     console.say(console.table(check_rows(found)))
     return found
 
@@ -260,9 +277,8 @@ def report(robot: Robot, folder: Path, args) -> Path:
     """Write report.html and report.json beside the model."""
     from fishmj.hydro_fit.report import write
 
-    data, model = open_dataset(folder, test=True), chosen(robot, args)
     out = Path(args.out or FOLDERS[0]) / f"{robot.name}-report"
-    return write(out, model, robot, records_of(data, robot, "test", args.slip), repeats_of(data, args.slip))
+    return write(out, chosen(robot, args), robot, *held_out(robot, folder, args))
 
 
 if __name__ == "__main__":
