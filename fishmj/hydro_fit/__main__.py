@@ -92,7 +92,7 @@ def options(verb: str) -> argparse.ArgumentParser:
     made = console.parser(f"hydro_fit {verb}" if verb != "all" else "hydro_fit", (__doc__ or "").splitlines()[0])
     made.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
     made.add_argument(
-        "--data", help="data set; default data/hydro/<robot> (check, report: and <robot>-fresh beside it), else the shipped one"
+        "--data", help="data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one"
     )
     made.add_argument("--model", help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     made.add_argument("--out", help="folder of models and reports; default data/water")
@@ -260,8 +260,8 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
     from fishmj.hydro_fit.fit.recipe import Settings
 
     several()
-    data = open_dataset(folder, test=True)
-    parts = [records_of(data, robot, split, args.slip) for split in ("train", "val", "test")]
+    data = open_dataset(folder)
+    parts = [*(records_of(data, robot, split, args.slip) for split in ("train", "val")), held_out(robot, folder, args)[0]]
     out = Path(args.out or Path("runs") / "hydro_fit" / f"ablation-{folder.name}-{robot.name}-{args.slip:g}")
     about = {"sha256": data.sha256, "folder": folder.name, "slip": args.slip}
     given = {"names": args.rows, "seeds": args.seeds}
