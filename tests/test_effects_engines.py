@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from fishmj import effects, engines
 from fishmj.effects.calibration import Fitted, Interval, write
+from fishmj.effects.sites import Seen
 from fishmj.engines import added, batch, mjx, planar
 from fishmj.engines.solo import cubic
 from fishmj.errors import ConfigError, UnknownName
@@ -114,7 +116,9 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
     at = truth["t"][20:] - late("joint_sensor_delay")
     np.testing.assert_allclose(joint["j2"][20:], np.interp(at, truth["t"], truth["j2"]) - offset, rtol=0, atol=5e-3)
     more = effects.get("power_offset").parameter("power").probe
-    np.testing.assert_allclose(power["V"] * power["I"], trace.power[0] + robot.servo.idle_power + more, rtol=0, atol=1e-6)
+    sag, drawn = effects.get("voltage_sag"), Seen(*[0.0] * 5, power=trace.power[0] + robot.servo.idle_power)
+    left = sag.measure(np, SimpleNamespace(resistance=sag.parameter("resistance").probe), drawn).power
+    np.testing.assert_allclose(power["V"] * power["I"], left + more, rtol=0, atol=1e-6)
 
 
 def test_a_fish_without_effects_has_no_columns_and_no_hooks():

@@ -276,3 +276,20 @@ def test_constants_change_where_they_say_and_nowhere_else(name):
         assert np.isclose(ch.inertia[0] - CHAIN.inertia[0], 0.008) and ch.inertia[1:] == CHAIN.inertia[1:]
     if name == "com_offset":
         assert np.isclose(ch.com[0] - CHAIN.com[0], 0.03) and ch.com[1:] == CHAIN.com[1:]
+
+
+def test_the_motors_ask_for_a_duty_and_the_supply_gives_what_is_left():
+    """Stalled: i = d V / R_m, I = sum d i. The steps come to rest at V = V_oc - R (I + I_b); the meter reads V (I + I_b)."""
+    resistance, boards, count = 0.6, 1.5 / 7.4, JOINTS
+    sag, row = one("voltage_sag", resistance=resistance)
+    memory = list(sag.memory)
+    for _ in range(60):
+        hooks = Effects(np, sag, row, memory)
+        drive, _ = hooks.servos(CHAIN, SWIMMER, np.zeros(6), np.zeros(6), [1.0] * count)
+        memory = hooks.end(CHAIN, SWIMMER, np.zeros(6), drive)
+    stalled = count * CHAIN.torque / CHAIN.motor  # A at 7.4 V and full duty
+    volts = (7.4 - resistance * boards) / (1.0 + resistance * stalled / 7.4)
+    assert np.isclose(memory[0], stalled * volts / 7.4) and np.isclose(drive[0], CHAIN.torque * volts / 7.4)
+    seen = fields(Seen, power=volts * memory[0] + 7.4 * boards)
+    metered = effects.get("voltage_sag").measure(np, SimpleNamespace(resistance=resistance), seen).power
+    assert np.isclose(metered, volts * (memory[0] + boards))

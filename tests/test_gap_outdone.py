@@ -15,7 +15,7 @@ from fishmj.gap.fallback.library import library  # noqa: E402
 from fishmj.gap.fallback.own import own  # noqa: E402
 from fishmj.gap.fallback.plant import termed  # noqa: E402
 from fishmj.gap.folds import split  # noqa: E402
-from fishmj.gap.gates import frozen  # noqa: E402
+from fishmj.gap.gates import frozen, rest_allowed  # noqa: E402
 from fishmj.gap.nearby import polished, settled  # noqa: E402
 from fishmj.gap.search import Found  # noqa: E402
 from fishmj.gap.verdict import Verdict  # noqa: E402
@@ -97,3 +97,15 @@ def test_only_what_can_only_be_right_may_have_a_wrong_form(plant):  # noqa: F811
     checks = {"closure": 1.0, "rest": 1.0, "strain": 500.0, "gain": 1e4, "form": 0.5, "size": 0.1, "transfer": 1.0}
     assert _answer(checks | {"pinned": True}, gates, (), {}, (), ())[0] == "NAMED"
     assert _answer(checks | {"pinned": False}, gates, (), {}, (), ())[0] == "UNEXPLAINED"
+
+
+def test_what_is_left_is_held_against_the_gap_where_the_formula_was_found_right():
+    gates = frozen()
+    left = {"closure": 0.99, "rest": 1.4, "strain": 0.0, "gain": 1e4, "size": 0.1, "transfer": 1.0}
+    for form, adequacy, answer in (
+        (0.05, 100.0, "NAMED"),  # 0.4 of 99: the formula is 6 % off
+        (0.05, 5.0, "UNEXPLAINED"),  # 0.4 of 4: 32 %
+        (0.22, 100.0, "UNEXPLAINED"),  # a formula that is known to be wrong
+    ):
+        assert _answer(left | {"form": form, "adequacy": adequacy}, gates, (), {}, (), ())[0] == answer
+    assert rest_allowed({"form": 0.05, "adequacy": 1.0}, gates) == rest_allowed({}, gates) == gates.rest

@@ -15,6 +15,7 @@ class Servo(NamedTuple):
     limit: Any  # N m, stall torque
     current: Any  # A, what all servos together drew from the supply one step ago
     time: Any  # s since the session began
+    supply: Any = 1.0  # voltage over the nominal one; kp, kv and limit have this factor already
 
 
 class Gear(NamedTuple):

@@ -3,7 +3,8 @@
     G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
     G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
     G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
-    G4 rest         what is left lies within the form error of what was found   else UNEXPLAINED, the best shown as tentative
+    G4 rest         what is left lies within the form error of what was found,  else UNEXPLAINED, the best shown as tentative
+                    or is a small share of what that explains (gates.py)
     G5 form         the formula need not be more wrong than a formula may be    else UNEXPLAINED, the best shown as tentative
     G6 size         nor larger here and smaller there by more than it may be    else UNEXPLAINED, the best shown as tentative
     G7 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
@@ -27,7 +28,7 @@ from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
 from fishmj.gap.evidence import Evidence
-from fishmj.gap.gates import Gates
+from fishmj.gap.gates import Gates, rest_allowed
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.search import Found
 from fishmj.gap.spared import error, misformed
@@ -110,7 +111,7 @@ def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals
     """(answer, reason) once something was found."""
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
         return "UNEXPLAINED", f"the catalogue explains {checks['closure']:.0%} of what is unexpected; its best is tentative"
-    if checks["rest"] > gates.rest:
+    if checks["rest"] > rest_allowed(checks, gates):
         left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
         return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
     if misformed(checks):

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from fishmj.calib import read_toml, resolve
 
 
@@ -35,6 +37,19 @@ class Gates:
     most: int
     shortlist: int
     finalists: int
+
+
+def rest_allowed(checks: dict, gates: Gates) -> float:
+    """The |z|^2 / m, unseen, that may be left, by the gates of a verdict.
+
+        rest <= R,   or, where form <= F,   rest - 1 <= F^2 (adequacy - 1)
+
+    S holds the form error in steps of 1.4, and in a gap of a thousand times the floor a fiftieth of it shows. A formula that was
+    found right to within F, what a formula may be wrong by, may leave F of what it explains.
+    """
+    if checks.get("form", np.inf) > gates.form:
+        return gates.rest
+    return max(gates.rest, 1.0 + gates.form**2 * (checks.get("adequacy", 1.0) - 1.0))
 
 
 def frozen() -> Gates:

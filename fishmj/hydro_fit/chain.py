@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from fishmj.hydro_fit import terms
 from fishmj.hydro_fit.linear import solve
+from fishmj.hydro_fit.links import Links as Links
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
@@ -45,17 +46,6 @@ class Swimmer(NamedTuple):
     kb: Any  # [N-1] N m s/rad, back-EMF slope (joint damping)
     zero: Any  # [N-1] rad, hinge angle at which the encoder reads zero
     water: terms.Coefficients
-
-
-class Links(NamedTuple):
-    """Kinematics of every link in head axes, one list entry a link."""
-
-    t: list  # (tx, ty)
-    n: list  # (nx, ny)
-    omega: list
-    u: list  # t.(V_i - U_i)
-    w: list  # n.(V_i - U_i)
-    bias: list  # A_i for zero generalised acceleration, (x, y)
 
 
 def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
@@ -90,7 +80,10 @@ def nominal(robot: Robot) -> Swimmer:
 
 
 def kinematics(xp, ch: Chain, q, v, flow) -> Links:
-    """Link axes and relative velocities. flow: N pairs of world-frame water velocity at each link [m/s]."""
+    """Link axes and relative velocities. flow: N pairs of world-frame water velocity at each link [m/s].
+
+    A third entry is the turning of the water along the link, n . dU/ds [1/s]; the pair is then the velocity at its origin.
+    """
     cp, sp = xp.cos(q[2]), xp.sin(q[2])
     vel = (cp * v[0] + sp * v[1], cp * v[1] - sp * v[0])
     one = 0.0 * q[2] + 1.0
@@ -111,6 +104,8 @@ def kinematics(xp, ch: Chain, q, v, flow) -> Links:
         rel = (vel[0] - water[0], vel[1] - water[1])
         u.append(rel[0] * t[i][0] + rel[1] * t[i][1])
         w.append(rel[0] * n[i][0] + rel[1] * n[i][1])
+    if len(flow[0]) > 2:
+        return Links(t, n, [rate - water[2] for rate, water in zip(omega, flow, strict=True)], u, w, bias, omega)
     return Links(t, n, omega, u, w, bias)
 
 
@@ -167,7 +162,7 @@ def bias_forces(ch: Chain, sw: Swimmer, k: Links, *, rigid: bool = True, water: 
         an = k.bias[i][0] * k.n[i][0] + k.bias[i][1] * k.n[i][1]
         mi = sw.mass[i] * ch.mass[i] if rigid else 0.0
         m0, m1 = (sw.water.k[i] * ch.strips.mu[i][j] if water else 0.0 for j in range(2))
-        ft = -mi * (at - ch.com[i] * k.omega[i] * k.omega[i])
+        ft = -mi * (at - ch.com[i] * k.own[i] * k.own[i])
         out.append((ft, -(mi + m0) * an, -(mi * ch.com[i] + m1) * an))
     return out
 
@@ -179,7 +174,7 @@ def water_forces(xp, ch: Chain, sw: Swimmer, k: Links, heading, ambient, attache
     out = []
     for i, bias in enumerate(bias_forces(ch, sw, k, rigid=False)):
         du_t, du_n = dx * k.t[i][0] + dy * k.t[i][1], dx * k.n[i][0] + dy * k.n[i][1]
-        force = terms.link_forces(xp, ch.strips, sw.water, i, k.u[i], k.w[i], k.omega[i], du_t, du_n, attached)
+        force = terms.link_forces(xp, ch.strips, sw.water, i, k.u[i], k.w[i], k.omega[i], du_t, du_n, attached, k.own[i])
         out.append(tuple(a + b for a, b in zip(force, bias, strict=True)))
     return out
 

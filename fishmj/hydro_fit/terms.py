@@ -104,12 +104,16 @@ def strips(geometry: Geometry, rho: float = 1000.0) -> Strips:
     )
 
 
-def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega):
-    """Velocity part of the added-mass force on link i: (F_t, F_n, moment)."""
+def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega, rate=None):
+    """Velocity part of the added-mass force on link i: (F_t, F_n, moment).
+
+    rate: of the link itself, where the water turns and omega is relative to it; default omega.
+    """
+    rate = omega if rate is None else rate
     m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
     suction = c.suction if i else 1.0
     momentum = suction * (m0 * w0 + m1 * omega)
-    return omega * momentum, m0 * omega * u, m1 * omega * u - u * momentum
+    return rate * momentum, m0 * rate * u, m1 * rate * u - u * momentum
 
 
 def resistive(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):
@@ -153,9 +157,9 @@ def ambient(s: Strips, c: Coefficients, i: int, du_t, du_n):
     return d * du_t, (d + m0) * du_n, (d * s.buoyancy[i] + m1) * du_n
 
 
-def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n, attached):
+def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n, attached, rate=None):
     """All forces on link i except those proportional to the body's own acceleration: (F_t, F_n, moment)."""
-    parts = [reactive(s, c, i, u, w0, omega), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
+    parts = [reactive(s, c, i, u, w0, omega, rate), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
     if i == 0:
         parts.append((head_form(xp, s, c, u), 0.0, 0.0))
     if i == len(s.mu) - 1:

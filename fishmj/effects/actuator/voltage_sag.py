@@ -11,10 +11,19 @@ LEAST = 0.3  # of it is left: boards switch off below
 def servo(xp, p, s, memory, h):
     """(limit, k_p, k_v)' = (limit, k_p, k_v) V / V_oc, V = V_oc - R I: the controller sets a duty, the supply the voltage.
 
-    The no-load speed limit / k_b falls with it. I is what motors (one step ago) and boards draw from the supply.
+    The no-load speed limit / k_b falls with it. I = sum d i is what motors (one step ago) and boards draw from the supply: the
+    motor's current i falls with V, the duty d does not.
     """
     share = xp.maximum(1.0 - p.resistance * (s.current + BOARDS) / OPEN, LEAST)
-    return s._replace(limit=share * s.limit, kp=share * s.kp, kv=share * s.kv), memory
+    return s._replace(limit=share * s.limit, kp=share * s.kp, kv=share * s.kv, supply=share * s.supply), memory
+
+
+def measure(xp, p, seen):
+    """P' = P - I_b (V_oc - V): the boards draw I_b at any voltage. P = V (I + I_b) + I_b (V_oc - V) tells V."""
+    motors = seen.power - BOARDS * OPEN
+    unloaded = OPEN - p.resistance * BOARDS
+    volts = (unloaded + xp.sqrt(xp.maximum(unloaded * unloaded - 4.0 * p.resistance * motors, 0.0))) / 2.0
+    return seen._replace(power=seen.power - BOARDS * (OPEN - xp.maximum(volts, LEAST * OPEN)))
 
 
 EFFECT = Effect(
@@ -31,4 +40,5 @@ EFFECT = Effect(
         Confusion(other="load_friction", separates="vary speed at equal load", excitations=("chirp", "hold_angles")),
     ),
     servo=servo,
+    measure=measure,
 )

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.fallback.outdone import LEAD, outdone
+from fishmj.gap.gates import rest_allowed
 from fishmj.gap.localise.words import percent
 from fishmj.gap.report.material import Material
 from fishmj.gap.spared import misformed
@@ -141,7 +142,7 @@ def gates(m: Material) -> list[Gate]:
         ("closure", "Is most of what was unexpected gone?")
         + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure),
         ("rest", "Is what is left within the error of any formula?")
-        + (f"{had('rest'):.2f}", f"≤ {g.rest:g}", had("rest") <= g.rest),
+        + (f"{had('rest'):.2f}", f"≤ {rest_allowed(checks, g):.3g}", had("rest") <= rest_allowed(checks, g)),
         ("form", "Is it right to within what a formula may be wrong?")
         + (percent(had("form")), f"≤ {percent(g.form)}", not misformed(checks)),
         ("size", "And in its size, from record to record?")
