@@ -14,6 +14,7 @@ from fishmj.evaluate import figures, rank, rank_command, trials, two_waters
 from fishmj.flow import stack
 from fishmj.hydro_fit.__main__ import main
 from fishmj.hydro_fit.model import HydroModel
+from fishmj.lbm_oracle.domain import preset
 from fishmj.mjcf import load_robot
 
 ROBOT = load_robot("fish")
@@ -137,6 +138,7 @@ class MadeUp:
         type(self).asked += len(flows)
         if self.asked > self.patience:
             raise KeyboardInterrupt
+        self.domain = preset(domain)
         self.body, self.current, self.stopped = engines.make("batch", robot), stack(flows), [""] * len(flows)
 
     def advance(self, state, commands, params, current, tick):

@@ -58,12 +58,10 @@ def judge(
         OracleUnstable, ConfigError: the set-up would not run.
     """
     from fishmj.engines.tanks import Engine
-    from fishmj.lbm_oracle.domain import preset
 
     steps = round(trials.duration / robot.timing.control_dt)
     label = "_".join(filter(None, (fingerprint(brain, robot, trials, domain, slip), variation.name)))
     box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "finer": variation.finer}
-    x, y = (cells * preset(domain).dx for cells in variation.nudge)
     paths = [None if folder is None else folder / "lbm" / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
     found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
     waiting = [i for i in range(len(trials)) if i not in found]
@@ -71,6 +69,7 @@ def judge(
         some = replace(trials, items=tuple(trials.items[i] for i in group))
         engine = Engine(robot, some.flows(), **box)
         done, many = len(found) * steps, len(group)
+        x, y = (cells * engine.domain.dx for cells in variation.nudge)
         told = lambda k: progress(done + many * k)  # noqa: B023, E731  called at once
         result = run(brain, robot, some, engine, shift=(x, y), progress=told)
         for row, i in enumerate(group):
