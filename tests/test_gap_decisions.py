@@ -10,8 +10,9 @@ pytest.importorskip("numba")
 
 from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F401
 
+from fishmj import effects  # noqa: E402
 from fishmj.gap import spared  # noqa: E402
-from fishmj.gap.decide import confused, sanity  # noqa: E402
+from fishmj.gap.decide import confused, sanity, shadowed  # noqa: E402
 from fishmj.gap.folds import Fitted, split  # noqa: E402
 from fishmj.gap.gates import frozen  # noqa: E402
 from fishmj.gap.nearby import nearest  # noqa: E402
@@ -120,6 +121,15 @@ def test_what_the_catalogue_takes_for_each_other_is_confused_both_ways(plant):  
     e = SimpleNamespace(plant=plant)
     assert confused(e, "joint_sensor_delay", "command_latency") and confused(e, "command_latency", "joint_sensor_delay")
     assert not confused(e, "steady_current", "speed_limit")
+
+
+def test_a_little_friction_beside_play_is_not_named_and_much_of_it_is():
+    both = ("gear_backlash", "coulomb_friction")
+    known = [effects.get(name) for name in (*both, "wall_effect")]
+    e = SimpleNamespace(plant=SimpleNamespace(active=SimpleNamespace(effects=known)))
+    assert shadowed(e, both, {"coulomb_friction"}) == {"coulomb_friction"}
+    assert shadowed(e, both, set()) == shadowed(e, both, set(both)) == set()
+    assert shadowed(e, ("wall_effect", "coulomb_friction"), {"coulomb_friction"}) == set()  # nothing alike
 
 
 def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # noqa: F811

@@ -5,11 +5,12 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj.effects.sites import Body, Gear, Water  # noqa: E402
+from fishmj.effects.sites import Body, Gear, Servo, Water  # noqa: E402
 from fishmj.gap.fallback import judge, terms_of  # noqa: E402
 from fishmj.gap.fallback.library import library, one_sided  # noqa: E402
 from fishmj.gap.fallback.measure import RIGHT  # noqa: E402
 from fishmj.gap.fallback.plant import termed  # noqa: E402
+from fishmj.gap.fallback.readings import CURVES  # noqa: E402
 from fishmj.gap.features import Layout  # noqa: E402
 from fishmj.gap.null_runs import Null  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
@@ -50,6 +51,10 @@ def forces(effect, sign: float) -> np.ndarray:
         g = Gear(0.3 * sign, 0.2 * sign, 1.5 * sign, 0.0, 0.0, 1.0, 0.1, 1.6)
         g, _ = effect.gear(np, One, g, effect.memory, 0.004)
         return np.array([g.torque])
+    if effect.servo:
+        s = Servo(0.1 * sign, 0.2 * sign, 1.5 * sign, 8.0, 0.3, 0.1, 1.6, 0.0, 3.0)
+        read, _ = effect.servo(np, One, s, (), 0.004)
+        return np.array([read.error - s.error])
     k = Water([(0.0, 0.0, 0.0)], [0.2], [0.1 * sign], [2.0 * sign], 0.0, 0.0, 3.0, None)
     return np.array(effect.water(np, One, k, (), 0.004)[0].forces[-1])
 
@@ -69,6 +74,32 @@ def test_a_symmetric_term_does_to_the_mirror_image_the_mirror_image_of_what_it_d
         here, there = forces(effect, 1.0), forces(effect, -1.0)
         assert np.any(here != 0), effect.formula
         assert np.allclose(there, flips[len(here)] * here) != one_sided(effect), effect.formula
+
+
+def test_a_servo_that_reads_too_much_turns_too_little_and_only_its_own_report_hides_it(plant):
+    record = record_of(generated({}, 1, ("slow_triangle",))[0], plant.dt)
+    joints = lambda p, row: p.predict([record], row)[0]["joint"][0]  # noqa: E731
+    poses = lambda p, row: p.predict([record], row)[0]["pose"][0]  # noqa: E731
+    of = {e.formula: e.name for e in library()}
+    rows = {name: plant.null.copy() for name in ("servo reading ~ angle", "encoder reading ~ angle")}
+    for name, row in rows.items():
+        row[plant.index(of[name], "coefficient")] = 0.05
+    there, hidden = rows.values()
+    fish = Fish()
+    less = fish.null.copy()
+    less[fish.index("command_gain_error", "gain")] = 1 / 1.05 - 1
+    plain = joints(plant, plant.null)
+    gap = np.sqrt(np.mean((joints(plant, there) - plain) ** 2))
+    assert np.sqrt(np.mean((joints(plant, there) - joints(fish, less)) ** 2)) < 0.05 * gap
+    assert np.sqrt(np.mean((joints(plant, hidden) - plain) ** 2)) < 0.05 * gap
+    assert np.allclose(poses(plant, hidden), poses(plant, there), atol=1e-4)
+
+
+def test_a_slope_is_what_the_reading_changes_by():
+    a = np.linspace(-0.8, 0.8, 9)
+    for curve in CURVES:
+        change = (curve.value(np, a + 1e-5) - curve.value(np, a - 1e-5)) / 2e-5
+        assert np.allclose(change, curve.slope(np, a), atol=1e-8), curve.name
 
 
 def test_without_coefficients_it_is_the_plain_fish(plant):

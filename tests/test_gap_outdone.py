@@ -17,6 +17,7 @@ from fishmj.gap.fallback.plant import termed  # noqa: E402
 from fishmj.gap.folds import split  # noqa: E402
 from fishmj.gap.gates import frozen, rest_allowed  # noqa: E402
 from fishmj.gap.nearby import polished, settled  # noqa: E402
+from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.search import Found  # noqa: E402
 from fishmj.gap.verdict import Verdict  # noqa: E402
 from fishmj.gap.workflow import investigate  # noqa: E402
@@ -59,10 +60,24 @@ def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F8
     assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
 
 
+@pytest.mark.parametrize(
+    ("planted", "answer"),
+    [({"command_gain_error": {"gain": 0.03}}, "NAMED"), ({"encoder_harmonic": {"angle": 0.015}}, "UNEXPLAINED")],
+)
+def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, planted, answer):
+    e = evidence_on(Fish(catalogue=[effects.get("command_gain_error")]), planted, 85)
+    found, verdict = best(e)
+    assert found.fitted.best.cost < 0.1 * found.base.cost  # either way a gain closes the gap
+    said = outdone.challenged(free, e, found, verdict)
+    assert said.answer == answer
+    assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"
+
+
 def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):  # noqa: F811
     mine = lambda name: {t.formula for t in library() if own(effects.get(name), t)}  # noqa: E731
     assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
     assert mine("yaw_drag") == {"yaw moment ~ yaw rate squared, signed"}
+    assert mine("command_gain_error") == {"servo reading ~ angle"}
     assert mine("viscous_friction") == {"joint torque ~ rate"} and mine("skin_stiffness") == {"joint torque ~ angle"}
     assert mine("tether") == mine("steady_current") == mine("coulomb_friction") == mine("skin_hysteresis") == set()
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 84)

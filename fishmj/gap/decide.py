@@ -18,7 +18,9 @@ paths of as many records as G7 lets get worse (spared.py), and G5 an effect that
 
 An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is one
 named that brings little and is much smaller than usual, or is what one that brings more is taken for, or that is far smaller
-than anywhere known beside one that brings more: what the formula of another leaves may look like it.
+than anywhere known beside one that brings more: what the formula of another leaves may look like it. One that is much smaller
+than usual is not named, whatever it brings, beside another that is not so small and that it is taken for or that turns the same
+gears: the little dry friction that every gear train has shows beside play, where nothing else holds the link.
 """
 
 import numpy as np
@@ -68,6 +70,7 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     tiny = {n.name for n in effects if small(e, n, SMALL)}
     spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in tiny}
     spoilt |= {n for n in faint | alike if least[n] < LITTLE}
+    spoilt |= shadowed(e, tuple(least), faint)
     checks |= unseen(e, found)
     wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
@@ -101,6 +104,13 @@ def confused(e: Evidence, one: str, other: str) -> bool:
     """Whether the catalogue lists one of two effects among those that the other is taken for."""
     known = {x.name: {c.other for c in x.confusions} for x in e.plant.active.effects}
     return other in known[one] or one in known[other]
+
+
+def shadowed(e: Evidence, names, faint: set[str]) -> set[str]:
+    """Those of `faint`, much smaller than usual, beside another of `names` that is not: it is taken for them, or turns the same
+    gears."""
+    geared = {x.name for x in e.plant.active.effects if x.gear is not None}
+    return {n for n in faint for other in set(names) - faint if confused(e, n, other) or {n, other} <= geared}
 
 
 def _rival(name: str, rival: Rival) -> dict:

@@ -1,7 +1,7 @@
 """The typed library: which products may make which force, each as a provisional effect with one coefficient.
 
     force = c x product      force: surge, sway [N], yaw moment [N m], along x or y of the tank [N], at the tail, along or across
-                             it [N], joint torque [N m]
+                             it [N], joint torque [N m], a sensor's reading [rad]
 
 Admissible are
     inertial   two rates, c = C rho L^n; and the same times the tail's angle
@@ -9,6 +9,7 @@ Admissible are
     static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
+    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same (readings.py)
 A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they
 say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (judge.py).
 """
@@ -35,6 +36,7 @@ from fishmj.gap.fallback.factors import (
     product,
     signed,
 )
+from fishmj.gap.fallback.readings import CURVES, in_the_log_too, in_the_loop
 
 FORCES = {
     "surge force": ("fx", 1, 0.05),
@@ -45,6 +47,7 @@ TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)} 
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
 PULL = 0.01  # N, usual size of a force of the tank
 TORQUE = 0.1  # N m, usual size at a joint
+READING = 0.02  # rad, usual error of a sensor
 WIDE = 200.0  # bounds, in usual coefficients
 ONE = Factor("constant", lambda xp, b: 1.0, 0, 1, 1.0)
 
@@ -52,7 +55,7 @@ ONE = Factor("constant", lambda xp, b: 1.0, 0, 1, 1.0)
 @cache
 def library() -> tuple[Effect, ...]:
     """All provisional effects."""
-    return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep())
+    return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep(), *reading_terms())
 
 
 def name_of(effect: Effect) -> str:
@@ -136,11 +139,20 @@ def creep() -> Effect:
     return provisional("joint torque", memory, TORQUE, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
+def reading_terms() -> list[Effect]:
+    """Readings of every joint's sensor alike, in the servo's loop, and in the log too."""
+    return [
+        provisional(reading, Factor(f.name, f.value, 0, f.parity, f.size), READING, f.parity < 0, stage="measurement", **sites(f))
+        for reading, sites in (("servo reading", in_the_loop), ("encoder reading", in_the_log_too))
+        for f in CURVES
+    ]
+
+
 def provisional(force: str, f: Factor, size: float, symmetric: bool, stage: str = "hydrodynamics", **site) -> Effect:
     """The effect of one term, called X- and a hash of its name."""
     formula = f"{force} ~ {f.name}"
     usual = size / f.size
-    unit = "N m" if force in ("yaw moment", "joint torque") else "N"
+    unit = "rad" if stage == "measurement" else "N m" if force in ("yaw moment", "joint torque") else "N"
     return Effect(
         name=f"X-{hashlib.sha256(formula.encode()).hexdigest()[:8]}",
         stage=stage,
@@ -156,7 +168,7 @@ def provisional(force: str, f: Factor, size: float, symmetric: bool, stage: str 
                 typical=(0.1 * usual, usual),
             ),
         ),
-        shows=("joint",) if "gear" in site else ("position", "heading"),
+        shows=("joint",) if {"gear", "servo"} & set(site) else ("position", "heading"),
         **site,
     )
 

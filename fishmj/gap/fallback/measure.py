@@ -2,7 +2,7 @@
 
 python -m fishmj.gap.fallback.measure --cases 70 --seed 51 --out runs/fallback
 
-RIGHT says for each family which terms count; it is fixed before a seed is run. Families whose cause is no force of the library
+RIGHT says for each family which terms count; it is fixed before a seed is run. Families whose cause is no term of the library
 (a draw of the current, a clock, a camera, ballast that slides, one tooth, a neighbour's drive) have none and are left out.
 """
 
@@ -36,6 +36,7 @@ RIGHT: dict[str, frozenset[str]] = {
     "tail_yaw_cross_force": frozenset({"sway force ~ yaw rate x tail rate"}),
     "asymmetric_thrust": frozenset(THRUST | {f"{f}, signed" for f in THRUST}),
     "cubic_joint_spring": frozenset({"joint torque ~ angle cubed"}),
+    "encoder_harmonic": frozenset({"servo reading ~ sine of 3 x angle"}),
     "tail_resonance": frozenset(THRUST),
     "weed_on_tail": frozenset(
         [f"{force} ~ {f}" for force in ("sway force", "yaw moment") for f in RATE]

@@ -1,8 +1,8 @@
 """Is a term an effect's own formula? Then it says nothing against the effect.
 
 Alike are what both do in states drawn at random: the push on a body that swims ahead (surge force, sway force, yaw moment over a
-body length), or the torque on a joint. -Y |u| w is a sway force ~ surge speed x sway speed, whatever either does astern; a
-damping is a joint torque ~ rate.
+body length), the torque on a joint, or where a joint comes to rest and what the log says of it. -Y |u| w is a sway force ~ surge
+speed x sway speed, whatever either does astern; a damping is a joint torque ~ rate; a command's gain a servo reading ~ angle.
 """
 
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Body, Gear
+from fishmj.effects.sites import Body, Gear, Seen, Servo
 from fishmj.gap.fallback.factors import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor
 
 STATES = 200
@@ -20,10 +20,11 @@ STEP = 0.004  # s
 
 
 def own(effect: Effect, term: Effect) -> bool:
-    """Whether a term is the effect's own formula; only of effects that push the body or turn a joint and remember nothing."""
+    """Whether a term is the effect's own formula; only of effects that push the body, turn a joint or move its rest, and that
+    remember nothing."""
     if effect.memory or term.memory:
         return False
-    pairs = [(does(effect), does(term)) for does in (pushes, torques)]
+    pairs = [(does(effect), does(term)) for does in (pushes, torques, rests)]
     return any(bool(abs(a @ b) > ALIKE * np.linalg.norm(a) * np.linalg.norm(b) > 0.0) for a, b in pairs)
 
 
@@ -46,6 +47,21 @@ def torques(effect: Effect) -> np.ndarray:
     state = Gear(drive, angle, rate, torque=0.0, resist=0.0, wet=1.0, kb=0.1, limit=1.6)
     turned, _ = effect.gear(np, usual(effect), state, effect.memory, STEP)
     return np.broadcast_to(turned.torque - turned.resist * rate + turned.drive - drive, STATES)
+
+
+def rests(effect: Effect) -> np.ndarray:
+    """(2 STATES,) by how much a joint comes to rest off its command with an effect at its usual size, and the log off both."""
+    (asked,) = drawn(ANGLE)
+    values, shift, told = usual(effect), np.zeros(STATES), asked
+    if effect.command is not None:
+        shift = effect.command(np, values, asked, effect.memory, STEP)[0] - asked
+    if effect.servo is not None:
+        state = Servo(shift, asked, rate=0.0, kp=1.0, kv=0.0, kb=0.1, limit=1.6, current=0.0, time=0.0)
+        shift = effect.servo(np, values, state, effect.memory, STEP)[0].error
+    if effect.measure is not None:
+        still = dict.fromkeys(Seen._fields, np.zeros(STATES))
+        told = effect.measure(np, values, Seen(**still | {"joint": asked[:, None]})).joint[:, 0]
+    return np.concatenate([np.broadcast_to(x, STATES) for x in (shift, shift + told - asked)])
 
 
 def drawn(*factors: Factor) -> np.ndarray:
