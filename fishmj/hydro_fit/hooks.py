@@ -35,7 +35,7 @@ class Effects:
         self.session = active.begin(xp, parameters, memory)
         self.passive: list = []  # N m, torques of each joint that do not come from its motor
         self.supply: list = []  # of the nominal voltage, at each servo
-        self.stream: list = []  # m/s2, DU/Dt of what effects move at each link, world frame
+        self.stream: list = []  # m/s2, DU/Dt of what effects move at each link, along it and across
 
     def fish(self, ch: chain.Chain, sw: chain.Swimmer):
         return tuple(self.session.fish(Constants(ch, sw)))
@@ -49,7 +49,8 @@ class Effects:
             front, rear = (at(x + c * end, y + d * end, u, v, time) for end in (s[0], s[-1]))
             uc, vc, middle = (front.u + rear.u) / 2, (front.v + rear.v) / 2, (s[0] + s[-1]) / 2
             later = at(x + c * middle + AHEAD * uc, y + d * middle + AHEAD * vc, u, v, time + AHEAD)
-            self.stream.append((self.wet * (later.u - uc) / AHEAD, self.wet * (later.v - vc) / AHEAD))
+            a, b = self.wet * (later.u - uc) / AHEAD, self.wet * (later.v - vc) / AHEAD
+            self.stream.append((c * a + d * b, c * b - d * a))
             turning = ((front.v - rear.v) * c - (front.u - rear.u) * d) / (s[0] - s[-1])
             out.append((uc + turning * middle * d, vc - turning * middle * c, turning))
         return out
@@ -75,11 +76,7 @@ class Effects:
             hydro = self.session.water(given, ch.dt).forces
         if not self.stream:
             return hydro
-        axes = [(c, d) for _, _, c, d in links(self.xp, ch, q)]
-        push = [
-            terms.ambient(ch.strips, sw.water, i, c * a + d * b, c * b - d * a)
-            for i, ((c, d), (a, b)) in enumerate(zip(axes, self.stream, strict=True))
-        ]
+        push = [terms.ambient(ch.strips, sw.water, i, along, across) for i, (along, across) in enumerate(self.stream)]
         return [tuple(f + g for f, g in zip(force, more, strict=True)) for force, more in zip(hydro, push, strict=True)]
 
     def _instant(self, ch: chain.Chain, sw: chain.Swimmer, k: chain.Links) -> list:
