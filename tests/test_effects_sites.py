@@ -217,8 +217,8 @@ def test_mass_is_spread_by_weight_and_only_its_sum_with_added_mass_shows_in_a_st
     np.testing.assert_allclose(a, b, rtol=1e-9)
     assert a[-1] > plain[-1] + 1e-3
     hooks = Effects(np, heavy, row, heavy.memory)
-    share = np.array(hooks.fish(CHAIN, SWIMMER)[1].mass) @ CHAIN.mass
-    assert np.isclose(share, 1.3)
+    ch, sw = hooks.fish(CHAIN, SWIMMER)
+    assert np.isclose(np.array(sw.mass) @ ch.mass, 1.3)
 
 
 def test_sensors_turn_stretch_and_shift_what_they_see():

@@ -67,7 +67,7 @@ def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F8
 def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, planted, answer):
     e = evidence_on(Fish(catalogue=[effects.get("command_gain_error")]), planted, 85)
     found, verdict = best(e)
-    assert found.fitted.best.cost < 0.1 * found.base.cost  # either way a gain closes the gap
+    assert found.fitted.best.cost < 0.15 * found.base.cost  # either way a gain closes the gap
     said = outdone.challenged(free, e, found, verdict)
     assert said.answer == answer
     assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"

@@ -26,6 +26,7 @@ gears: the little dry friction that every gear train has shows beside play, wher
 import numpy as np
 
 from fishmj.effects.classes import together
+from fishmj.effects.effect import Parameter
 from fishmj.gap import evidence
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
@@ -61,7 +62,10 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
-    doubts = {n.name: sanity(e, found.best, n) for n in effects}
+    if checks["adequacy"] <= gates.adequacy and chance(e, effects):
+        why = f"nothing is beyond what null runs show; {effects[0].name} would come out as no more than they make of it"
+        return Verdict("AGREES", reason=why, tentative=effects, **plain)
+    doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.enough) for n in effects}
     brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
     weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     faint = {n.name for n in effects if small(e, n, USUAL)}
@@ -69,8 +73,8 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     alike = {n for n in least for other in least if least[other] > least[n] and confused(e, n, other)}
     tiny = {n.name for n in effects if small(e, n, SMALL)}
     spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in tiny}
-    spoilt |= {n for n in faint | alike if least[n] < LITTLE}
-    spoilt |= shadowed(e, tuple(least), faint)
+    spoilt |= {n for n in faint | {n for n in alike if stand[n].gain < gates.enough} if least[n] < LITTLE}
+    spoilt |= {n for n in shadowed(e, set(least) - spoilt, faint) if least[n] < LESSER}
     checks |= unseen(e, found)
     wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
@@ -187,8 +191,8 @@ def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named
     return tuple(out)
 
 
-def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
-    """What is not believable about the values of one effect."""
+def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
+    """What is not believable about the values of one effect. little: what it gains could be that of any."""
     _, _, size = bounds(e.plant)
     effect = next(x for x in e.plant.active.effects if x.name == n.name)
     out = []
@@ -200,11 +204,24 @@ def sanity(e: Evidence, c: Candidate, n: Named) -> tuple[str, ...]:
     main = n.parameters[first.name]
     if small(e, n, SMALL):
         out.append(f"{n.name} is far smaller than it is anywhere known: it may stand in for something else")
-    if len(effect.parameters) == 1 and (main.high - main.low) / 2 / HALF > SPREAD * abs(main.value - first.null):
+    if not others and vague(first, main):
         out.append(f"{n.name}: the records disagree about its size by more than {SPREAD:.0%}")
-    if others and all(n.parameters[p.name].low <= p.null <= n.parameters[p.name].high for p in (first, *others)):
+    if little and others and all(n.parameters[p.name].low <= p.null <= n.parameters[p.name].high for p in (first, *others)):
         out.append(f"{n.name}: the records do not tell any of its values from none")
     return tuple(out)
+
+
+def vague(p: Parameter, v: Value) -> bool:
+    """Whether records and null runs scatter the only size of an effect by more than `SPREAD` of it."""
+    return (v.high - v.low) / 2 / HALF > SPREAD * abs(v.value - p.null)
+
+
+def chance(e: Evidence, effects) -> bool:
+    """Whether what was found is one effect, and no larger than null runs may make of it though nothing is hidden in them."""
+    if len(effects) != 1:
+        return False
+    first, *others = sizes(next(x for x in e.plant.active.effects if x.name == effects[0].name))
+    return not others and vague(first, effects[0].parameters[first.name])
 
 
 def small(e: Evidence, n: Named, share: float) -> bool:

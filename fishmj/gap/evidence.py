@@ -15,6 +15,7 @@ from fishmj.gap.features import Layout
 from fishmj.gap.form import Changed, Error
 from fishmj.gap.null import leftover, smooth, whitening
 from fishmj.gap.records import Record
+from fishmj.gap.through import sensed, through
 
 DRAWS = 2000
 TURNS = 16  # draws of the constants, to see what is not linear in them
@@ -30,11 +31,12 @@ class Evidence:
 
     def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = FORM):
         self.plant, self.records, self.form, self.origin = plant, records, form, self
+        self.runs = len(null)
         self.layout = Layout(records)
         self._draws = np.random.default_rng(0).standard_normal((TURNS, len(plant.constants)))
-        tangents, self._bent = self._constants(plant.null)
-        self.factors = np.concatenate([null / np.sqrt(len(null)), tangents])
-        self.d = leftover(null, tangents, self.layout)
+        self._held, self._bent = self._constants(getattr(plant, "nothing", plant.null))
+        self.factors = null / np.sqrt(len(null))
+        self.d = leftover(null, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
         self.changed = Changed(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
 
@@ -73,12 +75,20 @@ class Evidence:
         """
         start = self.origin
         tangents, bent = self._constants(row)
-        factors = np.concatenate([start.factors[: -len(tangents)], tangents])
+        factors = np.concatenate([self._seen(row), tangents - start._held])
         known = start.d**2 + np.maximum(bent - self._bent, 0.0)
         change = self.change(row, self.plant.null)
         there = copy(self)
         there.factors, there.changed = factors, Changed(factors, known, change, smooth(change, self.layout))
         return there.within(start.form if form is None else form)
+
+    def _seen(self, row: np.ndarray) -> np.ndarray:
+        """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
+        null, root = self.origin.factors, np.sqrt(self.runs)
+        if not sensed(self.plant, row):
+            return null
+        shown = self.layout.measured - self._residuals(row[None])[0]
+        return through(self.plant, self.layout, row, shown, null * root) / root
 
     def within(self, form: float) -> "Evidence":
         """The same effects, trusted to within another relative error."""

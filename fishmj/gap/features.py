@@ -11,8 +11,8 @@ import numpy as np
 
 from fishmj.gap.records import Record
 
-WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2}  # s
-CHANNELS = {"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",)}
+WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2, "placed": 0.2}  # s
+CHANNELS = {"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",), "placed": ("start",) * 3}
 
 
 class Block(NamedTuple):
@@ -21,7 +21,7 @@ class Block(NamedTuple):
     record: int
     sensor: str
     column: int
-    channel: str  # joint, position, heading, power
+    channel: str  # joint, position, heading, power, start
     t: np.ndarray  # (n,) middle of each average, s
     window: np.ndarray  # (n,) number of each average since t = 0
     where: slice  # in the vector
@@ -37,7 +37,7 @@ class Layout:
         self.records, self.blocks, self.size = records, [], 0
         for i, record in enumerate(records):
             for sensor in WINDOW:
-                given = getattr(record, sensor)
+                given = getattr(record, sensor, None)
                 if given is None:
                     continue
                 window, first, counts = np.unique(
@@ -52,6 +52,12 @@ class Layout:
                     self.size = where.stop
         self.record = np.concatenate([np.full(len(b.t), b.record) for b in self.blocks])
         self.channel = np.concatenate([np.full(len(b.t), b.channel) for b in self.blocks])
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(size,) the averages themselves."""
+        zero = lambda record: {s: np.zeros((1, *x.values.shape)) for s in WINDOW if (x := getattr(record, s, None)) is not None}  # noqa: E731
+        return self.residuals([zero(record) for record in self.records])[0]
 
     def residuals(self, predictions: list[dict]) -> np.ndarray:
         """(R, size) measured minus predicted; predictions as `plant.predict` gives them for these records."""

@@ -44,7 +44,7 @@ def estimate(e: Evidence, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
 
 def of_null(e: Evidence, slopes: np.ndarray) -> np.ndarray:
     """(n, K) what each null run would make of the parameters whose slopes (K, m) are given."""
-    n = len(e.factors) - len(e.plant.constants)
+    n = e.runs
     factors, b = e.factors / e.d, slopes / e.d
     gram, cross, square = factors @ factors.T, b @ factors.T, b @ b.T
     out = np.empty((n, len(b)))

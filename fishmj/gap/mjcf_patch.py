@@ -59,10 +59,17 @@ def _latency(spec, robot, p) -> None:
 
 
 def _mass(spec, robot, p) -> None:
+    """As `effects/inertia/body_mass.py`: a part over the links, the rest at the head's origin."""
+    spread = p.get("spread", 1.0)
+    share, load = 1 + spread * p["mass"] / robot.mass, (1 - spread) * p["mass"]
     for link in robot.links:
         body = spec.body(link.name)
-        share = 1 + p["mass"] / robot.mass
         body.mass, body.inertia = share * body.mass, share * np.array(body.inertia)
+    head = spec.body(robot.links[0].name)
+    place, m = np.array(head.ipos), head.mass
+    less = load / (m + load)
+    head.mass, head.ipos = m + load, (1 - less) * place
+    head.inertia = head.inertia + m * less * (place @ place - place**2)
 
 
 NATIVE = {

@@ -2,9 +2,7 @@
 
     r_i = measured_i - predicted, i = 1..n     from an independent simulator: same commands, other constants within their
                                                tolerance, its own water, servos, network and noise
-    S = (1/n) sum r_i r_i^T + sum s_c^2 t_c t_c^T + D
-                                               scatter of those, the model's own constants (tangent t_c, tolerance s_c), and
-                                               what neither spans, per channel and time
+    S = (1/n) sum r_i r_i^T + D                scatter of those, and what they do not span, per channel and time
     z = S^-1/2 (measured - predicted)          mean square 1 when nothing is missing
 
 The scatter carries the model-form error and every constant that a fit could turn, so nothing needs to be fitted before the
@@ -62,7 +60,7 @@ def turned(plant, records, layout: Layout, row) -> tuple[np.ndarray, np.ndarray]
     return residuals[0], residuals[1:] - residuals[0]
 
 
-def leftover(residuals: np.ndarray, tangents: np.ndarray, layout: Layout, rounds: int = 3) -> np.ndarray:
+def leftover(residuals: np.ndarray, layout: Layout, rounds: int = 3) -> np.ndarray:
     """D^1/2 (m,): standard deviation of what the other null runs do not explain of one, smooth over time in each block.
 
     Starts from the sensors' noise; a few rounds settle it, because D decides how far the others are trusted.
@@ -71,23 +69,23 @@ def leftover(residuals: np.ndarray, tangents: np.ndarray, layout: Layout, rounds
     d = np.where(np.isfinite(noise), noise, 0.1 * residuals.std(0) + 1e-9)
     least = FLOOR * d
     for _ in range(rounds):
-        rest = unexplained(residuals, tangents, d)
+        rest = unexplained(residuals, d)
         d = np.maximum(smooth(np.sqrt(np.mean(rest**2, 0)), layout), least)
     return d
 
 
-def unexplained(residuals: np.ndarray, tangents: np.ndarray, d: np.ndarray) -> np.ndarray:
+def unexplained(residuals: np.ndarray, d: np.ndarray) -> np.ndarray:
     """What is left of each null run after its expectation given the others (n, m): r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
 
-    F are the other runs over sqrt(n - 1) and the tangents; all products come from one Gram matrix.
+    F are the other runs over sqrt(n - 1); all products come from one Gram matrix.
     """
     n = len(residuals)
-    factors = np.concatenate([residuals / np.sqrt(n - 1), tangents]) / d
+    factors = residuals / np.sqrt(n - 1) / d
     gram = factors @ factors.T
-    weights = np.zeros((n, len(factors)))
+    weights = np.zeros((n, n))
     for i in range(n):
-        others = np.arange(len(factors)) != i
-        inner = np.eye(len(factors) - 1) + gram[np.ix_(others, others)]
+        others = np.arange(n) != i
+        inner = np.eye(n - 1) + gram[np.ix_(others, others)]
         weights[i, others] = np.linalg.solve(inner, gram[others, i]) * np.sqrt(n - 1)
     return residuals - (weights @ factors) * d
 

@@ -22,7 +22,7 @@ from fishmj.calib import resolve
 from fishmj.engines.native import cache_folder
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
-from fishmj.gap.features import Layout
+from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
 from fishmj.store import read_npz, write_npz
 
@@ -107,7 +107,7 @@ class Null:
 
     def _key(self, plant, record: Record, what: Excitation) -> str:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
-        done = [record.dt, record.medium, *record.flow, *what.start, *what.push]
+        done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
         text = json.dumps([simulator(), plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 

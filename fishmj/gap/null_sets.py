@@ -15,6 +15,7 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.excitation import Excitation
+from fishmj.gap.features import WINDOW
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.log import Trial
@@ -60,7 +61,7 @@ class Sets(Null):
         return out
 
     def _key(self, plant, record: Record, what: Excitation) -> str:
-        text = json.dumps([[sha256(path) for path in self.bundles], plant.fingerprint, what.id, record.dt, *what.start])
+        text = json.dumps([[sha256(path) for path in self.bundles], plant.fingerprint, what.id, *WINDOW, record.dt, *what.start])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 

@@ -41,6 +41,7 @@ class Record(NamedTuple):
     push: np.ndarray  # (3,) surge, sway [m/s], yaw rate [rad/s] at t = 0
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
+    placed: Sensor | None = None  # x, y m, yaw rad that the camera shows of a fish that was put to rest at `place`
 
     @property
     def seconds(self) -> float:
@@ -64,6 +65,7 @@ def record_of(trial: Trial, dt: float) -> Record:
     rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
     push = np.array(trial.value("push", (0.0, 0.0, 0.0)), float)
     begins = _first(pose, 3, MOVING if push.any() else REST)
+    place = trial.value("start", None)
     speed, bearing = float(trial.value("flow.speed", 0.0) or 0.0), float(trial.value("flow.direction", 0.0) or 0.0)
     return Record(
         name=trial.name,
@@ -76,11 +78,12 @@ def record_of(trial: Trial, dt: float) -> Record:
         power=power,
         flow=(speed * np.cos(bearing), speed * np.sin(bearing)),
         medium=str(trial.value("medium", "water")),
-        place=np.array(trial.value("start", tuple(begins)), float),
+        place=begins if place is None else np.array(place, float),
         start=begins,
         push=push,
         joints=_first(joint, c.shape[1], REST),
         session=float(trial.value("session_time", 0.0) or 0.0),
+        placed=None if place is None or pose is None or push.any() else _placed(begins, np.array(place, float), pose.sigma),
     )
 
 
@@ -98,6 +101,12 @@ def _sensor(trial: Trial, table: str, begin: float, read, names) -> Sensor | Non
 
 def _pose(rows) -> np.ndarray:
     return np.stack([rows["x"], rows["y"], np.unwrap(np.asarray(rows["yaw"], float))], 1)
+
+
+def _placed(begins: np.ndarray, place: np.ndarray, sigma: np.ndarray) -> Sensor:
+    """What the camera shows of a fish that was put at `place`. How well hands do that is not in sigma; null runs tell."""
+    turn = np.angle(np.exp(1j * (begins[2] - place[2])))
+    return Sensor(np.zeros(1), np.array([[*begins[:2], place[2] + turn]]), sigma)
 
 
 def _number(value) -> float:

@@ -96,7 +96,9 @@ def investigate(
         apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null)
         before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
-        if after > before + GROWN and verdict.answer in ("NAMED", "CLASS"):
+        near = apart.around(found.best.row, found.near.form)
+        grown = after > before + GROWN and near.loss(found.best.row) > apart.loss(plant.null)
+        if grown and verdict.answer in ("NAMED", "CLASS"):
             why = f"the gap grows from {before:.2f} to {after:.2f} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
     synthetic = any(t.value("origin") == "synthetic" for t in trials)

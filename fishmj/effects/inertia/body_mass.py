@@ -4,18 +4,31 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def fish(xp, p, c):
-    """m_i' = m_i (1 + dm / sum m), inertia alike."""
-    share = 1.0 + p.mass / sum(c.chain.mass)
-    return c._replace(swimmer=c.swimmer._replace(mass=[share * m for m in c.swimmer.mass]))
+    """m_i' = m_i (1 + k dm / sum m), inertia alike; q = (1 - k) dm at the head's origin leaves its other moments as they are."""
+    share, q = 1.0 + p.spread * p.mass / sum(c.chain.mass), (1.0 - p.spread) * p.mass
+    m, com, inertia = share * c.chain.mass[0], c.chain.com[0], share * c.chain.inertia[0]
+    less = q / (m + q)
+    chain = c.chain._replace(
+        mass=(m + q, *c.chain.mass[1:]),
+        com=(com * (1.0 - less), *c.chain.com[1:]),
+        inertia=(inertia + m * com * com * less, *c.chain.inertia[1:]),
+    )
+    head, *others = c.swimmer.mass
+    return c._replace(chain=chain, swimmer=c.swimmer._replace(mass=[head, *(share * x for x in others)]))
 
 
 EFFECT = Effect(
     name="body_mass",
     stage="inertia",
-    about="mass spread over the links by their share: water under the skin",
-    formula="m_i' = m_i (1 + dm/m)",
+    about="water under the skin, spread over the links by their share, or a payload at the head's reference point",
+    formula="m_i' = m_i (1 + k dm/m), head + (1 - k) dm",
     source="a flooded skin holds 0.05 to 0.3 kg",
-    parameters=(Parameter(name="mass", unit="kg", low=-0.5, high=1.5, typical=(0.05, 0.3)),),
+    parameters=(
+        Parameter(name="mass", unit="kg", low=-0.5, high=1.5, typical=(0.05, 0.3)),
+        Parameter(
+            name="spread", unit="1", null=1.0, low=-0.5, high=1.5, typical=(0.0, 1.0), shape=True, about="k: 1 spread, 0 payload"
+        ),
+    ),
     shows=("position", "heading", "joint"),
     native="body mass",
     confusions=(

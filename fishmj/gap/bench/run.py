@@ -86,26 +86,20 @@ def beyond_gap(plant, case: Case, hidden: dict) -> float:
     noisy = Layout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
     layout = Layout(without)
     _, tangents = turned(plant, without, layout, plant.null)
-    means = [Layout(r).residuals(nothing(r)) for r in (with_, without)]
+    means = [Layout(r).measured for r in (with_, without)]
     noise = layout.aligned(noisy, noisy.noise())
     known = np.isfinite(noise)
-    s = (layout.aligned(Layout(with_), means[0][0]) - means[1][0])[known] / noise[known]
+    s = (layout.aligned(Layout(with_), means[0]) - means[1])[known] / noise[known]
     t = tangents[:, known] / noise[known]
     seen = t @ s
     return 1.0 + float(s @ s - seen @ np.linalg.solve(np.eye(len(t)) + t @ t.T, seen)) / len(s)
-
-
-def nothing(records: list[Record]) -> list[dict]:
-    """Predictions of zero, so that residuals are the measurements."""
-    sensors = ("joint", "pose", "power")
-    return [{n: np.zeros((1, *x.values.shape)) for n in sensors if (x := getattr(r, n)) is not None} for r in records]
 
 
 def _ratios(a: Record, b: Record, noise: dict) -> list[float]:
     """Mean square difference of each channel of two records, over its noise; channels of unknown noise are left out."""
     out = []
     for block, other in zip(Layout([a]).blocks, Layout([b]).blocks, strict=True):
-        sigma = noise[block.sensor][block.column]
+        sigma = noise[block.sensor][block.column] if block.sensor in noise else np.nan
         if np.isfinite(sigma) and sigma > 0:
             x, y = getattr(a, block.sensor), getattr(b, other.sensor)
             t = x.t[x.t <= y.t[-1]]

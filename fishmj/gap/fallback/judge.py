@@ -188,10 +188,8 @@ def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -
     for part in (0, 1):
         other = whole.copy()
         other[part::2] = False
-        tangents = e.factors[len(null) :]
         mine = null[other]
-        d = leftover(mine, tangents, e.layout)
-        w = whitening(np.concatenate([mine / np.sqrt(len(mine)), tangents]), d)
+        w = whitening(mine / np.sqrt(len(mine)), leftover(mine, e.layout))
         for z in w(null[part::2]):
             found.append(held_out(z, g, onto))
     each = np.maximum(np.percentile(np.array(found), 95, axis=0), UNIT)

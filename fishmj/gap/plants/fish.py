@@ -178,7 +178,7 @@ class Fish:
         nv, h = self.joints + 3, STRIDE * self.dt
         parameters = [column[:, None] for column in effect_rows.T]
         nominal = {"pose": self.camera}
-        seen = {}
+        seen: dict[str, np.ndarray] = {}
         for clock in ("joint", "pose", "power"):
             sensor = getattr(record, clock)
             if sensor is None:
@@ -200,4 +200,14 @@ class Fish:
                 seen[clock] = np.stack([report.x, report.y, report.yaw], -1)
             else:
                 seen[clock] = report.joint if clock == "joint" else report.power[..., None]
+        if record.placed is not None:
+            seen["placed"] = self._placed(record, parameters, len(out))
         return seen
+
+    def _placed(self, record: Record, parameters, rows: int) -> np.ndarray:
+        """(R, 1, 3) what the camera would show of a fish at rest where it was meant to start."""
+        x, y, yaw = np.broadcast_to(record.place, (rows, 1, 3)).transpose(2, 0, 1)
+        none = np.zeros((rows, 1))
+        still = Seen(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
+        seen = self.active.measure(np, parameters, still)
+        return np.stack([seen.x, seen.y, seen.yaw], -1)

@@ -92,7 +92,7 @@ def parts(inquiry: Inquiry) -> tuple[Part, ...]:
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
     rows = np.stack([found.base.row, found.fitted.fits[0].row])
     residuals = e.layout.residuals(e.plant.predict(e.records, rows))
-    count = len(e.factors) - len(e.plant.constants)
+    count = e.runs
     null = e.factors[:count] * np.sqrt(count)
     out = []
     for name, about, keep in (

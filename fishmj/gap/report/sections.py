@@ -286,7 +286,7 @@ def section(name: str, about: str, inside: str) -> str:
 def footer(m: Material) -> str:
     """How it was made."""
     e = m.inquiry.evidence
-    count = len(e.factors) - len(e.plant.constants)
+    count = e.runs
     return (
         f"<footer>fishmj {__version__} · gap find · {len(e.records)} records in the search, {count} null runs of each ·"
         " the same figures as JSON: report.json</footer>"

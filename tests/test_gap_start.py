@@ -1,0 +1,74 @@
+"""Where the fish was put, and what a turned camera makes of it and of the null runs."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from test_gap import NULL, evidence_on, hidden, row_of  # noqa: E402
+
+from fishmj import effects  # noqa: E402
+from fishmj.gap.decide import chance  # noqa: E402
+from fishmj.gap.features import Layout  # noqa: E402
+from fishmj.gap.plants.fish import Fish  # noqa: E402
+from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.gap.through import sensed  # noqa: E402
+from fishmj.gap.verdict import Named, Value  # noqa: E402
+from fishmj.gap.workflow import investigate  # noqa: E402
+
+RUNS = ("gait", "drift_north", "turn_left", "gait_fast")
+
+
+@pytest.fixture(scope="module")
+def turning():
+    return Fish(catalogue=[effects.get(n) for n in ("camera_yaw", "heading_marker_offset", "joint_zero_offset", "yaw_drag")])
+
+
+def test_only_what_was_put_to_rest_at_a_stated_place_shows_it(turning):
+    still, pushed = (record_of(t, turning.dt) for t in hidden({}, 5, ("gait", "tow_oblique")))
+    assert still.placed is not None and np.abs(still.placed.values[0] - still.place).max() < 0.02
+    assert pushed.placed is None and set(turning.predict([pushed], turning.null)[0]) == {"joint", "pose", "power"}
+    seen = turning.predict([still], row_of(turning, "camera_yaw", angle=0.1))[0]["placed"][0, 0]
+    c, s = np.cos(0.1), np.sin(0.1)
+    np.testing.assert_allclose(seen[:2], [[c, -s], [s, c]] @ still.place[:2])
+    assert np.isclose(seen[2], still.place[2] + 0.1)
+
+
+def test_a_heading_that_passes_half_a_turn_is_where_it_was_put(turning):
+    (trial,) = hidden({}, 5, ("gait",))
+    x, y, yaw = trial.value("start")
+    there = trial.__class__({**trial.meta, "start": [x, y, yaw + 2 * np.pi]}, trial.tables, name=trial.name)
+    placed = record_of(there, turning.dt).placed.values[0]
+    assert np.isclose(placed[2], record_of(trial, turning.dt).placed.values[0, 2] + 2 * np.pi)
+
+
+def test_a_turned_camera_is_named(turning):
+    verdict = investigate(turning, hidden({"camera_yaw": {"angle": 0.04}}, 12, RUNS), null=NULL).verdict
+    assert verdict.answer == "NAMED" and [e.name for e in verdict.effects] == ["camera_yaw"], verdict.text()
+    assert verdict.effects[0].parameters["angle"].value == pytest.approx(0.04, abs=0.004)
+
+
+def test_null_runs_are_turned_with_the_camera(turning):
+    """A fish that swims too far ahead goes too far to the side for a camera turned by a quarter."""
+    e = evidence_on(turning, {}, 13, RUNS[:2])
+    there = e.around(row_of(turning, "camera_yaw", angle=np.pi / 2))
+    x, y, yaw = (next(b.where for b in e.layout.blocks if b.sensor == "pose" and b.column == k) for k in range(3))
+    np.testing.assert_allclose(there.factors[: e.runs, x], -e.factors[:, y], atol=1e-12)
+    np.testing.assert_allclose(there.factors[: e.runs, y], e.factors[:, x], atol=1e-12)
+    np.testing.assert_allclose(there.factors[: e.runs, yaw], e.factors[:, yaw], atol=1e-12)
+    drag = row_of(turning, "yaw_drag", coefficient=0.01)
+    assert not sensed(turning, drag) and e.around(drag).factors[: e.runs] is not None
+    np.testing.assert_array_equal(e.around(drag).factors[: e.runs], e.factors)
+
+
+def test_what_null_runs_scatter_as_far_is_chance(turning):
+    e = evidence_on(turning, {}, 14, RUNS[:2])
+    said = lambda half: Named("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)  # noqa: E731
+    assert chance(e, (said(0.006),)) and not chance(e, (said(0.003),))
+    assert not chance(e, (said(0.006), said(0.006))) and not chance(e, ())
+
+
+def test_averages_of_what_was_measured(turning):
+    records = [record_of(t, turning.dt) for t in hidden({}, 5, ("gait",))]
+    layout = Layout(records)
+    assert np.isclose(layout.measured[layout.blocks[-1].where][0], records[0].placed.values[0, 2])
