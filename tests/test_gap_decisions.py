@@ -12,7 +12,8 @@ from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F40
 
 from fishmj import effects  # noqa: E402
 from fishmj.gap import spared  # noqa: E402
-from fishmj.gap.decide import confused, sanity, shadowed  # noqa: E402
+from fishmj.gap.beside import confused, shadowed  # noqa: E402
+from fishmj.gap.decide import sanity  # noqa: E402
 from fishmj.gap.folds import Fitted, split  # noqa: E402
 from fishmj.gap.gates import frozen  # noqa: E402
 from fishmj.gap.nearby import nearest  # noqa: E402

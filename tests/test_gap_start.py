@@ -8,10 +8,10 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, row_of  # noqa: E402
 
 from fishmj import effects  # noqa: E402
-from fishmj.gap.decide import chance  # noqa: E402
 from fishmj.gap.features import Layout  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.gap.sizes import chance  # noqa: E402
 from fishmj.gap.through import sensed  # noqa: E402
 from fishmj.gap.verdict import Named, Value  # noqa: E402
 from fishmj.gap.workflow import investigate  # noqa: E402

@@ -16,35 +16,26 @@ The form error is measured (form.py): the relative error of what the effects cha
 right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare the
 paths of as many records as G7 lets get worse (spared.py), and G5 an effect that can only be right (pinned).
 
-An effect that brings little and fails G8 or G9 is not named, and does not spoil the name of those that bring much. Nor is one
-named that brings little and is much smaller than usual, or is what one that brings more is taken for, or that is far smaller
-than anywhere known beside one that brings more: what the formula of another leaves may look like it. One that is much smaller
-than usual is not named, whatever it brings, beside another that is not so small and that it is taken for or that turns the same
-gears: the little dry friction that every gear train has shows beside play, where nothing else holds the link.
+What is found beside others may be too little to be named: beside.py.
 """
 
 import numpy as np
 
-from fishmj.effects.classes import together
-from fishmj.effects.effect import Parameter
 from fishmj.gap import evidence
+from fishmj.gap.beside import lesser
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.contest import ON_BOUND, Rival, Standing, standings
 from fishmj.gap.evidence import Evidence
 from fishmj.gap.gates import Gates, rest_allowed
 from fishmj.gap.intervals import HALF, estimate
+from fishmj.gap.nearby import polished
 from fishmj.gap.search import Found
+from fishmj.gap.sizes import SMALL, SPREAD, chance, sizes, small, vague
 from fishmj.gap.spared import error, misformed
 from fishmj.gap.verdict import Named, Value, Verdict
 
-SPREAD = 0.3  # of the value, between folds
-SMALL = 0.1  # of the least typical size
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
 SLIGHT = 0.15  # of the gain over all records, by which one may get worse
-MINOR = 0.05  # share of the gain below which an effect brings little
-LITTLE = 0.1  # the same for one that is smaller than usual, or what a larger one is taken for
-LESSER = 0.5  # the same for one that is far smaller than it is anywhere known
-USUAL = 0.5  # of the least typical size
 
 
 def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
@@ -62,19 +53,13 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
-    if checks["adequacy"] <= gates.adequacy and chance(e, effects):
-        why = f"nothing is beyond what null runs show; {effects[0].name} would come out as no more than they make of it"
-        return Verdict("AGREES", reason=why, tentative=effects, **plain)
+    if chance(e, effects) and stand[effects[0].name].gain < gates.enough:
+        why = f"{effects[0].name} would come out as no more than null runs make of it, though nothing is hidden in them"
+        if checks["adequacy"] <= gates.adequacy:
+            return Verdict("AGREES", reason=why, tentative=effects, **plain)
+        return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.enough) for n in effects}
-    brings = {n: s.gain / sum(x.gain for x in stand.values()) for n, s in stand.items()}
-    weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
-    faint = {n.name for n in effects if small(e, n, USUAL)}
-    least = {n: min(b, found.share(n, b)) for n, b in brings.items()}
-    alike = {n for n in least for other in least if least[other] > least[n] and confused(e, n, other)}
-    tiny = {n.name for n in effects if small(e, n, SMALL)}
-    spoilt = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in tiny}
-    spoilt |= {n for n in faint | {n for n in alike if stand[n].gain < gates.enough} if least[n] < LITTLE}
-    spoilt |= {n for n in shadowed(e, set(least) - spoilt, faint) if least[n] < LESSER}
+    spoilt = lesser(found, effects, stand, doubts, gates)
     checks |= unseen(e, found)
     wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
@@ -88,12 +73,6 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     return Verdict(answer, reason=reason, **whole)
 
 
-def unsure(name: str, stand: Standing, gates: Gates) -> bool:
-    """Whether something else may be meant that is not the same by construction."""
-    twins = [r for r in stand.rivals if together(name, r.name)]
-    return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
-
-
 def pinned(e: Evidence, names) -> bool:
     """Whether all that was found explains anything only where a value is right to a fraction of a per cent.
 
@@ -102,19 +81,6 @@ def pinned(e: Evidence, names) -> bool:
     """
     known = {x.name: x for x in e.plant.active.effects}
     return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
-
-
-def confused(e: Evidence, one: str, other: str) -> bool:
-    """Whether the catalogue lists one of two effects among those that the other is taken for."""
-    known = {x.name: {c.other for c in x.confusions} for x in e.plant.active.effects}
-    return other in known[one] or one in known[other]
-
-
-def shadowed(e: Evidence, names, faint: set[str]) -> set[str]:
-    """Those of `faint`, much smaller than usual, beside another of `names` that is not: it is taken for them, or turns the same
-    gears."""
-    geared = {x.name for x in e.plant.active.effects if x.gear is not None}
-    return {n for n in faint for other in set(names) - faint if confused(e, n, other) or {n, other} <= geared}
 
 
 def _rival(name: str, rival: Rival) -> dict:
@@ -174,7 +140,8 @@ def transfer(e: Evidence, found: Found) -> float:
 def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
     e = found.near
-    value, spread = estimate(e, c)
+    doubted = e.doubted(c.row)
+    value, spread = estimate(doubted, polished(doubted.part(doubted.everything), c))
     near, base = e.part(e.everything), found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
     closed = evidence.closure(base - ideal, near.loss(c.row) - ideal, 0)
@@ -209,30 +176,6 @@ def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[st
     if little and others and all(n.parameters[p.name].low <= p.null <= n.parameters[p.name].high for p in (first, *others)):
         out.append(f"{n.name}: the records do not tell any of its values from none")
     return tuple(out)
-
-
-def vague(p: Parameter, v: Value) -> bool:
-    """Whether records and null runs scatter the only size of an effect by more than `SPREAD` of it."""
-    return (v.high - v.low) / 2 / HALF > SPREAD * abs(v.value - p.null)
-
-
-def chance(e: Evidence, effects) -> bool:
-    """Whether what was found is one effect, and no larger than null runs may make of it though nothing is hidden in them."""
-    if len(effects) != 1:
-        return False
-    first, *others = sizes(next(x for x in e.plant.active.effects if x.name == effects[0].name))
-    return not others and vague(first, effects[0].parameters[first.name])
-
-
-def small(e: Evidence, n: Named, share: float) -> bool:
-    """Whether every main value is less than `share` of the least that is typical."""
-    main = sizes(next(x for x in e.plant.active.effects if x.name == n.name))
-    return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
-
-
-def sizes(effect) -> list:
-    """The parameters that say how large an effect is: as the first, not those that shape it."""
-    return [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
 
 
 def described(step) -> dict:

@@ -101,6 +101,12 @@ class Evidence:
         there = self.around(row)
         return there.within(there.changed.likely(self._residuals(row[None])[0]))
 
+    def doubted(self, row: np.ndarray) -> "Evidence":
+        """For values: what the constants do is no better known than the formulas, F also gets their tangents times `form`."""
+        there = copy(self)
+        there.factors = np.concatenate([self.factors, self.form * self._constants(row)[0]])
+        return there
+
     def error(self, row: np.ndarray, most: float, keep: np.ndarray | None = None) -> Error:
         """How wrong the formulas of the row are, around which this is. most: form error that they should have. keep: (m,) bool,
         samples that count; default, all."""
