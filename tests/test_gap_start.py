@@ -66,6 +66,9 @@ def test_what_null_runs_scatter_as_far_is_chance(turning):
     said = lambda half: Named("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)  # noqa: E731
     assert chance(e, (said(0.006),)) and not chance(e, (said(0.003),))
     assert not chance(e, (said(0.006), said(0.006))) and not chance(e, ())
+    offsets = lambda least: {f"offset{i}": Value(0.02, "rad", low, 0.05) for i, low in enumerate((-0.01, -0.01, least), 1)}  # noqa: E731
+    bent = lambda least: (Named("joint_zero_offset", offsets(least), 1.0, 1.0),)  # noqa: E731
+    assert chance(e, bent(-0.01)) and not chance(e, bent(0.01))  # one of three is told from none
 
 
 def test_averages_of_what_was_measured(turning):

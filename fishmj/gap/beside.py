@@ -3,8 +3,8 @@
 An effect is not named beside others that
 
     brings less than `MINOR` of the gain, and something else may be meant or its value is not believable
-    brings less than `LITTLE`, and is much smaller than usual, or the catalogue says that one that brings more is taken for it;
-    unless it gains as much by itself as may be asked of any
+    brings less than `LITTLE`, and the catalogue says that one that brings more is taken for it
+    brings less than `LITTLE` and is much smaller than usual, unless it gains by itself as much as may be asked of any
     is far smaller than anywhere known and brings less than `LESSER`
     is much smaller than usual and brings less than that, beside one that is not so small and that it is taken for or that turns
     the same gears: the little dry friction that every gear train has shows beside play, where nothing else holds the link
@@ -34,9 +34,9 @@ def lesser(found: Found, effects: tuple[Named, ...], stand: dict[str, Standing],
     weak = {n for n, s in stand.items() if doubts[n] or unsure(n, s, gates)}
     tiny, faint = ({n.name for n in effects if small(e, n, share)} for share in (SMALL, USUAL))
     alike = {n for n in least for other in least if least[other] > least[n] and confused(e, n, other)}
-    little = {n for n in least if least[n] < LITTLE and stand[n].gain < gates.enough}
-    hidden = {n for n in least if least[n] < LITTLE and stand[n].gain < max(gates.enough, gates.beside * whole)}
-    out = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in tiny} | alike & little | faint & hidden
+    little = {n for n in least if least[n] < LITTLE}
+    slight = {n for n in little if stand[n].gain < max(gates.enough, gates.beside * whole)}
+    out = {n for n, b in brings.items() if b < MINOR and n in weak or b < LESSER and n in tiny} | alike & little | faint & slight
     return out | {n for n in shadowed(e, set(least) - out, faint) if least[n] < LESSER}
 
 

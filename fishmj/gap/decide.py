@@ -30,7 +30,7 @@ from fishmj.gap.gates import Gates, rest_allowed
 from fishmj.gap.intervals import HALF, estimate
 from fishmj.gap.nearby import polished
 from fishmj.gap.search import Found
-from fishmj.gap.sizes import SMALL, SPREAD, chance, sizes, small, vague
+from fishmj.gap.sizes import SMALL, SPREAD, chance, sizes, small, untold, vague
 from fishmj.gap.spared import error, misformed
 from fishmj.gap.verdict import Named, Value, Verdict
 
@@ -54,7 +54,7 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
     if chance(e, effects) and stand[effects[0].name].gain < gates.enough:
-        why = f"{effects[0].name} would come out as no more than null runs make of it, though nothing is hidden in them"
+        why = f"{effects[0].name} comes out as no more than chance may make of it"
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
@@ -173,7 +173,7 @@ def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[st
         out.append(f"{n.name} is far smaller than it is anywhere known: it may stand in for something else")
     if not others and vague(first, main):
         out.append(f"{n.name}: the records disagree about its size by more than {SPREAD:.0%}")
-    if little and others and all(n.parameters[p.name].low <= p.null <= n.parameters[p.name].high for p in (first, *others)):
+    if little and others and untold((first, *others), n.parameters):
         out.append(f"{n.name}: the records do not tell any of its values from none")
     return tuple(out)
 

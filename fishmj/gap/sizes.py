@@ -29,5 +29,11 @@ def chance(e: Evidence, effects) -> bool:
     """Whether what was found is one effect, and no larger than null runs may make of it though nothing is hidden in them."""
     if len(effects) != 1:
         return False
-    first, *others = sizes(next(x for x in e.plant.active.effects if x.name == effects[0].name))
-    return not others and vague(first, effects[0].parameters[first.name])
+    main = sizes(next(x for x in e.plant.active.effects if x.name == effects[0].name))
+    values = effects[0].parameters
+    return untold(main, values) if len(main) > 1 else vague(main[0], values[main[0].name])
+
+
+def untold(main, values: dict[str, Value]) -> bool:
+    """Whether the null lies in the intervals of all sizes of an effect."""
+    return all(values[p.name].low <= p.null <= values[p.name].high for p in main)
