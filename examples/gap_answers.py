@@ -2,7 +2,7 @@
 
     python examples/gap_answers.py agrees           nothing is wrong
     python examples/gap_answers.py named            commands arrive 30 ms late: found, sized, ready to be added to the model
-    python examples/gap_answers.py class            three tows cannot tell two drags apart; one that can is proposed and done
+    python examples/gap_answers.py class            a gait and a turn cannot tell a weak motor from a slow one; what can is proposed and done
     python examples/gap_answers.py unexplained      a fault that no catalogue holds: described as a force, not named
     python examples/gap_answers.py not_repeatable   the water is restless: repeated runs differ, so there is nothing to name
 
@@ -33,7 +33,7 @@ MIXED = "gait_fast,drift_north,turn_left,tow_oblique"
 STORIES = {
     "agrees": Story("", MIXED, 21, "Use the model: the logs hold nothing that an independent simulation of it does not."),
     "named": Story("command_latency=0.03", MIXED, 11, "Add it to the model: python -m fishmj.gap apply REPORT"),
-    "class": Story("quadratic_drag=3", "tow_ahead,tow_ahead,tow_ahead", 5, "Do the experiment, then search again."),
+    "class": Story("torque_saturation=1.25", "gait,turn_left", 5, "Do the experiment, then search again."),
     "unexplained": Story("tail_yaw_cross_force=-0.02", MIXED, 31, "Look at the robot for what could make such a force."),
     "not_repeatable": Story(
         "turbulence=0.06", "drift_north,drift_north,drift_north,gait_fast,gait_fast,gait_fast", 41, "Calm the water, log again."

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("numba")
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "gap_answers.py"
-QUICK = ("--null-runs", "32")
+QUICK = ("--null-runs", "64")
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +27,8 @@ def test_the_example_gets_the_answer_it_is_called_by(example, name, tmp_path):
 def test_the_proposed_experiment_turns_a_class_into_a_name(example, tmp_path, capsys):
     assert example.tell("class", tmp_path, QUICK) == ["CLASS", "NAMED"]
     before, after = capsys.readouterr().out.split("The proposed experiment is done")
-    assert "quadratic_drag: " in before and "would decide between" in before
-    assert "  quadratic_drag: coefficient" in after
+    assert "torque_saturation" in before and "speed_limit" in before and "would decide between" in before
+    assert "  torque_saturation: limit" in after
 
 
 def test_what_no_effect_explains_is_described_as_a_force(example, tmp_path, capsys):

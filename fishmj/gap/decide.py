@@ -53,7 +53,7 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
-    if chance(e, effects) and stand[effects[0].name].gain < gates.enough:
+    if chance(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.enough:
         why = f"{effects[0].name} comes out as no more than chance may make of it"
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)

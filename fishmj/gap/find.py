@@ -29,7 +29,12 @@ def main(argv: list[str]) -> int:
     add("--null", type=Path, help="folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew")
     add("--out", type=Path, help="folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml)")
     add("--noise", type=float, default=1.0, help="factor on the sensors' usual noise, when the logs do not state their own")
-    add("--null-runs", type=int, default=RUNS, help="runs of every record in the independent simulator")
+    add(
+        "--null-runs",
+        type=int,
+        default=RUNS,
+        help="runs of every record in the independent simulator; with fewer than 64 a healthy fish may show a gap",
+    )
     add("--most", type=int, default=None, help="effects to add at most")
     add("--seed", type=int, default=0, help="of the split and of the null runs")
     args = parser.parse_args(argv)

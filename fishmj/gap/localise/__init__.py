@@ -92,10 +92,10 @@ def over_session(c: Comparison) -> dict[str, float]:
     times = np.array([r.session for r in c.records])
     out = {}
     for name in dict.fromkeys(c.layout.channel):
-        level = np.array(
-            [np.mean(c.ratio[0][(c.layout.channel == name) & (c.layout.record == i)]) for i in range(len(c.records))]
-        )
-        known = np.isfinite(level)
+        mine = c.layout.channel == name
+        sums, counts = (np.bincount(c.layout.record[mine], w, len(c.records)) for w in (c.ratio[0][mine], None))
+        known = counts > 0
+        level = sums / np.maximum(counts, 1)
         spread = times[known] - times[known].mean()
         sizes = float(spread @ spread)
         out[str(name)] = float(spread @ level[known] / sizes / level[known].mean()) if sizes > 0 else float("nan")

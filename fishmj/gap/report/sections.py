@@ -90,7 +90,8 @@ def gap(m: Material) -> str:
     whole = "".join(f'<td class="n"><b>{pair((p.before, p.after))}</b></td>' for p in m.parts)
     rows = [f'<tr><td class="name">all</td>{whole}</tr>']
     for k in channels:
-        cells = "".join(f'<td class="n">{pair(p.by_channel[k]) if p.by_channel else "-"}</td>' for p in m.parts)
+        both = [(p.by_channel or {}).get(k) for p in m.parts]
+        cells = "".join(f'<td class="n">{pair(b) if b else "-"}</td>' for b in both)
         rows.append(f"<tr><td>{escape(k)}</td>{cells}</tr>")
     table = f"<table><thead><tr><th>gap</th>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
     about = "Mean square of measured minus model in units of the floor; every channel and record counts alike, 1 is agreement. "

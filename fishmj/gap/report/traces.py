@@ -27,7 +27,7 @@ def chosen(c: Comparison) -> list[Chosen]:
     """The block of each channel in which most of the gap lies, biggest first; one record twice only when there is no other."""
     weights = c.weights()
     best: dict[str, tuple[float, Block]] = {}
-    for b in c.layout.blocks:
+    for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
         excess = float(np.sum((weights * (c.ratio[0] - 1.0))[b.where]))
         if b.channel not in best or excess > best[b.channel][0]:
             best[b.channel] = (excess, b)
