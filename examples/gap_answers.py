@@ -2,7 +2,7 @@
 
     python examples/gap_answers.py agrees           nothing is wrong
     python examples/gap_answers.py named            commands arrive 30 ms late: found, sized, ready to be added to the model
-    python examples/gap_answers.py class            a gait and a turn cannot tell a weak motor from a slow one; what can is proposed and done
+    python examples/gap_answers.py class           a weak motor or a slow one? records that tell are proposed and made
     python examples/gap_answers.py unexplained      a fault that no catalogue holds: described as a force, not named
     python examples/gap_answers.py not_repeatable   the water is restless: repeated runs differ, so there is nothing to name
 
