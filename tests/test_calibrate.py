@@ -20,6 +20,7 @@ from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.gap.plants.bench import Bench
 from fishmj.gap.records import Sensor
 from fishmj.hydro_fit import chain
+from fishmj.log import measurements
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json, write_text
@@ -137,13 +138,13 @@ def test_a_hull_pushed_beyond_its_tolerance_is_told():
 def test_masses_come_back_from_the_weighings(tmp_path: Path):
     made = hidden_trials.hidden(SEED)
     truth = hidden_trials.truth(made)
-    page = hidden_trials.weighings(made, truth, draws.stream(SEED, "weighing"))
-    write_text(tmp_path / mass.FILE, dumps(page))
+    page = hidden_trials.weighings(made, draws.stream(SEED, "weighing"))
+    write_text(tmp_path / measurements.FILE, dumps(page))
     found = mass.calibrate(tmp_path, load_robot()).estimates
     for name in ("mass", "com", "inertia"):
         assert found[name].value == pytest.approx(truth[name], rel=0.02), name
     del page["scales"]["tail"]
-    write_text(tmp_path / mass.FILE, dumps(page))
+    write_text(tmp_path / measurements.FILE, dumps(page))
     with pytest.raises(ConfigError, match=r"\[scales\] tail"):
         mass.calibrate(tmp_path, load_robot())
 

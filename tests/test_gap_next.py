@@ -79,7 +79,7 @@ def test_hints_begin_with_what_the_catalogue_says(plant):
 def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
     sides = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
     sides = [s._replace(names=(n,)) for s, n in zip(sides, ("clock_offset", "camera_latency"), strict=True)]
-    said = advice.advice([Prospect("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
+    said = advice.advice(plant, [Prospect("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
     assert "No experiment tried separates clock_offset from camera_latency" in said and "lamp" in said
 
 

@@ -9,7 +9,7 @@ A bifilar pendulum about the other two axes would give the rest of the tensor; t
 """
 
 from dataclasses import replace
-from math import pi, sqrt
+from math import sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,12 +18,9 @@ from scipy.stats import t as student
 
 from fishmj.calib import read_toml
 from fishmj.calibrate.least_squares import NORMAL, Estimate
-from fishmj.errors import ConfigError
+from fishmj.log import measurements
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
-from fishmj.units import G
-
-FILE = "measurements.toml"
 
 
 class Weighed(NamedTuple):
@@ -39,18 +36,16 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     Raises:
         ConfigError: the page is missing, lacks a link, or a number is not positive.
     """
-    path = Path(folder) / FILE
+    path = Path(folder) / measurements.FILE
     page = read_toml(path)
-    scales = [_numbers(page, path, "scales", link.name) for link in robot.links]
-    balance, period = _numbers(page, path, "balance", "at"), _numbers(page, path, "pendulum", "period")
-    thread, apart = (float(_numbers(page, path, "pendulum", key)[0]) for key in ("thread", "apart"))
+    scales = [measurements.numbers(page, "scales", link.name, path) for link in robot.links]
+    balance, period = (measurements.numbers(page, *key, path) for key in (("balance", "at"), ("pendulum", "period")))
     masses = np.array([s.mean() for s in scales])
-    resolution = 0.001 / sqrt(12)  # kg: scales read whole grams
-    mass_sd = sqrt(sum(_sd(s, resolution) ** 2 for s in scales))
-    total, com, com_sd = float(masses.sum()), float(balance.mean()), _sd(balance, float(page["balance"].get("error", 0.0)))
-    lever = apart / 2 / (2 * pi)
-    inertia = total * G * (float(period.mean()) * lever) ** 2 / thread
-    inertia_sd = inertia * sqrt((2 * _sd(period) / period.mean()) ** 2 + (mass_sd / total) ** 2)
+    mass_sd = sqrt(sum(measurements.deviation(s, measurements.RESOLUTION) ** 2 for s in scales))
+    total, com = float(masses.sum()), float(balance.mean())
+    com_sd = measurements.deviation(balance, float(page["balance"].get("error", 0.0)))
+    inertia, scatter = measurements.inertia(page, total, path)
+    inertia_sd = inertia * sqrt(scatter**2 + (mass_sd / total) ** 2)
     described = described_as(robot, masses, com)
     extra = inertia - _yaw_inertia(described)
     found = {
@@ -80,20 +75,6 @@ def _yaw_inertia(robot: Robot) -> float:
     x = g.origin + g.com[:, 0]
     middle = float(g.mass @ x / g.mass.sum())
     return float(np.sum(g.inertia[:, 2] + g.mass * (x - middle) ** 2))
-
-
-def _numbers(page: dict, path: Path, table: str, key: str) -> np.ndarray:
-    value = page.get(table, {}).get(key)
-    numbers = np.atleast_1d(np.array([np.nan] if value is None else value, float))
-    if not np.all(np.isfinite(numbers)) or np.any(numbers <= 0):
-        raise ConfigError(f"{path}: [{table}] {key} = {value!r}; expected one or more positive numbers in SI units")
-    return numbers
-
-
-def _sd(values: np.ndarray, floor: float = 0.0) -> float:
-    """Standard deviation of the mean."""
-    scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
-    return max(scatter, floor) / sqrt(len(values))
 
 
 def _estimate(name: str, unit: str, value: float, sd: float, repeats: int) -> Estimate:

@@ -16,20 +16,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from fishmj import console, excitation
-from fishmj.campaign.hidden_bench import weighings
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.log import Trial, write_dataset
+from fishmj.log import Trial, measurements, write_dataset
 from fishmj.log.toml import dumps
 from fishmj.store import Manifest, sha256, write_json, write_text
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.machine import Plant
 from fishmj.virtual_robot.trials import plant, trial_of
+from fishmj.virtual_robot.weighing import masses, weighings
 
 SEALED = "sealed.json"
-MEASUREMENTS = "measurements.toml"
 SCHEMA = "fishmj.sealed/1"
 OUT = Path("data") / "calib" / "trials"
 REPEATS = 3
@@ -90,19 +87,8 @@ def truth(made: Plant) -> dict[str, float]:
         "friction": m.dry + m.coulomb,
         "command_latency": n.latency + n.delay + 0.5 * m.period,
         "camera_latency": c.latency + c.delay,
-        "mass": made.body.total,
-        **_balance(made),
+        **masses(made),
     }
-
-
-def _balance(made: Plant) -> dict[str, float]:
-    """Balance point from the nose and yaw inertia about it, straight fish."""
-    body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
-    first = float(np.sum(body.first + body.mass * origin))
-    second = float(np.sum(body.second + 2 * origin * body.first + body.mass * origin**2))
-    middle = first / body.total
-    nose = float(body.hinge[0] + made.robot.links[0].length)
-    return {"com": nose - middle, "inertia": second - body.total * middle**2}
 
 
 def bench(repeats: int = REPEATS) -> Iterator[tuple[str, Excitation, str, int]]:
@@ -174,7 +160,7 @@ def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[s
         if old.parent.name not in made:
             shutil.rmtree(old.parent)
     write_dataset(out, made, overwrite=overwrite)
-    write_text(out / MEASUREMENTS, dumps(weighings(robot, truth(robot), draws.stream(seed, "weighing"))))
+    write_text(out / measurements.FILE, dumps(weighings(robot, draws.stream(seed, "weighing"))))
     values = truth(robot) | ({"slip": slip_of(seed)} if SOLVER in generators.values() else {})
     return seal(out, seed, values, generators)
 

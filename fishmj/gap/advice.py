@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fishmj.gap import weighing
 from fishmj.gap.candidates import Candidate
 from fishmj.gap.contest import replaced
 from fishmj.gap.evidence import Evidence
@@ -19,6 +20,7 @@ from fishmj.gap.verdict import Verdict
 
 ENOUGH = 5.0  # sigma from which an experiment is said to decide
 LEFT = 3  # explanations compared, the best among them
+WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (measurements.toml beside the trials)"
 OPEN = ("CLASS", "UNEXPLAINED")
 
 
@@ -31,16 +33,20 @@ def advised(e: Evidence, found: Found, verdict: Verdict, null: Null) -> Verdict:
     known = {s.names: written(e.plant, s) for s in sides[1:]}
     listed = {names[-1]: values for names, values in known.items()}
     rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
-    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(quick, sides))
+    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.plant, quick, sides))
 
 
-def advice(found: list[Prospect], sides: list[Side]) -> str:
-    """The best experiment in words, or what to do where none of the library decides."""
+def advice(plant, found: list[Prospect], sides: list[Side]) -> str:
+    """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
     from fishmj.effects.classes import together
 
     best = next((p for p in found if p.sigma >= ENOUGH), None)
     if best:
         return best.text()
+    rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
+    sigma, other = max((weighing.separation(plant, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
+    if sigma >= ENOUGH:
+        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {sides[0].label} and {other}."
     most = max(found, key=lambda p: p.sigma)
     a, b = most.pair
     text = f"No experiment tried separates {a} from {b} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fishmj.gap.null_runs import Null
 from fishmj.gap.null_sets import Sets
-from fishmj.log import Trial
+from fishmj.log import Trial, measurements
 from fishmj.log.bundle import read_bundle
 from fishmj.log.dataset import read_dataset
 from fishmj.store import sha256
@@ -23,6 +23,11 @@ def trials_in(data: Path) -> list[Trial]:
         return read_bundle(data)
     found = read_dataset(data)
     return [named(name, trial) for name, trial in zip(found.names, found, strict=True)]
+
+
+def page_in(data: Path) -> dict:
+    """The page of weighings beside the trials of a data set; {} without one."""
+    return {} if data.suffix == BUNDLE else measurements.read(data)
 
 
 def named(name: str, trial: Trial) -> Trial:

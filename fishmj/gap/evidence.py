@@ -10,6 +10,7 @@ from copy import copy
 
 import numpy as np
 
+from fishmj.gap import weighing
 from fishmj.gap.candidates import STEP, Candidate, Search, bounds
 from fishmj.gap.features import Layout
 from fishmj.gap.form import Changed, Error
@@ -77,7 +78,7 @@ class Evidence:
         tangents, bent = self._constants(row)
         factors = np.concatenate([self._seen(row), tangents - start._held])
         known = start.d**2 + np.maximum(bent - self._bent, 0.0)
-        change = self.change(row, self.plant.null)
+        change = self.change(row, self.plant.null) * (self.layout.channel != weighing.CHANNEL)
         there = copy(self)
         there.factors, there.changed = factors, Changed(factors, known, change, smooth(change, self.layout))
         return there.within(start.form if form is None else form)

@@ -11,8 +11,12 @@ import numpy as np
 
 from fishmj.gap.records import Record
 
-WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2, "placed": 0.2}  # s
-CHANNELS = {"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",), "placed": ("start",) * 3}
+WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2, "placed": 0.2, "weighed": 0.2}  # s
+CHANNELS = {
+    **{"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",)},
+    **{"placed": ("start",) * 3, "weighed": ("weighing",) * 3},
+}
+MOMENTS = ("start", "weighing")  # channels that are not over time
 
 
 class Block(NamedTuple):
@@ -21,7 +25,7 @@ class Block(NamedTuple):
     record: int
     sensor: str
     column: int
-    channel: str  # joint, position, heading, power, start
+    channel: str  # joint, position, heading, power, start, weighing
     t: np.ndarray  # (n,) middle of each average, s
     window: np.ndarray  # (n,) number of each average since t = 0
     where: slice  # in the vector
@@ -44,7 +48,7 @@ class Layout:
                     np.floor(given.t / WINDOW[sensor]).astype(int), return_index=True, return_counts=True
                 )
                 t = np.add.reduceat(given.t, first) / counts
-                for column in range(given.values.shape[1]):
+                for column in np.flatnonzero(np.isfinite(given.values).any(0)).tolist():
                     channel = CHANNELS[sensor][column % len(CHANNELS[sensor])]
                     where = slice(self.size, self.size + len(counts))
                     sigma = float(given.sigma[column])

@@ -61,7 +61,8 @@ def search(args) -> Inquiry:
     gates = frozen() if args.most is None else replace(frozen(), most=args.most)
     plant = Fish(in_water(load_robot(args.model), args.water))
     null = data.null_of(null_of(args))
-    return investigate(plant, trials, gates=gates, null=null, seed=args.seed, further=True, say=console.say)
+    page = data.page_in(args.data)
+    return investigate(plant, trials, gates=gates, null=null, page=page, seed=args.seed, further=True, say=console.say)
 
 
 def null_of(args) -> dict:

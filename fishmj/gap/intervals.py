@@ -6,11 +6,13 @@
 
 theta_i is taken with run i left out of S (null.py), all of them from one Gram matrix. curvature: (J^T S^-1 J)^-1 on the data,
 which knows the autocorrelation. jackknife: one Gauss-Newton step with each record left out (Efron & Stein 1981). FORM: no
-formula is the robot's.
+formula is the robot's, but a scale's reading is none: where weighings tell a value to within s by themselves, (FORM ..)^2 becomes
+1 / (1/(FORM ..)^2 + 1/s^2), and no record that is left out takes them along.
 """
 
 import numpy as np
 
+from fishmj.gap import weighing
 from fishmj.gap.candidates import Candidate, bounds
 from fishmj.gap.evidence import Evidence
 
@@ -35,9 +37,11 @@ def estimate(e: Evidence, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     white = search.whiten(slopes)
     spurious = of_null(e, slopes)
     sure = curvature(white)
-    folds = jackknife(white, search.whiten(residual[0]), e.layout.record)
+    weighed = e.layout.channel == weighing.CHANNEL
+    folds = jackknife(white, search.whiten(residual[0]), np.where(weighed, -1, e.layout.record))
     sure = np.maximum(sure, folds if len(e.records) >= MANY else np.minimum(folds, FEW * sure))
     form = FORM * np.abs(c.row[places] - e.plant.null[places])
+    form = form / np.sqrt(1.0 + form**2 * np.sum((slopes[:, weighed] / e.d[weighed]) ** 2, 1))
     values = np.clip(c.row[places] - spurious.mean(0), low[places], high[places])
     return values, np.sqrt(spurious.var(0) + sure**2 + form**2)
 
@@ -63,7 +67,7 @@ def curvature(white: np.ndarray) -> np.ndarray:
 
 
 def jackknife(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """(K,) over records; record (m,) says which each value belongs to."""
+    """(K,) over records; record (m,) says which each value belongs to, -1 none."""
     n = int(record.max()) + 1
     steps = np.empty((n, len(white)))
     for k in range(n):

@@ -37,9 +37,9 @@ def main(argv: list[str]) -> int:
         tick = iter(range(1, 1000))
         found = prospects(plant, sides, like, _runs(args.runs, sides), null, say=lambda name: bar.update(next(tick)))
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
-    console.say(advice(found, sides))
+    console.say(advice(plant, found, sides))
     if args.json:
-        console.emit_json({"answer": answer, "advice": advice(found, sides), "experiments": [p._asdict() for p in found]})
+        console.emit_json({"answer": answer, "advice": advice(plant, found, sides), "experiments": [p._asdict() for p in found]})
     return console.OK
 
 
@@ -53,10 +53,11 @@ def _opened(args, null: Null):
         verdict = read_json(report)
         return verdict["answer"], plant, evenly(_reported(plant, verdict)), _usual(plant)
     from fishmj.gap.workflow import investigate
+    from fishmj.log import measurements
     from fishmj.log.dataset import read_dataset
 
     trials = list(read_dataset(args.source))
-    inquiry = investigate(plant, trials, null=null, seed=args.seed, say=console.say)
+    inquiry = investigate(plant, trials, null=null, page=measurements.read(args.source), seed=args.seed, say=console.say)
     verdict = inquiry.verdict
     if verdict.answer not in OPEN:
         return verdict.answer, plant, [], inquiry.records[0]

@@ -22,6 +22,7 @@ from fishmj.calib import resolve
 from fishmj.engines.native import cache_folder
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
+from fishmj.gap import weighing
 from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
 from fishmj.store import read_npz, write_npz
@@ -46,7 +47,9 @@ class Null:
         """(n, m) residuals of the model as it is on every null run, at the windows of `layout`."""
         out = np.empty((self.runs, layout.size))
         for i, record in enumerate(records):
-            kept = self.experiment(plant, record)
+            kept = self.experiment(plant, record._replace(weighed=None))
+            if record.weighed is not None:
+                kept |= weighing.null(record.weighed, self.runs, self.seed)
             for b in layout.blocks:
                 if b.record == i:
                     values = kept[f"{b.sensor}{b.column}"]

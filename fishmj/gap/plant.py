@@ -19,6 +19,7 @@ from fishmj.log.dataset import read_dataset
 from fishmj.log.trial import stacked
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.dataset import write_hidden
+from fishmj.virtual_robot.weighing import page as weighings
 
 GENERATORS = ("independent", "log", "lbm")
 SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command": ("pose", "joint", "power", "truth", "flow")}
@@ -36,6 +37,7 @@ def main(argv: list[str]) -> int:
     add("--seed", type=int, default=0)
     add("--noise", type=float, default=1.0, help="factor on every sensor's noise")
     add("--nuisance", type=float, default=0.1, help="relative half width of constants that nobody measured")
+    add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
     add("--domain", default="laptop", help="--generator lbm: box of water; paper, window, laptop (a preview)")
     add("--device", default="cpu", help="--generator lbm: auto, cpu, cuda")
     add("--tanks", type=int, default=1, help="--generator lbm: trials side by side")
@@ -45,12 +47,16 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if args.generator not in GENERATORS:
         raise UnknownName("generator", args.generator, GENERATORS)
+    if args.weigh and args.generator == "log":
+        raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
     if args.noise < 0 or args.logs < 1 or not 0 <= args.drop < 1:
         raise ConfigError(f"gap plant: noise {args.noise}, logs {args.logs}, drop {args.drop}; expected >= 0, >= 1, 0 to 1")
     truth = args.truth or args.out.with_name(f"{args.out.name}.truth.json")
     texts = [text for text in args.effect if text != "none"]
     hidden, trials, facts = {"independent": independent, "log": logged, "lbm": solver}[args.generator](texts, args)
-    write_hidden(args.out, truth, trials, hidden, {"generator": args.generator, "seed": args.seed, **facts}, args.overwrite)
+    page = weighings(hidden, args.seed, args.nuisance) if args.weigh else None
+    facts = {"generator": args.generator, "seed": args.seed, **facts}
+    write_hidden(args.out, truth, trials, hidden, facts, args.overwrite, page)
     console.say(f"{len(trials)} trials in {args.out}; what is hidden in them is in {truth}")
     if args.json:
         console.emit_json({"trials": len(trials), "out": args.out, "truth": truth, "generator": args.generator})

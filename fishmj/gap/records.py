@@ -42,6 +42,7 @@ class Record(NamedTuple):
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
     placed: Sensor | None = None  # x, y m, yaw rad that the camera shows of a fish that was put to rest at `place`
+    weighed: Sensor | None = None  # kg, m, kg m2: mass, balance point, yaw inertia of the straight fish (weighing.py)
 
     @property
     def seconds(self) -> float:

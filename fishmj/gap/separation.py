@@ -111,6 +111,7 @@ def planned(run: Excitation, like: Record) -> Record:
         start=place,
         push=np.array(run.push, float),
         joints=run.commands[0].copy(),
+        weighed=None,
     )
 
 

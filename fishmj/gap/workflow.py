@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.gap import weighing
 from fishmj.gap.decide import decide
 from fishmj.gap.evidence import Evidence
 from fishmj.gap.features import Layout
@@ -51,6 +52,7 @@ def investigate(
     *,
     gates: Gates | None = None,
     null: Null | None = None,
+    page: dict | None = None,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
@@ -58,10 +60,10 @@ def investigate(
     """Find what the model of `plant` is missing in `trials`.
 
     Args:
-        null: how null runs are drawn.
+        null: how null runs are drawn. page: of weighings, log/measurements.py.
         further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
     Raises:
-        LogError: fewer than two trials, or a trial that cannot be compared.
+        LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """
     gates, null = gates or frozen(), null or Null()
     records = [record_of(t, plant.dt) for t in trials]
@@ -71,7 +73,8 @@ def investigate(
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
-    e = evidence_of(plant, seen, null)
+    weighed = weighing.sensor(page or {}, plant)
+    e = evidence_of(plant, weighing.with_page(seen, weighed), null)
     found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)))
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):

@@ -27,6 +27,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--nuisance", type=float, default=0.1, help="relative half width of unmeasured constants")
     parser.add_argument("--medium", default="water", choices=("water", "air"))
     parser.add_argument("--flow", default="0,0", metavar="SPEED,DIRECTION", help="ordered stream, m/s and rad")
+    parser.add_argument("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
     parser.add_argument("--out", type=Path, help="data set folder")
     parser.add_argument("--truth", type=Path, help="file for what was planted, outside the data set")
     parser.add_argument("--overwrite", action="store_true")
@@ -38,6 +39,7 @@ def main(argv: list[str]) -> int:
         raise ConfigError("virtual_robot: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
     from fishmj.virtual_robot.dataset import parse, write_hidden
     from fishmj.virtual_robot.trials import generate
+    from fishmj.virtual_robot.weighing import page
 
     effects, runs, flow = parse(args.plant, args.seed), _runs(args.excitations, args.logs), _flow(args.flow)
     if args.noise < 0:
@@ -45,7 +47,8 @@ def main(argv: list[str]) -> int:
     begin = time.perf_counter()
     trials = generate(effects, runs, args.seed, args.noise, args.nuisance, medium=args.medium, flow=flow)
     facts = {"seed": args.seed, "noise": args.noise, "nuisance": args.nuisance, "medium": args.medium, "excitations": runs}
-    write_hidden(args.out, args.truth, trials, effects, facts, args.overwrite)
+    weighings = page(effects, args.seed, args.nuisance) if args.weigh else None
+    write_hidden(args.out, args.truth, trials, effects, facts, args.overwrite, weighings)
     seconds = sum(trial.span[1] for trial in trials)
     took = time.perf_counter() - begin
     console.say(

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.log import Trial, write_dataset
-from fishmj.store import sha256, write_json
+from fishmj.log import Trial, measurements, write_dataset
+from fishmj.log.toml import dumps
+from fishmj.store import sha256, write_json, write_text
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.catalogue import CATALOGUE
 from fishmj.virtual_robot.oddities import ODDITIES
@@ -53,9 +54,15 @@ def parse(texts: Iterable[str], seed: int) -> dict[str, dict[str, float]]:
 
 
 def write_hidden(
-    folder: Path, truth: Path, trials: list[Trial], effects: Mapping, facts: Mapping, overwrite: bool = False
+    folder: Path,
+    truth: Path,
+    trials: list[Trial],
+    effects: Mapping,
+    facts: Mapping,
+    overwrite: bool = False,
+    page: Mapping | None = None,
 ) -> None:
-    """Write the data set, then its truth.
+    """Write the data set, with a page of weighings if there is one, then its truth.
 
     Raises:
         ConfigError: the truth would lie inside the data set. StoreError: a file is there already, or the disk refuses.
@@ -66,6 +73,8 @@ def write_hidden(
     if truth.exists() and not overwrite:
         raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
     write_dataset(folder, {trial.name: trial for trial in trials}, meta={"origin": "synthetic"}, overwrite=overwrite)
+    if page:
+        write_text(folder / measurements.FILE, dumps(dict(page)))
     sealed = {
         "schema": SCHEMA,
         "origin": "synthetic",

@@ -27,6 +27,7 @@ def main(argv: list[str]) -> int:
     add("--kinds", default="", metavar="KIND,..", help=f"only {', '.join(cases.KINDS)}; default all, in their shares")
     add("--generator", choices=GENERATORS, default="second", help=GENERATED)
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
+    add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     add("--shard", default="0/1", metavar="I/N", help="every N-th case from the I-th: for several machines")
     add("--out", type=Path, help="folder for rows.jsonl and score.json; the same command continues where it stopped")
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
@@ -57,17 +58,17 @@ def asked(args) -> tuple[list, Callable]:
     if args.generator == "log":
         return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
     if args.generator == "lbm":
-        return [one for one in solver.draw() if one.case.kind in kinds], seen_by(solver.plant)
+        return [one for one in solver.draw() if one.case.kind in kinds], seen_by(solver.plant, args.weighed)
     from fishmj.gap.plants.fish import Fish
 
     drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
-    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], seen_by(Fish)
+    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], seen_by(Fish, args.weighed)
 
 
-def seen_by(make: Callable) -> Callable:
+def seen_by(make: Callable, weighed: bool = False) -> Callable:
     """What asks the search, with the plant made once, when it is needed."""
     plant, gates = cache(make), frozen()
-    return lambda one: run(plant(), one.case, gates, one.null, one.trials)
+    return lambda one: run(plant(), one.case, gates, one.null, one.trials, weighed)
 
 
 def judged(todo: list, out: Path | None, ask: Callable) -> list[dict]:

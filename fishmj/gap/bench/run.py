@@ -17,23 +17,26 @@ from fishmj.gap.workflow import investigate
 from fishmj.log import Trial
 
 
-def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None = None) -> dict:
+def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None = None, weighed: bool = False) -> dict:
     """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so.
 
-    trials: the data where another generator made them; by default the second robot does.
+    trials: the data where another generator made them; by default the second robot does. weighed: the search also has the page
+    of its weighings, whose errors are the same at every noise.
     """
     from fishmj.virtual_robot import generate
+    from fishmj.virtual_robot.weighing import page as weighings
 
     start = time.monotonic()
     row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}
-    row |= {"noise": case.noise, "logs": len(case.logs)}
+    row |= {"noise": case.noise, "logs": len(case.logs), "weighed": weighed}
     try:
         trials = trials or generate(case.effects, case.logs, case.seed, case.noise)
         row["true_gap"], row["each_gap"] = sizes(true_gap, plant, case)
         row["beyond_gap"], row["each_beyond"] = sizes(beyond_gap, plant, case)
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
-    verdict = investigate(plant, trials, gates=gates, null=null, seed=case.seed).verdict
+    page = weighings(case.effects, case.seed) if weighed else None
+    verdict = investigate(plant, trials, gates=gates, null=null, page=page, seed=case.seed).verdict
     row |= {"answer": verdict.answer, "said": [said(e) for e in verdict.effects], "rivals": [r["name"] for r in verdict.rivals]}
     row |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
     row["gap_unseen_before"] = verdict.gap_unseen_before

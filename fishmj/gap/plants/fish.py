@@ -11,6 +11,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.effects.sites import Seen
+from fishmj.gap import weighing
 from fishmj.gap.kernel import Kernel
 from fishmj.gap.plants.sampling import hermite, linear
 from fishmj.gap.records import Record
@@ -147,7 +148,7 @@ class Fish:
         start = np.concatenate([self._starts(r, effect_rows) for r in records])
         out = self.kernel(which, inputs, lengths, whole, start, delay, STRIDE, longest // STRIDE + 2)
         out = out.reshape(len(records), len(rows), *out.shape[1:])
-        return [self._sense(record, mine, effect_rows) for record, mine in zip(records, out, strict=True)]
+        return [self._sense(record, mine, rows) for record, mine in zip(records, out, strict=True)]
 
     def _starts(self, record: Record, effect_rows) -> np.ndarray:
         """(R, S) states that the sensors would have shown as the record's start: at rest, or with the push it was given.
@@ -173,10 +174,10 @@ class Fish:
         state[:, 2 * nv + 3] = record.session
         return state
 
-    def _sense(self, record: Record, out, effect_rows) -> dict:
+    def _sense(self, record: Record, out, rows) -> dict:
         """The sensors of one record from its samples (R, K, O)."""
         nv, h = self.joints + 3, STRIDE * self.dt
-        parameters = [column[:, None] for column in effect_rows.T]
+        parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
         nominal = {"pose": self.camera}
         seen: dict[str, np.ndarray] = {}
         for clock in ("joint", "pose", "power"):
@@ -202,6 +203,8 @@ class Fish:
                 seen[clock] = report.joint if clock == "joint" else report.power[..., None]
         if record.placed is not None:
             seen["placed"] = self._placed(record, parameters, len(out))
+        if record.weighed is not None:
+            seen["weighed"] = weighing.predicted(self, rows)[:, None]
         return seen
 
     def _placed(self, record: Record, parameters, rows: int) -> np.ndarray:

@@ -6,11 +6,14 @@ pendulum    two threads of length l, d apart, straight fish:   T = 2 pi / (d/2) 
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from fishmj.units import G
+from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot.trials import plant
 
 REPEATS = 3
 SCALE_STEP, SCALE_ERROR = 0.001, 0.001  # kg, relative
@@ -18,8 +21,24 @@ EDGE_ERROR = 0.001  # m
 THREAD, APART, CLOCK_ERROR = 1.2, 0.30, 0.002  # m, m, relative
 
 
-def weighings(made: Plant, truth: dict[str, float], rng: np.random.Generator) -> dict:
+def masses(made: Plant) -> dict[str, float]:
+    """What perfect instruments would find: mass [kg], com, the balance point from the nose [m], yaw inertia about it [kg m2]."""
+    body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
+    first = float(np.sum(body.first + body.mass * origin))
+    second = float(np.sum(body.second + 2 * origin * body.first + body.mass * origin**2))
+    middle = first / body.total
+    nose = float(body.hinge[0] + made.robot.links[0].length)
+    return {"mass": body.total, "com": nose - middle, "inertia": second - body.total * middle**2}
+
+
+def page(effects: Mapping, seed: int, nuisance: float = 0.1) -> dict:
+    """The table of the robot of a seed in which effects are hidden."""
+    return weighings(plant(effects, seed, nuisance=nuisance), draws.stream(seed, "weighing"))
+
+
+def weighings(made: Plant, rng: np.random.Generator) -> dict:
     """Table of the measurements, three of each."""
+    truth = masses(made)
 
     def read(value: float, error: float) -> list[float]:
         return [round(float(value + error * e), 5) for e in rng.standard_normal(REPEATS)]

@@ -1,0 +1,53 @@
+"""What scales, a knife edge and a bifilar pendulum say of a robot: `measurements.toml` beside its trials.
+
+[scales]    head = [0.765, ..]      kg, every link alone; or whole = [..]
+[balance]   at = [0.184, ..]        m from the nose, straight; error, of one reading
+[pendulum]  period = [1.70, ..]     s; thread l and apart d, m: straight, turning about the vertical on two threads
+
+I = m g (T d/2 / 2 pi)^2 / l
+"""
+
+from math import pi, sqrt
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.calib import read_toml
+from fishmj.errors import ConfigError
+from fishmj.units import G
+
+FILE = "measurements.toml"
+RESOLUTION = 0.001 / sqrt(12)  # kg: scales read whole grams
+
+
+def read(folder: "str | Path") -> dict:
+    """The page of a folder; {} without one."""
+    path = Path(folder) / FILE
+    return read_toml(path) if path.is_file() else {}
+
+
+def numbers(page: dict, table: str, key: str, path: "str | Path" = FILE) -> np.ndarray:
+    """Repeats of one measurement.
+
+    Raises:
+        ConfigError: missing, or not positive.
+    """
+    value = page.get(table, {}).get(key)
+    found = np.atleast_1d(np.array([np.nan] if value is None else value, float))
+    if not np.all(np.isfinite(found)) or np.any(found <= 0):
+        raise ConfigError(f"{path}: [{table}] {key} = {value!r}; expected one or more positive numbers in SI units")
+    return found
+
+
+def deviation(values: np.ndarray, least: float = 0.0) -> float:
+    """Standard deviation of the mean; least: of one reading."""
+    scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    return max(scatter, least) / sqrt(len(values))
+
+
+def inertia(page: dict, mass: float, path: "str | Path" = FILE) -> tuple[float, float]:
+    """(kg m2 about the vertical through the balance point, relative standard deviation by the scatter of its periods)."""
+    period = numbers(page, "pendulum", "period", path)
+    thread, apart = (float(numbers(page, "pendulum", key, path)[0]) for key in ("thread", "apart"))
+    value = mass * G * (float(period.mean()) * apart / 2 / (2 * pi)) ** 2 / thread
+    return value, 2 * deviation(period) / float(period.mean())

@@ -1,0 +1,96 @@
+"""A page of weighings as evidence: what only scales, an edge and a pendulum can tell."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from test_gap import NULL, hidden, row_of  # noqa: E402
+
+from fishmj import effects  # noqa: E402
+from fishmj.errors import ConfigError  # noqa: E402
+from fishmj.gap import advice, data, weighing  # noqa: E402
+from fishmj.gap.features import Layout  # noqa: E402
+from fishmj.gap.plants.fish import Fish  # noqa: E402
+from fishmj.gap.records import record_of  # noqa: E402
+from fishmj.gap.separation import Prospect, Side  # noqa: E402
+from fishmj.gap.workflow import evidence_of, investigate  # noqa: E402
+from fishmj.virtual_robot import plant as robot  # noqa: E402
+from fishmj.virtual_robot.dataset import write_hidden  # noqa: E402
+from fishmj.virtual_robot.weighing import masses, page  # noqa: E402
+
+RUNS = ("gait", "turn_left", "burst_and_coast")
+TURNS = {"yaw_inertia": {"inertia": 0.006}}
+WATER = {"yaw_added_mass": {"inertia": 0.006}}
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return Fish(catalogue=[effects.get(n) for n in ("yaw_inertia", "yaw_added_mass", "body_mass", "com_offset", "yaw_drag")])
+
+
+@pytest.mark.parametrize(
+    ("hides", "does"),
+    [
+        ({}, {}),
+        (TURNS, TURNS),
+        (WATER, {}),
+        ({"com_offset": {"x": 0.02}}, {"com_offset": {"x": 0.02}}),
+        ({"body_mass": {"mass": 0.2}}, {"body_mass": {"mass": 0.2, "spread": 0.0}}),
+    ],
+)
+def test_the_model_weighs_what_the_robot_weighs(plant, hides, does):
+    row = plant.null.copy()
+    for name, values in does.items():
+        row = row_of(plant, name, **values)
+    told = masses(robot(hides, 3))
+    np.testing.assert_allclose(weighing.predicted(plant, row)[0], list(told.values()), rtol=1e-6)
+
+
+def test_what_the_page_lacks_is_not_compared(plant):
+    whole = page({}, 3)
+    record, *_ = weighing.with_page([record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], weighing.sensor(whole, plant))
+    assert [b.column for b in Layout([record]).blocks if b.channel == weighing.CHANNEL] == [0, 1, 2]
+    only = weighing.sensor({"scales": {"whole": [1.12, 1.121]}}, plant)
+    assert [b.column for b in Layout([record._replace(weighed=only)]).blocks if b.channel == weighing.CHANNEL] == [0]
+    assert only.values[0, 0] == pytest.approx(1.1205) and only.sigma[0] == pytest.approx(1.12e-3, rel=0.01)
+    assert weighing.sensor({}, plant) is None
+    with pytest.raises(ConfigError, match=r"\[pendulum\] period"):
+        weighing.sensor({"pendulum": {"thread": 1.2, "apart": 0.3}}, plant)
+
+
+def test_null_runs_weigh_what_they_should_to_within_the_instruments(plant):
+    sensor = weighing.sensor(page({}, 3), plant)
+    records = weighing.with_page([record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], sensor)
+    e = evidence_of(plant, records, NULL)
+    some = e.layout.channel == weighing.CHANNEL
+    np.testing.assert_allclose(np.sqrt(np.mean((e.factors[:, some] ** 2) * e.runs, 0)), sensor.sigma, rtol=0.3)
+    assert np.abs(e.gap(plant.null)[1][weighing.CHANNEL]) < 6.0
+    around = e.around(row_of(plant, "yaw_inertia", inertia=0.006), 0.5)
+    np.testing.assert_allclose(around.d[some], e.d[some])  # no form error on what mass means
+
+
+@pytest.mark.parametrize("hides", [TURNS, WATER])
+def test_a_pendulum_tells_which_of_two_twins_it_is(plant, hides):
+    trials = hidden(hides, 12, RUNS)
+    blind = investigate(plant, trials, null=NULL, further=True).verdict
+    assert blind.answer == "CLASS" and blind.next_experiment.startswith(advice.WEIGH), blind.text()
+    told = investigate(plant, trials, null=NULL, page=page(hides, 12)).verdict
+    assert told.answer == "NAMED" and [e.name for e in told.effects] == list(hides), told.text()
+    value = told.effects[0].parameters["inertia"]
+    assert value.value == pytest.approx(0.006, rel=0.1) and value.low < 0.006 < value.high
+
+
+def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(plant):
+    sides = [Side((n,), row_of(plant, n, **p[n]), np.zeros((0, len(plant.null))), 1.0) for p in (TURNS, WATER) for n in p]
+    rows = [s.row[None] for s in sides]
+    assert weighing.separation(plant, *rows) == pytest.approx(0.006 / (weighing.PENDULUM * 0.01304), rel=0.01)
+    assert weighing.separation(plant, rows[1], plant.null[None]) == 0.0
+    quiet = [Prospect("gait", 10.0, 0.4, ("yaw_inertia", "yaw_added_mass"), 0.01)]
+    assert advice.advice(plant, quiet, sides).startswith(advice.WEIGH)
+
+
+def test_the_page_of_a_data_set_is_found_beside_its_trials(tmp_path):
+    write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, 5, RUNS[:1]), {}, {}, page=page({}, 5))
+    assert data.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]
+    assert len(data.trials_in(tmp_path / "data")) == 1 and data.page_in(tmp_path / "set.npz") == {}
