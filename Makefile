@@ -43,7 +43,7 @@ test: lint
 	@$(STEP) "import order" $(PY) -m pytest -q tests/test_architecture.py
 	@$(STEP) "tests" $(PY) -m pytest -q -n $(JOBS) --dist loadfile --durations 15 --ignore tests/test_architecture.py
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick
-	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 20 --seed 1
+	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 20 --seed 1 --jobs $(JOBS)
 	@$(MAKE) --no-print-directory wheel
 
 wheel: $(INSTALLED)

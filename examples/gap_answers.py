@@ -2,7 +2,8 @@
 
     python examples/gap_answers.py agrees           nothing is wrong
     python examples/gap_answers.py named            commands arrive 30 ms late: found, sized, ready to be added to the model
-    python examples/gap_answers.py class           a weak motor or a slow one? records that tell are proposed and made
+    python examples/gap_answers.py class            a weak motor or a slow one? records that tell are proposed and made
+    python examples/gap_answers.py twins            mass further out, or more water? no swim tells; it is weighed, which does
     python examples/gap_answers.py unexplained      a fault that no catalogue holds: described as a force, not named
     python examples/gap_answers.py not_repeatable   the water is restless: repeated runs differ, so there is nothing to name
 
@@ -34,6 +35,9 @@ STORIES = {
     "agrees": Story("", MIXED, 21, "Use the model: the logs hold nothing that an independent simulation of it does not."),
     "named": Story("command_latency=0.03", MIXED, 11, "Add it to the model: python -m fishmj.gap apply REPORT"),
     "class": Story("torque_saturation=1.25", "gait,turn_left", 5, "Do the experiment, then search again."),
+    "twins": Story(
+        "yaw_inertia=0.006", "gait,turn_left,burst_and_coast", 12, "Add it to the model: python -m fishmj.gap apply REPORT"
+    ),
     "unexplained": Story("tail_yaw_cross_force=-0.02", MIXED, 31, "Look at the robot for what could make such a force."),
     "not_repeatable": Story(
         "turbulence=0.06", "drift_north,drift_north,drift_north,gait_fast,gait_fast,gait_fast", 41, "Calm the water, log again."
@@ -46,6 +50,9 @@ def tell(name: str, folder: Path, extra: tuple[str, ...] = ()) -> list[str]:
     story = STORIES[name]
     answers = [search(story, story.runs, folder / "first", extra)]
     proposed = read_json(folder / "first" / "report" / "verdict.json")["next_experiment"]
+    if proposed.startswith("Weigh "):
+        console.say("", "It is weighed.")
+        answers.append(search(story, story.runs, folder / "second", extra, ("--weigh",)))
     if proposed.startswith("Run "):
         run = proposed.split("`")[1]
         console.say("", f"The proposed experiment is done: {run}.")
@@ -54,11 +61,11 @@ def tell(name: str, folder: Path, extra: tuple[str, ...] = ()) -> list[str]:
     return answers
 
 
-def search(story: Story, runs: str, folder: Path, extra: tuple[str, ...]) -> str:
+def search(story: Story, runs: str, folder: Path, extra: tuple[str, ...], more: tuple[str, ...] = ()) -> str:
     """Make logs of the faulty robot, ask what is wrong with it, and read the answer."""
     hidden = ["--plant", story.plant] if story.plant else []
     data, report, truth = folder / "data", folder / "report", folder / "truth.json"
-    call(robot, *hidden, "--excitations", runs, "--seed", str(story.seed), "--out", str(data), "--truth", str(truth))
+    call(robot, *hidden, "--excitations", runs, "--seed", str(story.seed), "--out", str(data), "--truth", str(truth), *more)
     call(gap, "find", str(data), "--out", str(report), *extra)
     return read_json(report / "verdict.json")["answer"]
 

@@ -31,6 +31,13 @@ def test_the_proposed_experiment_turns_a_class_into_a_name(example, tmp_path, ca
     assert "  torque_saturation: limit" in after
 
 
+def test_a_weighing_tells_twins_apart(example, tmp_path, capsys):
+    assert example.tell("twins", tmp_path, QUICK) == ["CLASS", "NAMED"]
+    before, after = capsys.readouterr().out.split("It is weighed")
+    assert "yaw_added_mass" in before and "two threads" in before
+    assert "  yaw_inertia: inertia" in after
+
+
 def test_what_no_effect_explains_is_described_as_a_force(example, tmp_path, capsys):
     assert example.tell("unexplained", tmp_path, QUICK) == ["UNEXPLAINED"]
     assert "as a force: sway force ~" in capsys.readouterr().out

@@ -2,14 +2,16 @@
 
 import json
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from fishmj import console
+from fishmj.cores import usable_cores
 from fishmj.gap.bench import cases, logs, solver
 from fishmj.gap.bench.rows import kept
 from fishmj.gap.bench.run import run
 from fishmj.gap.bench.score import score
+from fishmj.gap.bench.workers import answered
 from fishmj.gap.gates import frozen
 from fishmj.gap.null_runs import Null
 from fishmj.store import write_text
@@ -29,13 +31,14 @@ def main(argv: list[str]) -> int:
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     add("--shard", default="0/1", metavar="I/N", help="every N-th case from the I-th: for several machines")
+    add("--jobs", type=int, default=1, metavar="N", help="processes side by side, a core each; 0: one for every core")
     add("--out", type=Path, help="folder for rows.jsonl and score.json; the same command continues where it stopped")
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
     args = parser.parse_args(argv)
     index, shards = map(int, args.shard.split("/"))
     todo, ask = asked(args)
     todo = todo[: args.cases][index::shards]
-    rows = judged(todo, args.out, ask)
+    rows = judged(todo, args.out, ask, args.jobs or usable_cores())
     result = score(list(rows))
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
@@ -58,33 +61,43 @@ def asked(args) -> tuple[list, Callable]:
     if args.generator == "log":
         return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
     if args.generator == "lbm":
-        return [one for one in solver.draw() if one.case.kind in kinds], seen_by(solver.plant, args.weighed)
+        return [one for one in solver.draw() if one.case.kind in kinds], partial(seen, solver.plant, args.weighed)
+    drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
+    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
+
+
+def fish():
+    """The model of the second robot."""
     from fishmj.gap.plants.fish import Fish
 
-    drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
-    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], seen_by(Fish, args.weighed)
+    return Fish()
 
 
-def seen_by(make: Callable, weighed: bool = False) -> Callable:
-    """What asks the search, with the plant made once, when it is needed."""
-    plant, gates = cache(make), frozen()
-    return lambda one: run(plant(), one.case, gates, one.null, one.trials, weighed)
+@cache
+def made(make: Callable):
+    """A plant, made once a process, when it is needed."""
+    return make()
 
 
-def judged(todo: list, out: Path | None, ask: Callable) -> list[dict]:
+def seen(make: Callable, weighed: bool, one: solver.Given) -> dict:
+    """Row of a case. make: the plant that is questioned."""
+    return run(made(make), one.case, frozen(), one.null, one.trials, weighed)
+
+
+def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1) -> list[dict]:
     """Rows of all cases, those that `out` holds already read from there."""
     rows = {}
     if out:
         out.mkdir(parents=True, exist_ok=True)
         rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
     with console.Progress(len(todo), "bench", unit="cases") as bar:
-        for i, one in enumerate(todo):
-            if one.id not in rows:
-                rows[one.id] = console.plain(ask(one))
-                if out:
-                    with (out / "rows.jsonl").open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(rows[one.id]) + "\n")
-            bar.update(i + 1)
+        waiting = [one for one in todo if one.id not in rows]
+        for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
+            rows[row["id"]] = row
+            if out:
+                with (out / "rows.jsonl").open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+            bar.update(i)
     return [rows[one.id] for one in todo]
 
 
