@@ -1,7 +1,7 @@
 """The baselines on the cases of the benchmark: the same data, one row each, scored by the same function."""
 
-import json
 import time
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,7 +12,9 @@ from fishmj import console
 from fishmj.errors import SimDiverged
 from fishmj.gap.baselines.answer import Answer
 from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.rows import keep, kept
 from fishmj.gap.bench.score import score
+from fishmj.gap.bench.workers import answered
 from fishmj.gap.records import record_of
 
 NAMES = ("everything_free", "delta_bic", "e_sindy", "residual_correlation")
@@ -58,27 +60,36 @@ def rows_of(plant, case: Case, own: dict, names=NAMES) -> dict[str, dict]:
     return out
 
 
-def beside(todo: list[Case], rows: list[dict], out: Path | None) -> dict[str, list[dict]]:
-    """{baseline: rows} of the cases that the search has judged; kept in `out`, one file each. Absent ones say why."""
-    from fishmj.gap.bench.rows import kept
+@cache
+def fish():
+    """The model that is questioned, made once a process."""
     from fishmj.gap.plants.fish import Fish
 
+    return Fish()
+
+
+def answers(one: tuple[Case, dict, tuple[str, ...]]) -> dict[str, dict]:
+    """{baseline: row} of a case, the search's row of it and the baselines that have not been asked."""
+    return rows_of(fish(), *one)
+
+
+def beside(todo: list[Case], rows: list[dict], out: Path | None, jobs: int = 1) -> dict[str, list[dict]]:
+    """{baseline: rows} of the cases that the search has judged; kept in `out`, one file each. Absent ones say why."""
     absent = {n: reason_absent(n) for n in NAMES}
     for reason in filter(None, absent.values()):
         console.say(f"skipped: {reason}")
     names = tuple(n for n in NAMES if not absent[n])
     files = {n: out / f"{n}.jsonl" for n in names} if out else {}
     done = {n: {r["id"]: r for r in kept(files[n])} if files else {} for n in names}
-    plant = Fish()
+    lacking = [(case, row, tuple(n for n in names if case.id not in done[n])) for case, row in zip(todo, rows, strict=True)]
+    lacking = [one for one in lacking if one[2]]
     with console.Progress(len(todo), "baselines", unit="cases") as bar:
-        for i, (case, row) in enumerate(zip(todo, rows, strict=True)):
-            missing = tuple(n for n in names if case.id not in done[n])
-            for name, found in rows_of(plant, case, row, missing).items():
-                done[name][case.id] = console.plain(found)
+        for i, found in enumerate(answered(lacking, answers, jobs), len(todo) - len(lacking) + 1):
+            for name, row in console.plain(found).items():
+                done[name][row["id"]] = row
                 if files:
-                    with files[name].open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(done[name][case.id]) + "\n")
-            bar.update(i + 1)
+                    keep(files[name], row)
+            bar.update(i)
     return {n: [done[n][case.id] for case in todo] for n in names}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.cores import usable_cores
 from fishmj.gap.bench import cases, logs, solver
-from fishmj.gap.bench.rows import kept
+from fishmj.gap.bench.rows import keep, kept
 from fishmj.gap.bench.run import run
 from fishmj.gap.bench.score import score
 from fishmj.gap.bench.workers import answered
@@ -38,7 +38,8 @@ def main(argv: list[str]) -> int:
     index, shards = map(int, args.shard.split("/"))
     todo, ask = asked(args)
     todo = todo[: args.cases][index::shards]
-    rows = judged(todo, args.out, ask, args.jobs or usable_cores())
+    jobs = args.jobs or usable_cores()
+    rows = judged(todo, args.out, ask, jobs)
     result = score(list(rows))
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
@@ -46,7 +47,7 @@ def main(argv: list[str]) -> int:
     if args.baselines and args.generator == "second":
         from fishmj.gap.baselines import beside, compared
 
-        console.say(compared(rows, beside([one.case for one in todo], rows, args.out)))
+        console.say(compared(rows, beside([one.case for one in todo], rows, args.out, jobs)))
     if args.json:
         flat = {k: v["value"] if isinstance(v, dict) else v for k, v in result.items()}
         console.emit_json(flat | {"detail": result})
@@ -95,8 +96,7 @@ def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1) -> list[d
         for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
             rows[row["id"]] = row
             if out:
-                with (out / "rows.jsonl").open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
+                keep(out / "rows.jsonl", row)
             bar.update(i)
     return [rows[one.id] for one in todo]
 

@@ -15,3 +15,12 @@ def kept(path: Path) -> list[dict]:
         except json.JSONDecodeError:
             continue
     return out
+
+
+def keep(path: Path, row: dict) -> None:
+    """Add a row, on a line of its own even where the last one was cut off."""
+    with path.open("ab+") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - 1, 0))
+        whole = file.read() in (b"", b"\n")
+        file.write((b"" if whole else b"\n") + json.dumps(row).encode() + b"\n")

@@ -89,12 +89,17 @@ def score(rows: list[dict]) -> dict:
     }
 
 
+def valued(effect: dict) -> bool:
+    """Whether a name comes with numbers; a correlation has none."""
+    return all(v is not None for values in effect["values"].values() for v in values)
+
+
 def relative_errors(row: dict) -> list[float]:
     """|found - true| / |true - null| of the first parameter of each effect; vectors by their length."""
     from fishmj import effects
 
     out = []
-    for e in row["said"]:
+    for e in filter(valued, row["said"]):
         truth = row["truth"][e["name"]]
         spec = {p.name: p for p in effects.get(e["name"]).parameters}
         shared = [k for k in truth if k in e["values"] and spec[k].unit == effects.get(e["name"]).parameters[0].unit]
@@ -109,7 +114,7 @@ def inside(row: dict) -> list[bool]:
     from fishmj import effects
 
     out = []
-    for e in row["said"]:
+    for e in filter(valued, row["said"]):
         first = effects.get(e["name"]).parameters[0].name
         if first in row["truth"][e["name"]]:
             _, low, high = e["values"][first]

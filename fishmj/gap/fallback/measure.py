@@ -6,14 +6,13 @@ RIGHT says for each family which terms count; it is fixed before a seed is run. 
 (a draw of the current, a clock, a camera, ballast that slides, one tooth, a neighbour's drive) have none and are left out.
 """
 
-import json
 import time
 from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import SimDiverged
 from fishmj.gap.bench import cases
-from fishmj.gap.bench.command import kept
+from fishmj.gap.bench.rows import keep, kept
 from fishmj.gap.bench.run import true_gap
 from fishmj.gap.bench.score import DETECTABLE, share
 from fishmj.gap.fallback.judge import terms_of
@@ -61,8 +60,7 @@ def main(argv: list[str]) -> int:
         for i, case in enumerate(todo):
             if case.id not in rows:
                 rows[case.id] = console.plain(judged(case))
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(rows[case.id]) + "\n")
+                keep(path, rows[case.id])
             bar.update(i + 1)
     result = summary([rows[c.id] for c in todo])
     console.say(console.table(result["families"]), f"right term in the first two: {result['right']}")
