@@ -90,6 +90,26 @@ def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(pla
     assert advice.advice(plant, quiet, sides).startswith(advice.WEIGH)
 
 
+def test_what_was_weighed_is_said_in_words(plant):
+    (record,) = (record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1]))
+    said = lambda hides: weighing.told(plant, weighing.with_page([record], weighing.sensor(page(hides, 5), plant)))  # noqa: E731
+    assert "as heavy, balanced and slow to turn as the model" in said({}) and weighing.told(plant, [record]) == ""
+    assert "yaw inertia is 0.01897 kg m2" in said(TURNS) and "the model's 0.013" in said(TURNS) and "mass" not in said(TURNS)
+
+
+def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(plant):
+    from html import unescape
+
+    from fishmj.gap.report import page as html
+    from fishmj.gap.report.material import gathered, plain
+
+    inquiry = investigate(plant, hidden(TURNS, 12, RUNS[:2]), null=NULL, page=page(TURNS, 12))
+    material = gathered(inquiry)
+    assert weighing.CHANNEL not in material.place.channels
+    assert any(weighing.CHANNEL in part.by_channel for part in material.parts)
+    assert plain(material)["weighed"] in unescape(html(inquiry)) and "yaw inertia is 0.019" in material.weighed
+
+
 def test_the_page_of_a_data_set_is_found_beside_its_trials(tmp_path):
     write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, 5, RUNS[:1]), {}, {}, page=page({}, 5))
     assert data.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]

@@ -16,7 +16,6 @@ CHANNELS = {
     **{"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",)},
     **{"placed": ("start",) * 3, "weighed": ("weighing",) * 3},
 }
-MOMENTS = ("start", "weighing")  # channels that are not over time
 
 
 class Block(NamedTuple):

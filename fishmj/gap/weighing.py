@@ -19,6 +19,8 @@ from fishmj.log.measurements import deviation, numbers
 
 CHANNEL = "weighing"
 SCALES, EDGE, PENDULUM = 1e-3, 1e-3, 5e-3  # least errors: of a mass, relative; of a balance point, m; of an inertia, relative
+QUANTITIES = (("mass", "kg"), ("balance point", "m from the nose"), ("yaw inertia", "kg m2"))
+BEYOND = 3.0  # sigma, from which it is said
 DRAWN = 0x5CA1E  # of the null runs' readings
 
 
@@ -61,6 +63,20 @@ def separation(plant, one: np.ndarray, other: np.ndarray) -> float:
     open_ = np.concatenate([s[1:] - s[0] for s in seen])
     apart = seen[0][0] - seen[1][0]
     return float(np.sqrt(apart @ np.linalg.solve(np.diag(usual(plant).sigma ** 2) + open_.T @ open_, apart)))
+
+
+def told(plant, records: list[Record]) -> str:
+    """In words, what the records' weighings say of the model as it is; "" without any."""
+    weighed = next((r.weighed for r in records if r.weighed is not None), None)
+    if weighed is None:
+        return ""
+    rows = zip(QUANTITIES, weighed.values[0], predicted(plant, plant.null)[0], weighed.sigma, strict=True)
+    off = [
+        f"{name} is {value:.4g} {unit}, the model's {model:.4g} ({abs(value - model) / sigma:.0f} sigma)"
+        for (name, unit), value, model, sigma in rows
+        if abs(value - model) > BEYOND * sigma
+    ]
+    return f"Weighed: its {'; its '.join(off)}." if off else "Weighed, it is as heavy, balanced and slow to turn as the model."
 
 
 def with_page(records: list[Record], weighed: Sensor | None) -> list[Record]:

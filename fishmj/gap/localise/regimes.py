@@ -8,7 +8,6 @@ Every half second counts once, under the most telling of its labels (log/regimes
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.gap.features import MOMENTS
 from fishmj.gap.localise.comparison import Comparison
 from fishmj.gap.records import Record
 from fishmj.log import Trial, numbered
@@ -73,7 +72,7 @@ def kinds(c: Comparison) -> np.ndarray:
 
 def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
     """Channels; (C, K) each: share of the gap beyond the floor, mean square in units of the floor (NaN where never seen), and
-    share of the channel's time; of what is a moment (start, weighing), none."""
+    share of the channel's time; of the start, which is a moment, none."""
     names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
     excess, time = np.zeros((2, len(names), len(KINDS)))
     level = np.full((len(names), len(KINDS)), np.nan)
@@ -81,7 +80,7 @@ def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray
     for i, name in enumerate(names):
         for k in range(len(KINDS)):
             some = (c.layout.channel == name) & (kind == k)
-            time[i, k] = some.sum() / (c.layout.channel == name).sum() if name not in MOMENTS else 0.0
+            time[i, k] = some.sum() / (c.layout.channel == name).sum() if name != "start" else 0.0
             if some.any():
                 excess[i, k] = max(0.0, float(np.sum((weights * (ratio - 1))[some])))
                 level[i, k] = float(np.mean(ratio[some]))

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from fishmj import console
-from fishmj.gap import evidence
+from fishmj.gap import evidence, weighing
 from fishmj.gap.candidates import Candidate
 from fishmj.gap.contest import on_bound
 from fishmj.gap.gates import Gates, frozen
@@ -69,15 +69,17 @@ class Material:
     parts: tuple[Part, ...]
     rounds: tuple[Round, ...]
     blind: tuple[Blind, ...]
+    weighed: str = ""
 
 
 def gathered(inquiry: Inquiry, gates: Gates | None = None) -> Material:
     """Compute everything. gates: the thresholds of the search; default, the frozen ones."""
     gates = gates or frozen()
     e, found = inquiry.evidence, inquiry.found
-    c = compared(e.plant, e.records, e.scale, found.base.row, after(inquiry), e.layout)
-    growth = curves(e.plant, e.records, *c.rows)
-    return Material(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates))
+    logs = [r._replace(weighed=None) for r in e.records]
+    c = compared(e.plant, logs, e.scale[e.layout.channel != weighing.CHANNEL], found.base.row, after(inquiry))
+    growth, weighed = curves(e.plant, logs, *c.rows), weighing.told(e.plant, e.records)
+    return Material(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
@@ -209,6 +211,7 @@ def plain(m: Material) -> dict:
             ],
             "gap": [asdict(p) for p in m.parts],
             "localisation": place,
+            "weighed": m.weighed,
             "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
             "rounds": [asdict(r) for r in m.rounds],
             "not_visible": [asdict(b) for b in m.blind],

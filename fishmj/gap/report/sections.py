@@ -119,8 +119,9 @@ def warnings(m: Material) -> str:
 def where(m: Material) -> str:
     """Localisation."""
     p = m.place
+    text = " ".join(filter(None, (p.text, m.weighed)))
     if nothing(p):
-        return section("Where it is", "", f'<p class="place">{told(p.text)}</p>')
+        return section("Where it is", "", f'<p class="place">{told(text)}</p>')
     drawn = f"<figure>{pictures.heat(p)}</figure>"
     detail = pictures.details(p, m.comparison.changed)
     about = "What the residual of the model looks like, before anything is named."
@@ -129,7 +130,7 @@ def where(m: Material) -> str:
         " Grey in the left panel: lags within which a servo's tolerance lies.</p>"
     )
     more = f"<figure>{detail}</figure>" if detail else ""
-    return section("Where it is", about, f'<p class="place">{told(p.text)}</p>{drawn}{more}{keys}')
+    return section("Where it is", about, f'<p class="place">{told(text)}</p>{drawn}{more}{keys}')
 
 
 def seen(m: Material) -> str:
@@ -246,11 +247,10 @@ def invisible(m: Material) -> str:
 def records(m: Material) -> str:
     """What went in."""
     use = dict(zip([r.name for r in m.inquiry.records], parted(m.inquiry), strict=True))
-    e = m.inquiry.evidence
     ratio = m.comparison.ratio
     rows = []
-    for i, r in enumerate(e.records):
-        some = e.layout.record == i
+    for i, r in enumerate(m.comparison.records):
+        some = m.comparison.layout.record == i
         before, after = (float(np.mean(x[some])) for x in ratio)
         pair = f"{level(before)} → {level(after)}" if m.comparison.changed else level(before)
         rows.append((r, pair))
