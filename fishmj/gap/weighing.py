@@ -76,7 +76,8 @@ def told(plant, records: list[Record]) -> str:
         for (name, unit), value, model, sigma in rows
         if abs(value - model) > BEYOND * sigma
     ]
-    return f"Weighed: its {'; its '.join(off)}." if off else "Weighed, it is as heavy, balanced and slow to turn as the model."
+    known = ", ".join(name for (name, _), value in zip(QUANTITIES, weighed.values[0], strict=True) if np.isfinite(value))
+    return f"Weighed: its {'; its '.join(off)}." if off else f"What was weighed agrees ({known})."
 
 
 def with_page(records: list[Record], weighed: Sensor | None) -> list[Record]:
