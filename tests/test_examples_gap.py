@@ -1,6 +1,7 @@
 """Each of the five answers, as its example gives it to a user."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import pytest
@@ -31,11 +32,21 @@ def test_the_proposed_experiment_turns_a_class_into_a_name(example, tmp_path, ca
     assert "  torque_saturation: limit" in after
 
 
-def test_a_weighing_tells_twins_apart(example, tmp_path, capsys):
-    assert example.tell("twins", tmp_path, QUICK) == ["CLASS", "NAMED"]
-    before, after = capsys.readouterr().out.split("It is weighed")
-    assert "yaw_added_mass" in before and "two threads" in before
-    assert "  yaw_inertia: inertia" in after
+def test_what_is_weighed_where_that_is_proposed_is_searched_with(example, tmp_path, monkeypatch):
+    """The search itself: test_gap_weighing.py."""
+    asked, told = [], iter([("CLASS", "Weigh the robot"), ("NAMED", "")])
+
+    def call(command, *arguments):
+        asked.append(arguments)
+        if arguments[0] == "find":
+            folder = Path(arguments[arguments.index("--out") + 1])
+            folder.mkdir(parents=True)
+            answer, proposed = next(told)
+            (folder / "verdict.json").write_text(json.dumps({"answer": answer, "next_experiment": proposed}))
+
+    monkeypatch.setattr(example, "call", call)
+    assert example.tell("twins", tmp_path) == ["CLASS", "NAMED"]
+    assert ["--weigh" in arguments for arguments in asked] == [False, False, True, False]
 
 
 def test_what_no_effect_explains_is_described_as_a_force(example, tmp_path, capsys):

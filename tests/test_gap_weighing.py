@@ -1,5 +1,7 @@
 """A page of weighings as evidence: what only scales, an edge and a pendulum can tell."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from test_gap import NULL, hidden, row_of  # noqa: E402
 
 from fishmj import effects  # noqa: E402
 from fishmj.errors import ConfigError  # noqa: E402
-from fishmj.gap import advice, data, weighing  # noqa: E402
+from fishmj.gap import advice, data, find, weighing  # noqa: E402
 from fishmj.gap.features import Layout  # noqa: E402
 from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
@@ -109,7 +111,15 @@ def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(
     assert plain(material)["weighed"] in unescape(html(inquiry)) and "yaw inertia is 0.019" in material.weighed
 
 
-def test_the_page_of_a_data_set_is_found_beside_its_trials(tmp_path):
+def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp_path, monkeypatch):
     write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, 5, RUNS[:1]), {}, {}, page=page({}, 5))
     assert data.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]
+    given = {}
+    monkeypatch.setattr(find, "investigate", lambda *_, **options: given.update(options))
+    find.search(
+        SimpleNamespace(
+            data=tmp_path / "data", most=None, model="fish", water="structured", null=None, null_runs=64, noise=1.0, seed=0
+        )
+    )
+    assert given["page"] == data.page_in(tmp_path / "data")
     assert len(data.trials_in(tmp_path / "data")) == 1 and data.page_in(tmp_path / "set.npz") == {}
