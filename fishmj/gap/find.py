@@ -19,7 +19,8 @@ from fishmj.store import write_json
 def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
-    add("data", type=Path, help="data set: a folder of trial folders with manifest.json (fishmj.log import), or a bundle (.npz)")
+    given = "a folder of trial folders with manifest.json (fishmj.log import), or a bundle (.npz)"
+    add("data", type=Path, help=f"data set: {given}; measurements.toml in the folder (docs/logs.md) is what was weighed")
     add("--model", default="fish", help="the model to question: shipped name or TOML file, with the effects it already has")
     add(
         "--water",
