@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 
 ALONE = {
     "OMP_NUM_THREADS": "1",
@@ -23,20 +23,25 @@ def answered(todo: list, ask: Callable[..., dict], jobs: int) -> Iterator[dict]:
     """A row of each, as they are done; ask and all of todo can be pickled. One job works here, in order.
 
     Raises:
-        what `ask` raises, once; nothing further is begun.
+        what `ask` raises, once; the others are stopped where they are, as by Ctrl-C.
     """
     if jobs <= 1 or len(todo) < 2:
         yield from map(ask, todo)
         return
-    context = get_context("spawn")
+    context, others = get_context("spawn"), active_children()
     with alone():
         pool = ProcessPoolExecutor(min(jobs, len(todo)), context, bound, (context.Value("i", 0),))
         waiting = [pool.submit(ask, one) for one in todo]
     try:
         for done in as_completed(waiting):
             yield done.result()
+    except BaseException:
+        for child in active_children():
+            if child not in others:
+                child.terminate()
+        raise
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
