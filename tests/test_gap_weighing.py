@@ -111,6 +111,18 @@ def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(
     assert plain(material)["weighed"] in unescape(html(inquiry)) and "yaw inertia is 0.019" in material.weighed
 
 
+def test_a_robot_that_replaces_another_takes_its_page_along(tmp_path):
+    def write(seed, table):
+        write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, seed, RUNS[:1]), {}, {}, overwrite=True, page=table)
+
+    for seed in (5, 6):
+        write(seed, page({}, seed))
+        assert len(data.trials_in(tmp_path / "data")) == 1  # the manifest holds the page that is there
+        assert data.page_in(tmp_path / "data")["balance"]["at"] == page({}, seed)["balance"]["at"]
+    write(7, None)
+    assert len(data.trials_in(tmp_path / "data")) == 1 and data.page_in(tmp_path / "data") == {}
+
+
 def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp_path, monkeypatch):
     write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, 5, RUNS[:1]), {}, {}, page=page({}, 5))
     assert data.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]

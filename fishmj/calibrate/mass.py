@@ -38,21 +38,18 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     """
     path = Path(folder) / measurements.FILE
     page = read_toml(path)
-    scales = [measurements.numbers(page, "scales", link.name, path) for link in robot.links]
-    balance, period = (measurements.numbers(page, *key, path) for key in (("balance", "at"), ("pendulum", "period")))
-    masses = np.array([s.mean() for s in scales])
-    mass_sd = sqrt(sum(measurements.deviation(s, measurements.RESOLUTION) ** 2 for s in scales))
-    total, com = float(masses.sum()), float(balance.mean())
-    com_sd = measurements.deviation(balance, float(page["balance"].get("error", 0.0)))
+    masses, mass_sd = measurements.masses(page, [link.name for link in robot.links], path)
+    total, (com, com_sd) = float(masses.sum()), measurements.balance(page, 0.0, path)
     inertia, scatter = measurements.inertia(page, total, path)
     inertia_sd = inertia * sqrt(scatter**2 + (mass_sd / total) ** 2)
     described = described_as(robot, masses, com)
     extra = inertia - _yaw_inertia(described)
+    repeats = lambda table, key: len(measurements.numbers(page, table, key, path))  # noqa: E731
     found = {
-        "mass": _estimate("mass", "kg", total, mass_sd, len(scales[0])),
-        "com": _estimate("com", "m", com, com_sd, len(balance)),
-        "inertia": _estimate("inertia", "kg m2", inertia, inertia_sd, len(period)),
-        "yaw_inertia": _estimate("yaw_inertia", "kg m2", extra, inertia_sd, len(period)),
+        "mass": _estimate("mass", "kg", total, mass_sd, repeats("scales", robot.links[0].name)),
+        "com": _estimate("com", "m", com, com_sd, repeats("balance", "at")),
+        "inertia": _estimate("inertia", "kg m2", inertia, inertia_sd, repeats("pendulum", "period")),
+        "yaw_inertia": _estimate("yaw_inertia", "kg m2", extra, inertia_sd, repeats("pendulum", "period")),
     }
     return Weighed(found, {link.name: (link.mass, link.com[0]) for link in described.links if link.com})
 

@@ -18,9 +18,8 @@ from pathlib import Path
 
 from fishmj import console, excitation
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.log import Trial, measurements, write_dataset
-from fishmj.log.toml import dumps
-from fishmj.store import Manifest, sha256, write_json, write_text
+from fishmj.log import Trial, write_dataset
+from fishmj.store import Manifest, sha256, write_json
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.machine import Plant
 from fishmj.virtual_robot.trials import plant, trial_of
@@ -159,8 +158,7 @@ def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[s
     for old in sorted(out.glob("*/meta.toml")) if overwrite else ():
         if old.parent.name not in made:
             shutil.rmtree(old.parent)
-    write_dataset(out, made, overwrite=overwrite)
-    write_text(out / measurements.FILE, dumps(weighings(robot, draws.stream(seed, "weighing"))))
+    write_dataset(out, made, overwrite=overwrite, page=weighings(robot, draws.stream(seed, "weighing")))
     values = truth(robot) | ({"slip": slip_of(seed)} if SOLVER in generators.values() else {})
     return seal(out, seed, values, generators)
 

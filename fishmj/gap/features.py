@@ -13,8 +13,11 @@ from fishmj.gap.records import Record
 
 WINDOW = {"joint": 0.06, "pose": 0.2, "power": 0.2, "placed": 0.2, "weighed": 0.2}  # s
 CHANNELS = {
-    **{"joint": ("joint",), "pose": ("position", "position", "heading"), "power": ("power",)},
-    **{"placed": ("start",) * 3, "weighed": ("weighing",) * 3},
+    "joint": ("joint",),
+    "pose": ("position", "position", "heading"),
+    "power": ("power",),
+    "placed": ("start",) * 3,
+    "weighed": ("weighing",) * 3,
 }
 
 

@@ -37,9 +37,10 @@ def main(argv: list[str]) -> int:
         tick = iter(range(1, 1000))
         found = prospects(plant, sides, like, _runs(args.runs, sides), null, say=lambda name: bar.update(next(tick)))
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
-    console.say(advice(plant, found, sides))
+    advised = advice(plant, found, sides)
+    console.say(advised)
     if args.json:
-        console.emit_json({"answer": answer, "advice": advice(plant, found, sides), "experiments": [p._asdict() for p in found]})
+        console.emit_json({"answer": answer, "advice": advised, "experiments": [p._asdict() for p in found]})
     return console.OK
 
 
@@ -52,12 +53,11 @@ def _opened(args, null: Null):
     if report.is_file():
         verdict = read_json(report)
         return verdict["answer"], plant, evenly(_reported(plant, verdict)), _usual(plant)
+    from fishmj.gap.data import page_in, trials_in
     from fishmj.gap.workflow import investigate
-    from fishmj.log import measurements
-    from fishmj.log.dataset import read_dataset
 
-    trials = list(read_dataset(args.source))
-    inquiry = investigate(plant, trials, null=null, page=measurements.read(args.source), seed=args.seed, say=console.say)
+    trials, page = trials_in(args.source), page_in(args.source)
+    inquiry = investigate(plant, trials, null=null, page=page, seed=args.seed, say=console.say)
     verdict = inquiry.verdict
     if verdict.answer not in OPEN:
         return verdict.answer, plant, [], inquiry.records[0]

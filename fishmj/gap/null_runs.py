@@ -47,7 +47,7 @@ class Null:
         """(n, m) residuals of the model as it is on every null run, at the windows of `layout`."""
         out = np.empty((self.runs, layout.size))
         for i, record in enumerate(records):
-            kept = self.experiment(plant, record._replace(weighed=None))
+            kept = self.experiment(plant, record)
             if record.weighed is not None:
                 kept |= weighing.null(record.weighed, self.runs, self.seed)
             for b in layout.blocks:

@@ -15,7 +15,6 @@ import numpy as np
 from fishmj.gap.records import Record, Sensor
 from fishmj.hydro_fit.hooks import Effects
 from fishmj.log import measurements
-from fishmj.log.measurements import deviation, numbers
 
 CHANNEL = "weighing"
 SCALES, EDGE, PENDULUM = 1e-3, 1e-3, 5e-3  # least errors: of a mass, relative; of a balance point, m; of an inertia, relative
@@ -36,24 +35,16 @@ def sensor(page: dict, plant, path: "str | Path" = measurements.FILE) -> Sensor 
     values, sigma = np.full(3, np.nan), np.full(3, np.nan)
     if "scales" in page:
         links = ("whole",) if "whole" in page["scales"] else [link.name for link in plant.robot.links]
-        read = [numbers(page, "scales", name, path) for name in links]
-        mass = sum(float(r.mean()) for r in read)
-        scatter = sqrt(sum(deviation(r, measurements.RESOLUTION) ** 2 for r in read))
-        values[0], sigma[0] = mass, max(scatter, SCALES * mass)
+        each, scatter = measurements.masses(page, links, path)
+        values[0] = mass = float(each.sum())
+        sigma[0] = max(scatter, SCALES * mass)
         error = float(sigma[0]) / mass
     if "balance" in page:
-        at = numbers(page, "balance", "at", path)
-        values[1], sigma[1] = at.mean(), deviation(at, float(page["balance"].get("error", EDGE)))
+        values[1], sigma[1] = measurements.balance(page, EDGE, path)
     if "pendulum" in page:
         values[2], scatter = measurements.inertia(page, mass, path)
         sigma[2] = values[2] * sqrt(max(scatter, PENDULUM) ** 2 + error**2)
     return Sensor(np.zeros(1), values[None], sigma)
-
-
-def usual(plant) -> Sensor:
-    """What usual instruments would say of the model as it is."""
-    mass, balance, inertia = predicted(plant, plant.null)[0]
-    return Sensor(np.zeros(1), np.array([[mass, balance, inertia]]), np.array([SCALES * mass, EDGE, PENDULUM * inertia]))
 
 
 def separation(plant, one: np.ndarray, other: np.ndarray) -> float:
@@ -61,8 +52,9 @@ def separation(plant, one: np.ndarray, other: np.ndarray) -> float:
     for each parameter, a standard deviation away."""
     seen = [predicted(plant, rows) for rows in (one, other)]
     open_ = np.concatenate([s[1:] - s[0] for s in seen])
-    apart = seen[0][0] - seen[1][0]
-    return float(np.sqrt(apart @ np.linalg.solve(np.diag(usual(plant).sigma ** 2) + open_.T @ open_, apart)))
+    apart, (mass, _, inertia) = seen[0][0] - seen[1][0], predicted(plant, plant.null)[0]
+    usual = np.diag([SCALES * mass, EDGE, PENDULUM * inertia]) ** 2
+    return float(np.sqrt(apart @ np.linalg.solve(usual + open_.T @ open_, apart)))
 
 
 def told(plant, records: list[Record]) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fishmj.errors import LogError, UnknownName
+from fishmj.log import measurements
 from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.trial import Trial
 from fishmj.store import Manifest
@@ -56,8 +57,10 @@ def write_dataset(
     overwrite: bool = False,
     form: str = "auto",
     precision: str = "auto",
+    page: Mapping | None = None,
 ) -> Path:
-    """Write trials as sub-folders (an iterable is consumed one at a time), then the manifest, last and atomically."""
+    """Write trials as sub-folders (an iterable is consumed one at a time) and a page of weighings (measurements.py), then the
+    manifest, last and atomically."""
     folder = Path(folder)
     count = 0
     for name, trial in trials.items() if isinstance(trials, Mapping) else trials:
@@ -67,5 +70,7 @@ def write_dataset(
         count += 1
     if not count:
         raise LogError(f"{folder}: no trials to write")
+    if page:
+        measurements.write(folder, page)
     Manifest.of(folder, meta).write(folder)
     return folder

@@ -7,6 +7,7 @@
 I = m g (T d/2 / 2 pi)^2 / l
 """
 
+from collections.abc import Iterable, Mapping
 from math import pi, sqrt
 from pathlib import Path
 
@@ -14,6 +15,8 @@ import numpy as np
 
 from fishmj.calib import read_toml
 from fishmj.errors import ConfigError
+from fishmj.log.toml import dumps
+from fishmj.store import write_text
 from fishmj.units import G
 
 FILE = "measurements.toml"
@@ -24,6 +27,13 @@ def read(folder: "str | Path") -> dict:
     """The page of a folder; {} without one."""
     path = Path(folder) / FILE
     return read_toml(path) if path.is_file() else {}
+
+
+def write(folder: "str | Path", page: Mapping) -> Path:
+    """The page of a folder, atomically."""
+    path = Path(folder) / FILE
+    write_text(path, dumps(dict(page)))
+    return path
 
 
 def numbers(page: dict, table: str, key: str, path: "str | Path" = FILE) -> np.ndarray:
@@ -43,6 +53,18 @@ def deviation(values: np.ndarray, least: float = 0.0) -> float:
     """Standard deviation of the mean; least: of one reading."""
     scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
     return max(scatter, least) / sqrt(len(values))
+
+
+def masses(page: dict, links: Iterable[str], path: "str | Path" = FILE) -> tuple[np.ndarray, float]:
+    """(kg of each of `links` of [scales], standard deviation of their sum)."""
+    read = [numbers(page, "scales", name, path) for name in links]
+    return np.array([r.mean() for r in read]), sqrt(sum(deviation(r, RESOLUTION) ** 2 for r in read))
+
+
+def balance(page: dict, error: float, path: "str | Path" = FILE) -> tuple[float, float]:
+    """(m from the nose, standard deviation); error: of one reading, where the page states none."""
+    at = numbers(page, "balance", "at", path)
+    return float(at.mean()), deviation(at, float(page["balance"].get("error", error)))
 
 
 def inertia(page: dict, mass: float, path: "str | Path" = FILE) -> tuple[float, float]:

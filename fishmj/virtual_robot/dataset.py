@@ -10,8 +10,7 @@ import numpy as np
 
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.log import Trial, measurements, write_dataset
-from fishmj.log.toml import dumps
-from fishmj.store import sha256, write_json, write_text
+from fishmj.store import sha256, write_json
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.catalogue import CATALOGUE
 from fishmj.virtual_robot.oddities import ODDITIES
@@ -72,9 +71,10 @@ def write_hidden(
         raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
     if truth.exists() and not overwrite:
         raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
-    write_dataset(folder, {trial.name: trial for trial in trials}, meta={"origin": "synthetic"}, overwrite=overwrite)
-    if page:
-        write_text(folder / measurements.FILE, dumps(dict(page)))
+    if overwrite:
+        (folder / measurements.FILE).unlink(missing_ok=True)  # of another robot
+    named = {trial.name: trial for trial in trials}
+    write_dataset(folder, named, meta={"origin": "synthetic"}, overwrite=overwrite, page=page)
     sealed = {
         "schema": SCHEMA,
         "origin": "synthetic",

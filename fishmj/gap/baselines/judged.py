@@ -1,7 +1,6 @@
 """The baselines on the cases of the benchmark: the same data, one row each, scored by the same function."""
 
 import time
-from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +12,7 @@ from fishmj.errors import SimDiverged
 from fishmj.gap.baselines.answer import Answer
 from fishmj.gap.bench.cases import Case
 from fishmj.gap.bench.rows import keep, kept
+from fishmj.gap.bench.run import fish
 from fishmj.gap.bench.score import score
 from fishmj.gap.bench.workers import answered
 from fishmj.gap.records import record_of
@@ -58,14 +58,6 @@ def rows_of(plant, case: Case, own: dict, names=NAMES) -> dict[str, dict]:
         said = [{"name": n, "p_best": 1.0, "values": {k: [v, v, v] for k, v in p.items()}} for n, p in found.effects.items()]
         out[name] = row | {"answer": found.word, "said": said, "reason": found.reason, "seconds": time.monotonic() - start}
     return out
-
-
-@cache
-def fish():
-    """The model that is questioned, made once a process."""
-    from fishmj.gap.plants.fish import Fish
-
-    return Fish()
 
 
 def answers(one: tuple[Case, dict, tuple[str, ...]]) -> dict[str, dict]:

@@ -2,14 +2,14 @@
 
 import json
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 from fishmj import console
 from fishmj.cores import usable_cores
 from fishmj.gap.bench import cases, logs, solver
 from fishmj.gap.bench.rows import keep, kept
-from fishmj.gap.bench.run import run
+from fishmj.gap.bench.run import fish, run
 from fishmj.gap.bench.score import score
 from fishmj.gap.bench.workers import answered
 from fishmj.gap.gates import frozen
@@ -67,31 +67,18 @@ def asked(args) -> tuple[list, Callable]:
     return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
 
 
-def fish():
-    """The model of the second robot."""
-    from fishmj.gap.plants.fish import Fish
-
-    return Fish()
+def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:
+    """Row of a case. plant: gives what is questioned, when it is needed."""
+    return run(plant(), one.case, frozen(), one.null, one.trials, weighed)
 
 
-@cache
-def made(make: Callable):
-    """A plant, made once a process, when it is needed."""
-    return make()
-
-
-def seen(make: Callable, weighed: bool, one: solver.Given) -> dict:
-    """Row of a case. make: the plant that is questioned."""
-    return run(made(make), one.case, frozen(), one.null, one.trials, weighed)
-
-
-def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1) -> list[dict]:
-    """Rows of all cases, those that `out` holds already read from there."""
+def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
+    """Rows of all cases, those that `out` holds already read from there. what: is done, for the bar."""
     rows = {}
     if out:
         out.mkdir(parents=True, exist_ok=True)
         rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
-    with console.Progress(len(todo), "bench", unit="cases") as bar:
+    with console.Progress(len(todo), what, unit="cases") as bar:
         waiting = [one for one in todo if one.id not in rows]
         for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
             rows[row["id"]] = row

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -15,6 +16,14 @@ from fishmj.gap.records import Record, record_of
 from fishmj.gap.verdict import Named
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial
+
+
+@cache
+def fish():
+    """The model of the second robot, made once a process."""
+    from fishmj.gap.plants.fish import Fish
+
+    return Fish()
 
 
 def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None = None, weighed: bool = False) -> dict:

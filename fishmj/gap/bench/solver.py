@@ -8,6 +8,7 @@ The search sees the model in the water that was fitted to the solver. How large 
 second robot, with and without it: the same constants and servos in another water.
 """
 
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,6 +43,7 @@ def folder() -> Path:
     return calib_folder().parent / "gap" / "lbm"
 
 
+@cache
 def plant():
     """The fish in the water fitted to the solver."""
     from fishmj.gap.plants.fish import Fish

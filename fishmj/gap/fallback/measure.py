@@ -11,8 +11,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import SimDiverged
-from fishmj.gap.bench import cases
-from fishmj.gap.bench.rows import keep, kept
+from fishmj.gap.bench import cases, command
 from fishmj.gap.bench.run import true_gap
 from fishmj.gap.bench.score import DETECTABLE, share
 from fishmj.gap.fallback.judge import terms_of
@@ -53,16 +52,7 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     drawn = cases.draw(args.cases, args.seed, {"off": 1.0})
     todo = [c for c in drawn if next(iter(c.effects)) in RIGHT]
-    args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / "rows.jsonl"
-    rows = {r["id"]: r for r in kept(path)}
-    with console.Progress(len(todo), "fallback", unit="cases") as bar:
-        for i, case in enumerate(todo):
-            if case.id not in rows:
-                rows[case.id] = console.plain(judged(case))
-                keep(path, rows[case.id])
-            bar.update(i + 1)
-    result = summary([rows[c.id] for c in todo])
+    result = summary(command.judged(todo, args.out, judged, what="fallback"))
     console.say(console.table(result["families"]), f"right term in the first two: {result['right']}")
     if args.json:
         console.emit_json(result)

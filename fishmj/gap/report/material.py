@@ -69,7 +69,7 @@ class Material:
     parts: tuple[Part, ...]
     rounds: tuple[Round, ...]
     blind: tuple[Blind, ...]
-    weighed: str = ""
+    weighed: str
 
 
 def gathered(inquiry: Inquiry, gates: Gates | None = None) -> Material:
