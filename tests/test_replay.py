@@ -209,7 +209,8 @@ def test_a_browser_draws_the_fish_and_it_moves(trial, tmp_path):
 
 @pytest.mark.browser
 @needs_browser
-def test_the_page_bends_the_skin_as_python_does_and_plays(trial, robot, tmp_path):
+def test_the_page_bends_the_skin_as_python_does_and_plays(robot, tmp_path):
+    trial = swim(20.0)  # long enough not to begin again: the page may play twice as long as its budget says
     page = write_html([trial, trial], tmp_path / "a.html")
     q = [0.3, -0.2, 0.9, 0.5, -0.7, 0.4]
     bent = "Array.from(fishes[0].mesh.geometry.attributes.position.array)"
@@ -221,5 +222,5 @@ def test_the_page_bends_the_skin_as_python_does_and_plays(trial, robot, tmp_path
     assert f'data-ready="ready: {len(track(trial, robot).t)} frames"' in dom
     got = np.array(json.loads(re.search(r'data-probe="([^"]*)"', dom)[1])).reshape(-1, 3)
     assert np.allclose(got, posed(skin(robot, smooth=True), q), atol=2e-6)
-    assert float(re.search(r'id="clock">([\d.]+) /', dom)[1]) != 0.5, "it plays"  # a busy machine draws few frames
+    assert float(re.search(r'id="clock">([\d.]+) /', dom)[1]) > 0.5, "it plays"  # a busy machine draws few frames
     assert dom.count('<div class="fish" style="--colour:#') == 2

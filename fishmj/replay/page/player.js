@@ -106,7 +106,7 @@ function buttons(place, names, act, chosen) {
 }
 
 function tick(now) {
-  const step = clock.then === null ? 0 : Math.min(Math.max(now - clock.then, 0), 100) / 1000;
+  const step = clock.then === null ? 0 : Math.min(now - clock.then, 100) / 1000;
   clock.then = now;
   if (clock.playing) seek(clock.time + step * clock.speed >= duration ? 0 : clock.time + step * clock.speed);
   requestAnimationFrame(tick);
