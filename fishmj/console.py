@@ -7,13 +7,16 @@ Exit codes: 0 an answer, 1 a check that fails, 2 bad input, 3 too short or too q
 import argparse
 import json
 import math
+import os
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import IO, Any
+from difflib import get_close_matches
+from pathlib import Path
+from typing import IO, Any, NoReturn
 
-from fishmj.errors import FishmjError
+from fishmj.errors import FishmjError, UsageError
 
 OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 70, 130, 141
 
@@ -49,12 +52,98 @@ def _fail(argv: Sequence[str], message: str, kind: str, code: int) -> int:
     return code
 
 
-def parser(verb: str, summary: str, *, json: bool = True) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{self.prog.removeprefix('fishmj ')}: {message}; see {self.prog} --help")
+
+    def parse_args(self, args=None, namespace=None):
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            options = [o for o in self._option_string_actions if o.startswith("--")]
+            near = get_close_matches(unknown[0].partition("=")[0], options, 1, 0.6)
+            self.error(f"unknown argument {' '.join(unknown)}" + (f"; did you mean {near[0]}?" if near else ""))
+        return found
+
+    def _check_value(self, action, value) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = [str(c) for c in action.choices]
+            near = get_close_matches(str(value), known, 1, 0.5)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise argparse.ArgumentError(action, f"got {value!r}.{hint} Known: {', '.join(known)}")
+
+
+def parser(verb: str, summary: str, *, json: bool = True) -> Parser:
     """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise."""
-    made = argparse.ArgumentParser(prog=f"fishmj {verb}", description=summary, allow_abbrev=False)
+    made = Parser(prog=f"fishmj {verb}", description=summary, allow_abbrev=False)
     if json:
         made.add_argument("--json", action="store_true", help="print one JSON object last")
     return made
+
+
+def number(low: float, high: float = math.inf, *, above: bool = False) -> Callable[[str], float]:
+    """The `type=` of an option that takes a finite number from `low` (with `above`: beyond it) to `high`."""
+    expected = f"a number {'above' if above else 'from'} {low:g}" + (
+        f" to {high:g}" if high < math.inf else "" if above else " up"
+    )
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and low <= value <= high) or (above and value == low):
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}")
+        return value
+
+    return parse
+
+
+def whole(low: int, high: int | None = None) -> Callable[[str], int]:
+    """The `type=` of an option that takes a whole number from `low` to `high`."""
+    expected = f"a whole number from {low} " + (f"to {high}" if high is not None else "up")
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}") from None
+        if value < low or (high is not None and value > high):
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}")
+        return value
+
+    return parse
+
+
+def out_file(text: str) -> Path:
+    """The `type=` of an option that names a file to write: refused before the work starts where that cannot be."""
+    path = Path(text)
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f"{path}: is a folder; name a file to write")
+    _writable(path, path.parent)
+    return path
+
+
+def out_folder(text: str) -> Path:
+    """The `type=` of an option that names a folder to write into: refused before the work starts where that cannot be."""
+    path = Path(text)
+    if path.exists() and not path.is_dir():
+        raise argparse.ArgumentTypeError(f"{path}: is a file; name a folder to write into")
+    _writable(path, path)
+    return path
+
+
+def _writable(path: Path, folder: Path) -> None:
+    """Whether a file can be made in `folder`, which may not exist yet; writes nothing."""
+    try:
+        there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    except OSError as error:  # a name too long, or one that the file system cannot hold
+        raise argparse.ArgumentTypeError(f"{str(path)[:80]}: {error.strerror}; choose another name") from error
+    if not there.is_dir():
+        raise argparse.ArgumentTypeError(f"{path}: {there} is a file, so nothing can be written below it; choose another place")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise argparse.ArgumentTypeError(f"{path}: {there} cannot be written by this user; choose another place")
 
 
 def say(*lines: str) -> None:

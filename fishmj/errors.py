@@ -11,6 +11,10 @@ class ConfigError(FishmjError, ValueError):
     """A setting is impossible or inconsistent."""
 
 
+class UsageError(FishmjError, ValueError):
+    """A command line that does not parse: an unknown option, a value out of its range, an output that cannot be written."""
+
+
 class UnknownName(FishmjError, KeyError):
     """A task, water, controller, effect or key that does not exist."""
 

@@ -13,7 +13,7 @@ PACKAGE = ROOT / "fishmj"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 CODE = [path for folder in ("fishmj", "tests", "examples") for path in sorted((ROOT / folder).rglob("*.py"))]
 
-LIMIT = 300  # lines
+LIMIT = 500  # lines; one story stays in one file, and is split by story, never by length
 LONGER: dict[str, str] = {}  # file -> why it may be longer
 SIBLINGS = {frozenset(("hydro_fit", "lbm_oracle"))}  # same level, never import each other
 FORBIDDEN = {"utils", "util", "common", "core", "manager", "managers", "helpers", "misc"}
