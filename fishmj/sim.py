@@ -49,7 +49,7 @@ class Sim:
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
         swimmer: this fish's own constants; the nominal ones by default.
         latency: of commands, s; the robot's nominal one by default.
-        rescue_folder: where the last states of a diverged run go; default, a folder in the temporary directory.
+        rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
 
     Raises:
         UnknownName, ConfigError: a name or a time step that cannot be.

@@ -4,7 +4,6 @@ import tempfile
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 
@@ -85,7 +84,8 @@ def rescue(sim, error: SimDiverged) -> SimDiverged:
     sane = [s for s in states if np.abs(s[2][:2]).max() < SANE_SPEED and np.abs(s[2][2:]).max() < SANE_SPIN]
     where = ""
     if sane:
-        folder = sim.rescue_folder or Path(tempfile.gettempdir()) / "fishmj-diverged" / f"{sim.robot.name}-{uuid4().hex[:8]}"
+        # mkdtemp: a folder that nobody else can read, or has put in our way
+        folder = sim.rescue_folder or Path(tempfile.mkdtemp(prefix="fishmj-diverged-")) / "trial"
         t, q, v, ctrl = (np.array(column) for column in zip(*sane, strict=True))
         n = sim.model.nu
         pose = np.array([_pose_at(sim, *row) for row in zip(q, v, strict=True)])

@@ -20,6 +20,7 @@ from fishmj.effects.calibration import Fitted, Interval
 from fishmj.errors import ConfigError
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot, robot_from_dict
+from fishmj.names import checked
 from fishmj.store import write_text
 
 
@@ -84,7 +85,7 @@ def revert(model: Path) -> Path:
     version = facts(model)
     if not version:
         raise ConfigError(f"{model}: this is a first version, it has no table [version]; there is nothing to go back to")
-    kept = Path(model).with_name(version.get("parent_text", ""))
+    kept = Path(model).with_name(checked(version.get("parent_text", ""), "parent text's file", f"{model} [version]"))
     if not kept.is_file() or digest(kept) != version["parent_sha256"]:
         raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {version['parent_sha256']}")
     aside = Path(model).with_name(f"{Path(model).stem}.reverted-{digest(model)[:12]}.toml")

@@ -10,18 +10,19 @@ the first holds. Nothing in either can run code.
 """
 
 import hashlib
-import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.calib import read_toml
+from fishmj.errors import ConfigError, FishmjError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
 from fishmj.hydro_fit.fit.prior import unflat
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
+from fishmj.names import checked
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
 
 SCHEMA = "fishmj.water/1"
@@ -150,14 +151,16 @@ class HydroModel:
 
 
 def _read(cls, path: Path) -> HydroModel:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path}: not a readable TOML file: {error}") from error
+    table = read_toml(path)
     if table.get("schema") != SCHEMA:
         raise ConfigError(f"{path}: schema {table.get('schema')!r}, expected {SCHEMA!r}: this is not a fitted water")
     try:
-        weights, expected = path.with_name(table["weights"]["file"]), table["weights"]["sha256"]
+        checked(table["name"], "water", str(path))
+        checked(table["robot"], "robot", str(path))
+        weights, expected = (
+            path.with_name(checked(table["weights"]["file"], "weights file", str(path))),
+            table["weights"]["sha256"],
+        )
         if sha256(weights) != expected:
             raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
         arrays, _ = read_tensors(weights)
@@ -168,9 +171,11 @@ def _read(cls, path: Path) -> HydroModel:
         keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
         rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         base = terms.Coefficients(**table["base"])
+        _numbers(path, "base", [*base.k, *base.cn, *base[2:]], None)
+        for key in ("dt", "slip"):
+            _numbers(path, key, table[key], ())
         for name, parts in (rest["band"] | rest["band_alone"]).items():
-            if np.shape(parts) != (3,):
-                raise ConfigError(f"{path}: band of {name} = {parts}; expected (offset, share, spread); fit the model again")
+            _numbers(path, f"band of {name} (offset, share, spread)", parts, (3,))
         return cls(
             **{key: table[key] for key in keys},
             base=base,
@@ -179,8 +184,17 @@ def _read(cls, path: Path) -> HydroModel:
             learnt=learnt,
             **rest,
         )
-    except (KeyError, TypeError) as error:
+    except FishmjError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
+
+
+def _numbers(path: Path, what: str, values, shape: "tuple[int, ...] | None") -> None:
+    """Refuse what is not finite numbers of that shape (None: any)."""
+    found = np.asarray(values)
+    if found.dtype.kind not in "fiu" or not np.isfinite(found).all() or (shape is not None and found.shape != shape):
+        raise ConfigError(f"{path}: {what} = {values!r}; expected finite numbers; fit the model again")
 
 
 def _finite(value):

@@ -13,8 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import LogError, StoreError
+from fishmj.errors import FishmjError, LogError, StoreError
+from fishmj.log.archive import row_place
+from fishmj.log.check import check_table
 from fishmj.log.trial import Trial
+from fishmj.names import checked
 from fishmj.store import plain, read_npz, write_npz
 
 SCHEMA = "fishmj.bundle/1"
@@ -55,7 +58,7 @@ def read_bundle(path: "str | Path") -> list[Trial]:
     """The trials of a bundle, in the order in which they were written.
 
     Raises:
-        StoreError: missing, damaged, or no bundle.
+        StoreError: missing, damaged, or no bundle. LogError: a table that breaks the schema. ConfigError: a name that is none.
     """
     arrays = read_npz(path)
     try:
@@ -65,12 +68,19 @@ def read_bundle(path: "str | Path") -> list[Trial]:
         out = []
         for i, one in enumerate(about["trials"]):
             tables: dict = {}
+            if not isinstance(one["meta"], dict):
+                raise TypeError(f"meta of trial {i + 1} is no table")
             for key, step in one["steps"].items():
                 table, column = key.split("/")
                 tables.setdefault(table, {})[column] = step * np.cumsum(arrays[f"{i}/{key}"].astype(np.int64))
-            out.append(Trial(one["meta"], tables, name=one["name"]))
+            name = checked(one["name"], "trial", str(path))
+            for table, columns in tables.items():
+                check_table(table, columns, row_place(f"{path}:{name}/{table}"))
+            out.append(Trial(one["meta"], tables, name=name))
         return out
-    except (KeyError, TypeError, ValueError) as error:
+    except FishmjError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
         raise StoreError(f"{path}: not a bundle of trials ({error!r}); write it again with write_bundle") from error
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from fishmj.calib import read_toml, resolve
 from fishmj.errors import ConfigError
+from fishmj.names import checked, nearest
 
 if TYPE_CHECKING:
     from fishmj.effects.calibration import Fitted
@@ -98,6 +99,13 @@ class Robot:
     density_water: float = 1000.0  # kg/m3
     effects: "tuple[Fitted, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
 
+    def __post_init__(self) -> None:
+        """Names end up in folders, pages and models. Raises ConfigError for one that cannot stand there."""
+        checked(self.name, "robot")
+        for kind, parts in (("link", self.links), ("fin", self.fins)):
+            for part in parts:
+                checked(part.name, kind, f"robot {self.name}")
+
     @property
     def n_joints(self) -> int:
         return len(self.links) - 1
@@ -146,7 +154,7 @@ def robot_from_dict(table: dict, where: str) -> Robot:
     timing = _checked(Timing, table.get("timing", {}), f"{where} [timing]")
     check_timing(timing, f"{where} [timing]")
     robot = Robot(
-        name=table.get("name", Path(where).stem),
+        name=checked(table.get("name", nearest(Path(where).stem) or "fish"), "robot", where),
         title=table.get("title", ""),
         links=links,
         fins=fins,

@@ -3,6 +3,8 @@
 import hashlib
 import io
 import json
+import math
+import os
 import struct
 import tokenize
 import zipfile
@@ -14,6 +16,8 @@ import numpy as np
 from fishmj.errors import StoreError
 from fishmj.store.atomic import plain, write_bytes
 
+UNPACKED = 2**30  # bytes that one archive may hold; more where FISHMJ_MAX_UNPACKED says so
+MEMBERS = 10_000
 _BROKEN = (  # what NumPy and zipfile raise on damaged input
     *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError),
     *(EOFError, OSError, NotImplementedError, RuntimeError, OverflowError, MemoryError, IndexError, AttributeError),
@@ -31,22 +35,28 @@ def write_npz(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
 
 
 def read_npz(path: str | Path) -> dict[str, np.ndarray]:
-    """All arrays of an `.npz`, every member's CRC checked, pickled objects refused.
+    """All arrays of an `.npz`, every member's CRC checked, pickled objects refused, its size known before it is unpacked.
 
     Raises:
-        StoreError: missing, truncated, bit-flipped, not an archive, or with pickled objects.
+        StoreError: missing, truncated, bit-flipped, not an archive, with pickled objects, or too large when unpacked.
     """
     path, arrays = Path(path), {}
     if not path.is_file():
         raise StoreError(f"{path}: no such file")
     try:
         with zipfile.ZipFile(path) as archive:
+            _measure(path, archive)
             for member in archive.namelist():
                 if member.endswith(".pkl"):
                     raise _pickle_error(path, member)
                 data = io.BytesIO(archive.read(member))  # a whole read checks the CRC
-                if _npy_holds_objects(data):
+                shape, dtype = _npy_header(data)
+                if dtype.hasobject:
                     raise _pickle_error(path, member.removesuffix(".npy"))
+                held, told = len(data.getbuffer()) - data.tell(), math.prod(shape) * dtype.itemsize
+                if told > held:  # NumPy would set aside what the header says before it reads
+                    raise ValueError(f"{member}: its header tells of {told} bytes, it holds {held}")
+                data.seek(0)
                 arrays[member.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
     except StoreError:
         raise
@@ -117,13 +127,38 @@ def _digest(arrays: dict[str, np.ndarray], header: str) -> str:
     return total.hexdigest()
 
 
-def _npy_holds_objects(data: io.BytesIO) -> bool:
-    """True when a `.npy` member's header says dtype object; leaves the position at the start."""
+def unpacked_limit() -> int:
+    """Bytes that a packed file may hold when it is unpacked: 1 GiB, or FISHMJ_MAX_UNPACKED in bytes.
+
+    Raises:
+        StoreError: the variable holds no number.
+    """
+    told = os.environ.get("FISHMJ_MAX_UNPACKED", "")
+    if not told:
+        return UNPACKED
+    try:
+        return int(float(told))
+    except (ValueError, OverflowError) as error:
+        raise StoreError(f"FISHMJ_MAX_UNPACKED = {told!r}: expected a number of bytes, for example 4e9") from error
+
+
+def _measure(path: Path, archive: zipfile.ZipFile) -> None:
+    """Refuse an archive by what its directory says, before anything is unpacked (zipfile never reads on beyond that)."""
+    members, limit = archive.infolist(), unpacked_limit()
+    size = sum(member.file_size for member in members)
+    if size > limit or len(members) > MEMBERS:
+        raise StoreError(
+            f"{path}: {path.stat().st_size} bytes that unpack to {size} in {len(members)} arrays; at most {limit} bytes and"
+            f" {MEMBERS} arrays. Split it, or, where you trust it, set FISHMJ_MAX_UNPACKED={size}"
+        )
+
+
+def _npy_header(data: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and dtype as a `.npy` member's header says; leaves the position at the first value."""
     version = np.lib.format.read_magic(data)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    dtype = read_header(data)[2]
-    data.seek(0)
-    return dtype.hasobject
+    shape, _, dtype = read_header(data)
+    return shape, dtype
 
 
 def _looks_pickled(start: bytes) -> bool:
