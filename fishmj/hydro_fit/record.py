@@ -13,12 +13,16 @@ J = N - 1 joints. Row k is the tick from t_k - 20 ms to t_k.
 """
 
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
+from functools import cache
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from fishmj.errors import DatasetError, StoreError
 from fishmj.flow import Flow
+from fishmj.names import PATTERN
 from fishmj.store import read_json, read_npz, sha256, write_json, write_npz
 
 SCHEMA = "fishmj.segment/1"
@@ -145,7 +149,7 @@ def read_record(folder: Path, name: str) -> Record:
     if got != expected:
         raise DatasetError(f"{path}: expected sha256 {expected}, got {got or 'no such file'}; collect the segment again")
     arrays = {key: value.astype(float) for key, value in read_npz(path).items()}
-    arrays.setdefault("power", np.full(len(arrays["q"]), np.nan))
+    arrays.setdefault("power", np.full(len(arrays.get("q", ())), np.nan))
     lacking, rows = [key for key in UNITS if key not in arrays], {key: len(value) for key, value in arrays.items()}
     if lacking or len(set(rows.values())) != 1:
         raise DatasetError(f"{path}: expected {', '.join(UNITS)} of one length; missing {lacking}, rows {rows}")
@@ -162,6 +166,42 @@ def described(about: Path) -> dict:
         meta = read_json(about)
     except StoreError as error:
         raise DatasetError(str(error)) from error
-    if not isinstance(meta, dict) or not {"id", "schema", "split", "episode"} <= set(meta):
-        raise DatasetError(f"{about}: no description of a segment; expected id, schema, split and episode. Collect it again")
+    try:
+        _description().validate_python(meta, strict=True)
+    except ValueError as error:  # pydantic's own, with one entry for each key
+        first = error.errors()[0]  # type: ignore[attr-defined]
+        key = ".".join(map(str, first["loc"])) or "the file"
+        got = f"{first['input']!r:.60}"
+        raise DatasetError(f"{about}: no description of a segment: {key}: {first['msg']}, got {got}. Collect it again") from error
     return meta
+
+
+@cache
+def _description():
+    """What a segment's JSON must hold for a fit; other keys are kept."""
+    from pydantic import AllowInfNan, ConfigDict, Field, TypeAdapter, create_model
+
+    number = Annotated[float, AllowInfNan(False)]
+    some = ConfigDict(extra="allow")
+    numbers, name = list[number], Annotated[str, Field(pattern=rf"^{PATTERN}$")]
+    known = {
+        f.name: (number if f.name in ("speed", "direction", "intensity") else Any, f.default) for f in dataclass_fields(Flow)
+    }
+    flow = create_model("flow", __config__=ConfigDict(extra="forbid"), **known)
+    fields: dict[str, Any] = {
+        "id": (name, ...),
+        "episode": (str, ...),
+        "split": (str, ...),
+        "block": (str, ...),
+        "tick": (Annotated[float, Field(gt=0, le=1)], ...),
+        "settle": (number, 0.0),
+        "stopped": (str, ""),
+        "replicate_of": (str, ""),
+        "start": (create_model("start", q=(numbers, ...), v=(numbers, ...)), ...),
+        "segment": (create_model("segment", __config__=some, flow=(flow, ...)), ...),
+        "grid": (create_model("grid", __config__=some, slip=(number, ...)), ...),
+        "robot": (create_model("robot", __config__=some, name=(name, ...), joints=(int, ...)), ...),
+        "prescribed": (dict[str, bool], {}),
+        "file": (create_model("file", __config__=some, sha256=(str, ...)), None),
+    }
+    return TypeAdapter(create_model("segment_json", __config__=some, **fields))

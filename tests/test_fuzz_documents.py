@@ -1,0 +1,102 @@
+"""Fuzzing of what fishmj reads: JSON and TOML with anything in the place of anything raise our errors and no other.
+
+FISHMJ_FUZZ_SECONDS sets how long each test tries (default 2 s); the seeds are fixed.
+"""
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mutations import fuzz
+
+from fishmj.errors import FishmjError
+from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.model import FOLDERS, HydroModel
+from fishmj.log import measurements, toml
+from fishmj.store import write_json, write_text
+from fishmj.store.manifest import Manifest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def water(tmp_path):
+    folder = next(f for f in FOLDERS if f.is_dir())
+    for suffix in (".toml", ".safetensors"):
+        shutil.copy(folder / f"swift{suffix}", tmp_path)
+    return tmp_path / "swift.toml"
+
+
+def finite(document):
+    """Without what TOML cannot say."""
+    if isinstance(document, dict):
+        return {k: finite(v) for k, v in document.items() if v is not None}
+    return [finite(v) for v in document if v is not None] if isinstance(document, list) else document
+
+
+def test_a_fitted_water_with_anything_in_it(water):
+    def read(document):
+        write_text(water, toml.dumps(finite(document)))
+        HydroModel.load(water)
+
+    assert fuzz(read, tomllib.loads(water.read_text(encoding="utf-8")), FishmjError) > 5
+
+
+def test_a_manifest_with_anything_in_it(tmp_path):
+    write_text(tmp_path / "a.txt", "a")
+    Manifest.of(tmp_path, {"licence": "x"}).write(tmp_path)
+    document = json.loads((tmp_path / "manifest.json").read_text())
+
+    def read(document):
+        write_text(tmp_path / "manifest.json", json.dumps(document))
+        Manifest.read(tmp_path).verify(tmp_path)
+
+    assert fuzz(read, document, FishmjError, least=1) > 50
+
+
+def test_a_page_of_weighings_with_anything_in_it(tmp_path):
+    text = """
+    [scales]
+    head = [0.765, 0.766, 0.765]
+    body1 = [0.168]
+    [balance]
+    at = [0.1838, 0.1851]
+    error = 0.001
+    [pendulum]
+    thread = 1.2
+    apart = 0.3
+    period = [1.7005, 1.7049]
+    """
+
+    def read(document):
+        write_text(tmp_path / "measurements.toml", toml.dumps(finite(document)))
+        measurements.read(tmp_path)
+
+    assert fuzz(read, tomllib.loads(text), FishmjError, least=1) > 50
+
+
+def test_a_segment_of_a_campaign_with_anything_in_it(tmp_path):
+    source = ROOT / "data" / "hydro" / "tendon_fish"
+    some = sorted((source / "segments").glob("*.json"))[:2]
+    (tmp_path / "segments").mkdir()
+    for path in some:
+        shutil.copy(path, tmp_path / "segments")
+        shutil.copy(path.with_suffix(".npz"), tmp_path / "segments")
+    about = [json.loads(p.read_text()) for p in some]
+    from fishmj.hydro_fit.dataset import split_hashes
+
+    episodes = {a["episode"]: a["split"] for a in about}
+    write_json(tmp_path / "split.json", {"episodes": episodes, "sha256": split_hashes(episodes)})
+
+    def read(document):
+        write_text(tmp_path / "segments" / some[0].name, json.dumps(document))
+        Manifest.of(tmp_path).write(tmp_path)
+        data = open_dataset(tmp_path, test=True)
+        for split in ("train", "val", "test"):
+            for record in data.records(split):
+                assert np.isfinite(record.t).all()
+
+    assert fuzz(read, about[0], FishmjError) > 5
