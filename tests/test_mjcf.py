@@ -22,7 +22,7 @@ def long_fish(links: int) -> mjcf.Robot:
     robot = mjcf.load_robot("fish")
     middle = [replace(robot.links[1], name=f"body{i}") for i in range(links - 2)]
     water = dict(robot.water, k=[0.9] * links, cn=[1.2] * links)
-    return replace(robot, name=f"{links} links", links=(robot.links[0], *middle, robot.links[-1]), water=water)
+    return replace(robot, name=f"{links}_links", links=(robot.links[0], *middle, robot.links[-1]), water=water)
 
 
 def robots():
