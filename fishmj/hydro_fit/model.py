@@ -10,16 +10,17 @@ the first holds. Nothing in either can run code.
 """
 
 import hashlib
-import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fishmj.calib import read_toml
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
 from fishmj.hydro_fit.fit.prior import unflat
+from fishmj.hydro_fit.water_schema import check
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
@@ -151,11 +152,12 @@ class HydroModel:
 
 def _read(cls, path: Path) -> HydroModel:
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path}: not a readable TOML file: {error}") from error
+        table = read_toml(path)
+    except ConfigError as error:
+        raise StoreError(str(error)) from error
     if table.get("schema") != SCHEMA:
         raise ConfigError(f"{path}: schema {table.get('schema')!r}, expected {SCHEMA!r}: this is not a fitted water")
+    check(table, str(path))
     try:
         weights, expected = path.with_name(table["weights"]["file"]), table["weights"]["sha256"]
         if sha256(weights) != expected:
@@ -165,14 +167,12 @@ def _read(cls, path: Path) -> HydroModel:
         if table["weights"]["residual"]:
             net = residual.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
             learnt = learned.Residual(net, learned.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
-        keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
+        keys = ("name", "robot", "robot_sha256", "dt", "slip")
         rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         base = terms.Coefficients(**table["base"])
-        for name, parts in (rest["band"] | rest["band_alone"]).items():
-            if np.shape(parts) != (3,):
-                raise ConfigError(f"{path}: band of {name} = {parts}; expected (offset, share, spread); fit the model again")
         return cls(
             **{key: table[key] for key in keys},
+            notes=table.get("notes", ""),
             base=base,
             members=arrays["members"],
             alone=arrays["alone"],

@@ -186,7 +186,8 @@ def checked(robot: Robot) -> Robot:
     water, assumed = _water(robot.water, robot.links, where)
     if assumed:
         robot = replace(robot, water=water)
-    return _sound(replace(robot, notes=(*robot.notes, *notes, *assumed)) if notes or assumed else robot)
+    object.__setattr__(robot, "notes", (*robot.notes, *notes, *assumed))
+    return _sound(robot)
 
 
 _SOUND = "_sound"  # attribute of a robot that passed; `dataclasses.replace` leaves it behind
@@ -263,7 +264,7 @@ def check_timing(timing: Timing, where: str) -> None:
     from fishmj.mjcf.validation import timing as findings
 
     for finding in findings(vars(timing)):
-        raise ConfigError(f"{where}: {finding.got}; {finding.todo or f'choose {finding.expected}'}")
+        raise ConfigError(f"{where}: {finding.got} is not {finding.expected}; {finding.todo}")
 
 
 def _effects(table: dict, where: str) -> "tuple[Fitted, ...]":

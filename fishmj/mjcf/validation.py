@@ -57,8 +57,8 @@ def line(f: Finding, table: Mapping[str, Any], where: str) -> str:
     if f.index is not None:
         entry = table[f.block][f.index]
         label = entry.get("name") if isinstance(entry, Mapping) else None
-        place += f" {f.index + 1}" + (f" {shown(label, 40)}" if isinstance(label, str) else "")
-    key = f" {f.key}" if f.key else ""
+        place += f" {f.index + 1}" + (f" {label!r}" if names.is_name(label) else "")
+    key = (f" {f.key}" if f.key.isprintable() and len(f.key) <= 64 else f" {shown(f.key)}") if f.key else ""
     if not f.expected:  # the catalogue of effects words its own
         return f"{where}{place}{key}: {f.got}"
     return f"{where}{place}{key}: got {f.got}, expected {f.expected}" + (f"; {f.todo}" if f.todo else "")
@@ -71,14 +71,16 @@ def shown(value: Any, most: int = 60) -> str:
     elif isinstance(value, int) and value.bit_length() > 128:
         text = f"an integer of {value.bit_length()} bits"
     elif isinstance(value, str):
-        text = repr(value[: most + 1])
+        text = repr(value[:most])
+        if len(value) > most or len(text) > most + 2:
+            text = f"{text[: most - 4]}...{text[0]}"
     elif isinstance(value, Mapping):
         text = f"a block of {len(value)} keys"
     elif isinstance(value, list):
         text = f"[{', '.join(shown(item, 20) for item in value[:6])}{', ...' * (len(value) > 6)}]"
     else:
         text = repr(value)
-    return text if len(text) <= most else text[: most - 3] + "..."
+    return text if len(text) <= most + 2 else text[: most - 3] + "..."
 
 
 def _order(f: Finding) -> tuple:
@@ -118,7 +120,7 @@ def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Finding:
         got = f"{len(value)} block{'s' * (len(value) != 1)}" if kind in ("too_short", "too_long") else shown(value)
         return Finding(block, index, "", got, whole, f"a block begins with {_header(block)} on a line of its own")
     if block not in schema.BLOCKS and block:  # [origin], [calibration.servo]
-        return Finding(block, None, key, shown(value), schema.said("", block)[2], "")
+        return Finding(block, None, key, shown(value), schema.said("", block)[2], f"({schema.said('', block)[0]})")
     what, unit, expected = schema.said(block, key)
     return Finding(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
 
@@ -150,34 +152,39 @@ def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
         return f"for example {names.nearest(value)[:24]!r}"
     if isinstance(value, str) and kind in ("float_type", "int_type"):
         return "write the number without quotes"
-    if isinstance(value, bool) and kind in ("float_type", "int_type"):
-        return f"write a number ({what})"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal") and unit:
         return f"check the number and its unit, {unit} ({what})"
-    return what
+    return f"correct it ({what})"
 
 
 def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) -> Finding:
     """An unknown key or block, with the nearest known one."""
+    name, own = shown(key)[1:-1], "your own notes go into [notes], [origin] or [measured]"
     if block:
         known = schema.keys(block)
-        elsewhere = [b for b in schema.BLOCKS if b != block and key in schema.keys(b)]
-        near = get_close_matches(key, known, 1, 0.6)
-        todo = f"it belongs under {_header(elsewhere[0])}; a key belongs to the last [block] above it" if elsewhere and not near else ""
-        hint = f"{near[0]!r}, or another of " if near else ""
-        return Finding(block, index, shown(key)[1:-1], "an unknown key", f"{hint}{', '.join(known)}", todo or "your own notes go into [notes]")
-    value, known = table[key], schema.keys()
-    blocks = [k for k in known if k not in ("schema", "name", "title")]
-    is_block = isinstance(value, Mapping | list)
-    near = get_close_matches(key, blocks if is_block else known, 1, 0.6)
-    elsewhere = [b for b in schema.BLOCKS if not is_block and key in schema.keys(b)]
-    if elsewhere and not near:
-        return Finding("", None, shown(key)[1:-1], "a key at the top of the file", f"it under {_header(elsewhere[0])}", "move it there")
-    hint = f"{_header(near[0]) if near and near[0] in blocks else repr(near[0])}, or another of " if near else ""
-    listed = ", ".join(_header(k) for k in blocks) if is_block else ", ".join(("schema", "name", "title"))
-    what = f"an unknown {'block' if is_block else 'key'}"
-    name = f"[{shown(key)[1:-1]}]" if is_block else shown(key)[1:-1]
-    return Finding("", None, name, what, f"{hint}{listed}", "your own notes go into [notes], [origin] or [measured]")
+        near, home = get_close_matches(key, known, 1, 0.6), _home(key, block)
+        todo = f"it belongs under {home}; a key belongs to the last [block] above it" if home and not near else own
+        return Finding(block, index, name, "an unknown key", _one_of(near, known), todo)
+    blocks = [k for k in schema.keys() if k not in ("schema", "name", "title")]
+    if not isinstance(table[key], Mapping | list):
+        near, home = get_close_matches(key, schema.keys(), 1, 0.6), _home(key)
+        if home and not near:
+            return Finding("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
+        return Finding("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
+    near = get_close_matches(key, blocks, 1, 0.6)
+    expected = _one_of([_header(k) for k in near], [_header(k) for k in blocks], quote=False)
+    return Finding("", None, f"[{name}]", "an unknown block", expected, own)
+
+
+def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) -> str:
+    """The nearest first, then the others."""
+    others = ", ".join(k for k in known if k not in near)
+    return f"{repr(near[0]) if quote else near[0]} or another of {others}" if near else f"one of {others}"
+
+
+def _home(key: str, but: str = "") -> str:
+    """The header of another block that has this key; "" where none has."""
+    return next((_header(b) for b in schema.BLOCKS if b != but and key in schema.keys(b)), "")
 
 
 def _header(block: str) -> str:
@@ -340,15 +347,16 @@ def timing(given: Mapping[str, Any]) -> Iterator[Finding]:
     t = vars(Timing()) | dict(given)
     for small, large in (("physics_dt", "bus_dt"), ("bus_dt", "control_dt")):
         a, b = t[small], t[large]
-        if not (isfinite(a) and isfinite(b) and a > 0 and b > 0):
-            yield Finding("timing", None, large, f"{small} = {a} s and {large} = {b} s", "both positive", "check the units: s")
+        if wrong := [f"{key} = {value} s" for key, value in ((small, a), (large, b)) if not (isfinite(value) and value > 0)]:
+            yield Finding("timing", None, large, wrong[0], "a positive number", "check the unit: s")
             continue
         n = max(1, round(b / a))
         if abs(b / a - n) > 1e-6:
-            got = f"{large} = {b} s, which is not a multiple of {small} = {a} s"
-            yield Finding("timing", None, large, got, "a whole multiple", f"nearest valid {large}: {n * a:g} s")
+            expected = f"a multiple of {small} = {a} s"
+            yield Finding("timing", None, large, f"{large} = {b} s", expected, f"nearest valid {large}: {n * a:g} s")
     if t["command_path"] not in COMMAND_PATHS:
-        yield Finding("timing", None, "command_path", f"command_path = {t['command_path']!r}", f"one of {', '.join(COMMAND_PATHS)}")
+        got = f"command_path = {t['command_path']!r}"
+        yield Finding("timing", None, "command_path", got, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
 
 
 def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Finding]:
@@ -367,11 +375,16 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
     """The catalogue's own checks; it is loaded only for a fish that has effects."""
     if not blocks:
         return
-    from fishmj.effects import calibration
+    from fishmj.effects import calibration, catalogue
     from fishmj.errors import FishmjError
 
     told = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
+        if block["name"] not in catalogue():
+            near = get_close_matches(block["name"], catalogue(), 1, 0.5)
+            expected = f"an effect of the catalogue{f', such as {near[0]!r}' if near else ''}"
+            yield Finding("effect", i, "name", shown(block["name"]), expected, "docs/effects.md lists them all")
+            continue
         try:
             calibration.block_of(dict(block), "")
         except FishmjError as error:
