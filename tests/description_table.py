@@ -35,4 +35,4 @@ def written() -> str:
 
 if __name__ == "__main__":
     page = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(page.replace(written(), table()), encoding="utf-8")
+    PAGE.write_text(page.replace(BEGIN + written() + END, BEGIN + table() + END), encoding="utf-8")

@@ -90,9 +90,9 @@ class LinkBlock(Block):
         list[Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]],
         Field(min_length=2, max_length=500),
     ] = _field(
-        "elliptical, linear in between; stations rise from 0 to `length`",
+        "ellipses; their stations rise from 0 to `length`",
         "m",
-        "2 to 500 rows [from the front, height, width] in m, height and width from 0.0001 to 10 m",
+        "2 to 500 rows [from the front, height, width] in m, the last two from 0.0001 to 10",
         REQUIRED,
     )
     com: Annotated[
@@ -202,7 +202,7 @@ class Description(Block):
         description="the format; a file without it is read as this one",
         json_schema_extra={"unit": "", "expected": f"{SCHEMA!r}"},
     )
-    name: Name | None = name("goes into data sets, waters, policies and logs; left out: the file's name", None)
+    name: Name | None = name("in data sets, waters, policies, logs; left out: the file's name", None)
     title: Text = text("for pages and pictures")
     notes: Any = _field("your own notes, text or a block", "", "text or a block [notes]", None)
     origin: dict[str, Any] = _field("your own notes: where the numbers come from", "", "a block [origin]", {})
