@@ -41,7 +41,9 @@ def parse_toml(text: str, where: str) -> dict:
         raise ConfigError(f"{where}: larger than {LARGEST / 1e6:g} MB, expected a TOML file of a few kB; is this the right file?")
     if found := _LONG_KEY.search(text):
         line = text.count("\n", 0, found.start()) + 1
-        raise ConfigError(f"{where}: line {line}: a key of more than {_PARTS} parts with dots between, expected {DEEPEST} at most")
+        raise ConfigError(
+            f"{where}: line {line}: a key of more than {_PARTS} parts with dots between, expected {DEEPEST} at most"
+        )
     try:
         table = tomllib.loads(text)
     except RecursionError:

@@ -16,7 +16,7 @@ class ConfigError(FishmjError, ValueError):
 
 
 class DescriptionError(ConfigError):
-    """A robot description is not sound. `errors` lists everything that was found, one line each; the message shows the first 20."""
+    """A robot description is not sound. `errors` lists everything that was found, a line each; the message has the first 20."""
 
     SHOWN = 20
 

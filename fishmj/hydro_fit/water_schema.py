@@ -1,4 +1,4 @@
-"""What stands in the TOML of a fitted water; `HydroModel.save` writes it, and whatever `--water FILE` names is held against it."""
+"""What stands in the TOML of a fitted water: `HydroModel.save` writes it, and what `--water FILE` names is held against it."""
 
 from typing import Annotated, Any, Literal
 
@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fishmj import names
 from fishmj.errors import DescriptionError
-from fishmj.mjcf.validation import shown
+from fishmj.mjcf.findings import shown
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fishmj.effects.calibration import Fitted
 
 COMMAND_PATHS = ("linear", "hold", "move_time")
+WATER_NEEDS = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke", "lift_a", "lift_b", "stall_angle", "stall_width", "stall_lag")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +141,11 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
     servo |= {key.removesuffix("_deg"): radians(value) for key, value in given.items() if key.endswith("_deg")}
     links = tuple(Link(**_tuples(entry)) for entry in table["link"])
     water, assumed = _water(table.get("water", {}), links, where)
-    notes += [*assumed, *_defaults("servo", Servo(), servo, where), *_defaults("timing", Timing(), table.get("timing", {}), where)]
+    notes += [
+        *assumed,
+        *_defaults("servo", Servo(), servo, where),
+        *_defaults("timing", Timing(), table.get("timing", {}), where),
+    ]
     if "schema" not in table:
         notes.append(f'{where}: no schema, read as fishmj.fish/1; put schema = "fishmj.fish/1" into its first line')
     robot = Robot(
@@ -239,13 +244,13 @@ def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], w
     if not left:
         return []
     values = ", ".join(f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in left.items())
-    return [f"{where} [{block}]: not given, taken from the default fish: {values} (SI, rad); state your own (docs/your_own_fish.md)"]
+    return [
+        f"{where} [{block}]: not given, taken from the default fish: {values} (SI, rad); state your own (docs/your_own_fish.md)"
+    ]
 
 
 def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tuple[dict, list[str]]:
     """The water table with the prior's values in the place of those that are left out, and what to tell."""
-    from fishmj.mjcf.validation import WATER_NEEDS
-
     missing = [key for key in WATER_NEEDS if key not in given and f"{key}_deg" not in given]
     water = dict(given) if "model" in given or not missing else {"model": "structured", **given}
     water.setdefault("model", "structured")
@@ -261,7 +266,7 @@ def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tup
 
 def check_timing(timing: Timing, where: str) -> None:
     """Steps must nest: physics into bus into control; names the nearest valid value otherwise."""
-    from fishmj.mjcf.validation import timing as findings
+    from fishmj.mjcf.relations import timing as findings
 
     for finding in findings(vars(timing)):
         raise ConfigError(f"{where}: {finding.got} is not {finding.expected}; {finding.todo}")

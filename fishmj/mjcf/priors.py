@@ -1,4 +1,4 @@
-"""What the water of a fish is taken to be before anything is fitted: coefficients of the strip model from the shape of its sections."""
+"""Coefficients of the strip model before anything is fitted, from the shape of the sections."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ PLATE = 0.35  # width over height below which a link is a plate
 
 
 def water_prior(links: "Sequence[Link]") -> dict[str, Any]:
-    """A [water] table, as in `data/calib/fish.toml`: k and cn of each link by its mean width over height, the rest literature values."""
+    """A [water] table as in `data/calib/fish.toml`: k and cn of a link by its mean width over height, the rest as there."""
     thin = [sum(row[2] for row in link.sections) / sum(row[1] for row in link.sections) < PLATE for link in links]
     return {
         "model": "structured",

@@ -1,7 +1,9 @@
 """What may stand in a robot description: every block and key with its unit, its bounds and what it is.
 
-pydantic checks a description against these models; `fishmj.mjcf.validation` turns what it finds into lines for a reader and adds
-what no single key can know (masses that add up, steps that nest). The table of keys in docs/your_own_fish.md is made from here.
+pydantic checks a description against these models; `validation.py` turns what it finds into lines for a reader, and
+`relations.py` adds what no single key can know (masses that add up, steps that nest). The table of keys in
+docs/your_own_fish.md is made from here.
+
 Lengths in m from the front of each link backwards, angles in rad or in keys that end in `_deg`.
 """
 
@@ -95,13 +97,13 @@ class LinkBlock(Block):
         "2 to 500 rows [from the front, height, width] in m, the last two from 0.0001 to 10",
         REQUIRED,
     )
-    com: Annotated[
-        list[Annotated[float, Field(ge=-30.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
-    ] | None = _field("centre of mass; left out: that of the shape", "m", "[back from the front, 0.0, up] in m", None)
+    com: (
+        Annotated[list[Annotated[float, Field(ge=-30.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)] | None
+    ) = _field("centre of mass; left out: that of the shape", "m", "[back from the front, 0.0, up] in m", None)
     fin_from: float | None = number("behind this station a single sheet for the flow solver", 0.0, 30.0, "m", default=None)
-    colour: Annotated[
-        list[Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
-    ] = _field("for pictures", "", "[red, green, blue], each from 0 to 1", [0.4, 0.5, 0.6])
+    colour: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)] = (
+        _field("for pictures", "", "[red, green, blue], each from 0 to 1", [0.4, 0.5, 0.6])
+    )
 
 
 class FinBlock(Block):
@@ -109,9 +111,9 @@ class FinBlock(Block):
 
     name: Name = name("the fins' names must differ")
     link: str = _field("the link that carries it", "", "the name of a link", REQUIRED, max_length=64)
-    station: Annotated[
-        list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=2, max_length=2)
-    ] = _field("from the link's front", "m", "[front edge, rear edge] in m, within the link, the rear edge behind", REQUIRED)
+    station: Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=2, max_length=2)] = (
+        _field("from the link's front", "m", "[front edge, rear edge] in m, within the link, the rear edge behind", REQUIRED)
+    )
     span: float = number("of each plate", 1e-4, 10.0, "m")
     count: int = whole("left alone, or left and right", 1, 2, default=2)
 
@@ -147,9 +149,7 @@ class TimingBlock(Block):
     velocity_window: int | None = whole("in the tracker's line fit", 2, 500, "frames", default=None)
 
 
-Each = Annotated[
-    list[Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]], Field(min_length=1, max_length=MOST_LINKS)
-]
+Each = Annotated[list[Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]], Field(min_length=1, max_length=MOST_LINKS)]
 
 
 class WaterBlock(Block):
@@ -217,7 +217,7 @@ class Description(Block):
     water: WaterBlock = _field("", "", "a block [water]", WaterBlock())
     effect: Annotated[list[EffectBlock], Field(max_length=64)] = _field("", "", "at most 64 blocks [[effect]]", [])
     calibration: dict[str, dict[str, Any]] = _field(
-        "what `calibrate` measured; it writes it", "", "blocks [calibration.<verb>]", {}
+        "what `fishmj calibrate` measured; it writes it", "", "blocks [calibration.VERB]", {}
     )
     version: VersionBlock = _field("", "", "a block [version]", VersionBlock())
 
