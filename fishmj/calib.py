@@ -1,11 +1,14 @@
 """Calibration files: `data/calib/*.toml`, the one place where a number of the paper or of a ruler lives."""
 
+import re
 import tomllib
 from functools import cache
 from pathlib import Path
 
 from fishmj.errors import ConfigError, UnknownName
 
+LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
+DEEPEST = 24  # tables and lists inside one another; ours have 5
 _ROOT = Path(__file__).resolve().parent
 FOLDERS = (_ROOT.parent / "data" / "calib", _ROOT / "_data" / "calib")  # checkout first, then the installed wheel
 
@@ -19,30 +22,123 @@ def calib_folder() -> Path:
 
 
 def read_toml(path: str | Path) -> dict:
-    """Read one TOML file; a syntax error names file and line."""
-    path = Path(path)
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file")
+    """Read one TOML file that anybody may have written.
+
+    Raises:
+        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (names line and column), or
+            nested deeper than any description is.
+    """
+    return parse_toml(_text(Path(path)), _shown(path))
+
+
+def parse_toml(text: str, where: str) -> dict:
+    """The table of a TOML text; `where` begins the error messages.
+
+    Raises:
+        ConfigError: as `read_toml`.
+    """
+    if len(text) > LARGEST:
+        raise ConfigError(f"{where}: larger than {LARGEST / 1e6:g} MB, expected a TOML file of a few kB; is this the right file?")
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise ConfigError(
+            f"{where}: line {line}: a key of more than {_PARTS} parts with dots between, expected {DEEPEST} at most"
+        )
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError(f"{where}: lists or tables nested too deep to read, expected {DEEPEST} levels at most") from None
+    except ValueError as error:  # also an integer of more than 4300 digits
+        told = " ".join(str(error).split())
+        raise ConfigError(f"{where}: not valid TOML: {told[:200]}") from error
+    _check_values(table, where)
+    return table
+
+
+_PARTS = 64
+_PART = r"""(?:[A-Za-z0-9_-]{1,99}|"[^"\n]{0,99}"|'[^'\n]{0,99}')"""
+_LONG_KEY = re.compile(rf"(?:\.[ \t]{{0,9}}{_PART}[ \t]{{0,9}}){{{_PARTS}}}")  # tomllib takes time by the square of a key's parts
+
+
+def _text(path: Path) -> str:
+    """The text of a file, within bounds."""
+    shown = _shown(path)
+    try:
+        if path.is_dir():
+            raise ConfigError(f"{shown}: is a folder, expected a TOML file")
+        if not path.is_file():
+            raise ConfigError(f"{shown}: no such file")
+        with path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
+    except OSError as error:
+        raise ConfigError(f"{shown}: cannot be read: {error.strerror or error}") from error
+    if len(raw) > LARGEST:
+        raise ConfigError(f"{shown}: larger than {LARGEST / 1e6:g} MB, expected a TOML file of a few kB; is this the right file?")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            f"{shown}: byte {error.start} (line {line}) is not UTF-8 text: a binary file, or text saved in another encoding;"
+            " expected TOML saved as UTF-8"
+        ) from error
+
+
+def _check_values(table: dict, where: str) -> None:
+    """Depth, and integers of 64 bits as TOML asks for; no recursion, so that no file can exhaust the stack."""
+    waiting = [("", table, 1)]
+    while waiting:
+        key, item, level = waiting.pop()
+        if isinstance(item, dict | list):
+            if level > DEEPEST:
+                raise ConfigError(f"{where}: lists or tables nested deeper than the {DEEPEST} levels that may be")
+            inside = item.items() if isinstance(item, dict) else ((key, inner) for inner in item)
+            waiting += [(name, inner, level + 1) for name, inner in inside]
+        elif isinstance(item, int) and not -(2**63) <= item < 2**63:
+            raise ConfigError(f"{where}: {key[:64]!r}: an integer of {item.bit_length()} bits, expected 64 bits at most")
 
 
 def resolve(name: str | Path) -> Path:
-    """A TOML path, or the name of a shipped one: `fish` -> data/calib/fish.toml."""
+    """A TOML path, or the name of a shipped one: `fish` -> data/calib/fish.toml.
+
+    Raises:
+        ConfigError: no such file, or a folder. UnknownName: neither a TOML path nor a shipped name.
+    """
+    if not isinstance(name, str | Path) or not str(name):
+        raise ConfigError(f"got {name!r:.80}, expected the path of a TOML file or a shipped name: {', '.join(shipped())}")
     path = Path(name)
-    if path.suffix == ".toml":
-        if not path.is_file():
-            raise ConfigError(f"{path}: no such file; shipped ones go by name: {', '.join(shipped())}")
-        return path
+    shown = _shown(path)
     if path.suffix == ".xml":
         raise ConfigError(
-            f"{path}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
+            f"{shown}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
         )
+    if path.suffix == ".toml":
+        try:
+            there, folder = path.is_file(), path.is_dir()
+        except OSError as error:  # a name too long for the file system, a folder that may not be entered
+            raise ConfigError(f"{shown}: cannot be read: {error.strerror or error}") from error
+        if folder:
+            raise ConfigError(f"{shown}: is a folder, expected a TOML file")
+        if not there:
+            raise ConfigError(f"{shown}: no such file; shipped ones go by name: {', '.join(shipped())}")
+        return path
     if str(name) not in shipped():
-        raise UnknownName("calibration file", str(name), shipped())
+        if _exists(path):
+            kind = "a folder" if path.is_dir() else "a file whose name does not end in .toml"
+            raise ConfigError(f"{shown}: is {kind}; expected a .toml file, or a shipped name: {', '.join(shipped())}")
+        raise UnknownName("calibration file", str(name)[:100], shipped())
     return calib_folder() / f"{name}.toml"
+
+
+def _shown(path: str | Path) -> str:
+    return str(path) if len(str(path)) <= 300 else f"{str(path)[:300]}..."
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
 
 
 def shipped() -> list[str]:

@@ -16,7 +16,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-from fishmj.errors import FishmjError, UsageError
+from fishmj.errors import DescriptionError, FishmjError, UsageError
 
 OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 70, 130, 141
 
@@ -26,11 +26,14 @@ Main = Callable[[list[str]], int | None]
 def run(main: Main, argv: Sequence[str] | None = None) -> int:
     """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
 
-    With `--json` among the arguments an error is also one JSON object on stdout: {"error", "kind", "exit"}.
+    A bad description is one line for each of its errors. With `--json` among the arguments an error is also one JSON object on
+    stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
         return int(main(argv) or OK)
+    except DescriptionError as error:
+        return _fail(argv, error.shown[0], type(error).__name__, BAD_INPUT, error)
     except FishmjError as error:
         return _fail(argv, " ".join(str(error).split()), type(error).__name__, BAD_INPUT)
     except SystemExit as stop:
@@ -45,10 +48,11 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
         return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT)
 
 
-def _fail(argv: Sequence[str], message: str, kind: str, code: int) -> int:
-    print(f"fishmj: {message}", file=sys.stderr)
+def _fail(argv: Sequence[str], message: str, kind: str, code: int, many: DescriptionError | None = None) -> int:
+    for line in many.shown if many else (message,):
+        print(f"fishmj: {line}", file=sys.stderr)
     if "--json" in argv:
-        emit_json({"error": message, "kind": kind, "exit": code})
+        emit_json({"error": message, "kind": kind, "exit": code} | ({"errors": list(many.errors)} if many else {}))
     return code
 
 

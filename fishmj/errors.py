@@ -1,5 +1,9 @@
-"""Every error that fishmj raises on purpose. One line each: what, where, got, expected, what to do."""
+"""Every error that fishmj raises on purpose. One line each: what, where, got, expected, what to do.
 
+Only a bad robot description has several lines, one for each thing that is wrong with it.
+"""
+
+from collections.abc import Sequence
 from difflib import get_close_matches
 
 
@@ -9,6 +13,21 @@ class FishmjError(Exception):
 
 class ConfigError(FishmjError, ValueError):
     """A setting is impossible or inconsistent."""
+
+
+class DescriptionError(ConfigError):
+    """A robot description is not sound. `errors` lists everything that was found, a line each; the message has the first 20."""
+
+    SHOWN = 20
+
+    def __init__(self, errors: Sequence[str]):
+        self.errors = tuple(" ".join(line.split()) for line in errors)
+        more = len(self.errors) - self.SHOWN
+        self.shown = self.errors[: self.SHOWN] + ((f"and {more} more error{'s' * (more > 1)}",) if more > 0 else ())
+        super().__init__("\n".join(self.shown))
+
+    def __reduce__(self):
+        return type(self), (self.errors,)
 
 
 class UsageError(FishmjError, ValueError):

@@ -10,13 +10,12 @@ The order is that in which the effects act. A file without blocks is the nominal
 """
 
 import math
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calib import read_toml, resolve
+from fishmj.calib import parse_toml, read_toml, resolve
 from fishmj.effects import Active, get
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.store import write_text
@@ -55,8 +54,8 @@ def parse(table: dict, where: str) -> tuple[Fitted, ...]:
     """The same from a parsed TOML table; `where` begins the error messages."""
     blocks = table.get("effect", [])
     if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
-        raise ConfigError(f"{where}: effects are blocks [[effect]], got {blocks!r}")
-    listed = tuple(_block(block, f"{where} [[effect]] {i}") for i, block in enumerate(blocks, 1))
+        raise ConfigError(f"{where}: effects are blocks [[effect]], got {str(blocks)[:80]}")
+    listed = tuple(block_of(block, f"{where} [[effect]] {i}") for i, block in enumerate(blocks, 1))
     names = [fitted.name for fitted in listed]
     for name in names:
         if names.count(name) > 1:
@@ -73,7 +72,7 @@ def write(path: "str | Path", effects: "tuple[Fitted, ...] | list[Fitted]") -> P
     path = resolve(Path(path))
     kept = _without_blocks(path.read_text(encoding="utf-8"))
     text = "\n\n".join([kept.rstrip("\n"), *(_text(fitted) for fitted in effects)]) + "\n"
-    parse(tomllib.loads(text), str(path))
+    parse(parse_toml(text, str(path)), str(path))
     return write_text(path, text)
 
 
@@ -92,18 +91,19 @@ def fitted(active: Active, row, low=None, high=None, provenance: str = "", hash:
     return tuple(Fitted(e.name, named(e), provenance, hash) for e in active.effects)
 
 
-def _block(block: dict, where: str) -> Fitted:
+def block_of(block: dict, where: str) -> Fitted:
+    """One block [[effect]]; raises as `read`."""
     for key in block:
         if key not in KEYS:
             raise ConfigError(f"{where}: {UnknownName('key', key, KEYS)}")
     try:
-        effect = get(block.get("name", ""))
+        effect = get(str(block.get("name", ""))[:64])
     except UnknownName as error:
         raise ConfigError(f"{where}: {error}") from error
     where = f"{where} {effect.name}"
     given = block.get("parameters", {})
     if not isinstance(given, dict):
-        raise ConfigError(f"{where}: parameters must be a table of name = {{ value, low, high }}, got {given!r}")
+        raise ConfigError(f"{where}: parameters must be a table of name = {{ value, low, high }}, got {str(given)[:80]}")
     found = {}
     for name, entry in given.items():
         try:
@@ -119,7 +119,7 @@ def _interval(entry, parameter, where: str) -> Interval:
     values = {key: entry.get(key, entry.get("value")) for key in Interval._fields}
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values.values())
     if not numbers or set(entry) - set(values):
-        raise ConfigError(f"{where}: needs {{ value, low, high }} in {parameter.unit}, finite numbers; got {entry}")
+        raise ConfigError(f"{where}: needs {{ value, low, high }} in {parameter.unit}, finite numbers; got {str(entry)[:80]}")
     found = Interval(**{key: float(v) for key, v in values.items()})
     if not parameter.low <= found.value <= parameter.high:
         raise ConfigError(

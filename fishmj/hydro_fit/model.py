@@ -20,6 +20,7 @@ from fishmj.calib import read_toml
 from fishmj.errors import ConfigError, FishmjError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
 from fishmj.hydro_fit.fit.prior import unflat
+from fishmj.hydro_fit.water_schema import check
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.names import checked
@@ -151,9 +152,13 @@ class HydroModel:
 
 
 def _read(cls, path: Path) -> HydroModel:
-    table = read_toml(path)
+    try:
+        table = read_toml(path)
+    except ConfigError as error:
+        raise StoreError(str(error)) from error
     if table.get("schema") != SCHEMA:
         raise ConfigError(f"{path}: schema {table.get('schema')!r}, expected {SCHEMA!r}: this is not a fitted water")
+    check(table, str(path))
     try:
         checked(table["name"], "water", str(path))
         checked(table["robot"], "robot", str(path))
@@ -168,16 +173,12 @@ def _read(cls, path: Path) -> HydroModel:
         if table["weights"]["residual"]:
             net = residual.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
             learnt = learned.Residual(net, learned.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
-        keys = ("name", "robot", "robot_sha256", "dt", "slip", "notes")
+        keys = ("name", "robot", "robot_sha256", "dt", "slip")
         rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         base = terms.Coefficients(**table["base"])
-        _numbers(path, "base", [*base.k, *base.cn, *base[2:]], None)
-        for key in ("dt", "slip"):
-            _numbers(path, key, table[key], ())
-        for name, parts in (rest["band"] | rest["band_alone"]).items():
-            _numbers(path, f"band of {name} (offset, share, spread)", parts, (3,))
         return cls(
             **{key: table[key] for key in keys},
+            notes=table.get("notes", ""),
             base=base,
             members=arrays["members"],
             alone=arrays["alone"],
@@ -188,13 +189,6 @@ def _read(cls, path: Path) -> HydroModel:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
-
-
-def _numbers(path: Path, what: str, values, shape: "tuple[int, ...] | None") -> None:
-    """Refuse what is not finite numbers of that shape (None: any)."""
-    found = np.asarray(values)
-    if found.dtype.kind not in "fiu" or not np.isfinite(found).all() or (shape is not None and found.shape != shape):
-        raise ConfigError(f"{path}: {what} = {values!r}; expected finite numbers; fit the model again")
 
 
 def _finite(value):

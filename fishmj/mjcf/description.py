@@ -4,19 +4,23 @@ A description is a TOML file (`data/calib/fish.toml` is the paper's fish) or the
 listed from nose to tail; each hangs on the rear end of the one before it by a servo hinge about the vertical axis.
 """
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import pi, radians
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from fishmj import console
 from fishmj.calib import read_toml, resolve
-from fishmj.errors import ConfigError
-from fishmj.names import checked, nearest
+from fishmj.errors import ConfigError, DescriptionError
+from fishmj.names import checked as name_checked
+from fishmj.names import nearest
 
 if TYPE_CHECKING:
     from fishmj.effects.calibration import Fitted
 
 COMMAND_PATHS = ("linear", "hold", "move_time")
+WATER_NEEDS = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke", "lift_a", "lift_b", "stall_angle", "stall_width", "stall_lag")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +72,8 @@ class Servo:
 
     @property
     def kv(self) -> float:
-        """Damping that the position controller adds to the back-EMF, N m s/rad."""
-        return self.kd - self.kb
+        """Damping that the position controller adds to the back-EMF, N m s/rad; never below zero by the rounding of its parts."""
+        return max(self.kd - self.kb, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,13 +102,14 @@ class Robot:
     title: str = ""
     density_water: float = 1000.0  # kg/m3
     effects: "tuple[Fitted, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
+    notes: tuple[str, ...] = field(default=(), repr=False, compare=False)  # what the reader was told: assumed, or unlikely
 
     def __post_init__(self) -> None:
         """Names end up in folders, pages and models. Raises ConfigError for one that cannot stand there."""
-        checked(self.name, "robot")
+        name_checked(self.name, "robot")
         for kind, parts in (("link", self.links), ("fin", self.fins)):
             for part in parts:
-                checked(part.name, kind, f"robot {self.name}")
+                name_checked(part.name, kind, f"robot {self.name}")
 
     @property
     def n_joints(self) -> int:
@@ -122,67 +127,158 @@ class Robot:
 
 
 def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
-    """Read a robot from a TOML path or a shipped name (`fish`, `tendon_fish`).
+    """Read a robot from a TOML path or a shipped name (`fish`, `tendon_fish`), or check one that was built by hand.
+
+    What the description leaves out and what is unlikely in it is said once on stderr, and is in `Robot.notes`.
 
     Raises:
-        ConfigError: a key is missing, unknown or impossible; names file, block, got and expected.
+        DescriptionError: something is missing, unknown or impossible; lists everything with file, block, key, got, expected.
+        ConfigError: the file cannot be read. UnknownName: no such shipped description.
     """
     if isinstance(source, Robot):
-        return source
+        return checked(source)
     path = resolve(source)
     return robot_from_dict(read_toml(path), str(path))
 
 
-def robot_from_dict(table: dict, where: str) -> Robot:
-    """Build and check a robot from a parsed TOML table."""
-    if not table.get("link"):
-        raise ConfigError(f"{where}: no [[link]] block; a fish needs at least two, nose first")
-    links = tuple(_link(entry, f"{where} [[link]] {i}") for i, entry in enumerate(table["link"], 1))
-    if len(links) < 2:
-        raise ConfigError(f"{where}: {len(links)} [[link]] block; a swimming fish needs at least two")
-    names = [link.name for link in links]
-    if len(set(names)) != len(names):
-        raise ConfigError(f"{where}: link names must differ, got {names}")
-    fins = tuple(_checked(Fin, entry, f"{where} [[fin]]") for entry in table.get("fin", []))
-    for fin in fins:
-        if fin.link not in names:
-            raise ConfigError(f"{where} [[fin]] {fin.name}: link {fin.link!r} does not exist; links: {names}")
-    servo = dict(table.get("servo", {}))
-    for key in ("range", "resolution"):
-        if f"{key}_deg" in servo:
-            servo[key] = radians(servo.pop(f"{key}_deg"))
-    timing = _checked(Timing, table.get("timing", {}), f"{where} [timing]")
-    check_timing(timing, f"{where} [timing]")
+def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
+    """Build and check a robot from a parsed TOML table; `where`, its file, begins the messages. Raises as `load_robot`."""
+    table = {"name": nearest(Path(where).stem) or "fish"} | dict(table)
+    notes = _examined(table, where)
+    given = table.get("servo", {})
+    servo = {key: value for key, value in given.items() if not key.endswith("_deg")}
+    servo |= {key.removesuffix("_deg"): radians(value) for key, value in given.items() if key.endswith("_deg")}
+    links = tuple(Link(**_tuples(entry)) for entry in table["link"])
+    water, assumed = _water(table.get("water", {}), links, where)
+    notes += [
+        *assumed,
+        *_defaults("servo", Servo(), servo, where),
+        *_defaults("timing", Timing(), table.get("timing", {}), where),
+    ]
+    if "schema" not in table:
+        notes.append(f'{where}: no schema, read as fishmj.fish/1; put schema = "fishmj.fish/1" into its first line')
     robot = Robot(
-        name=checked(table.get("name", nearest(Path(where).stem) or "fish"), "robot", where),
+        name=table["name"],
         title=table.get("title", ""),
         links=links,
-        fins=fins,
-        servo=_checked(Servo, servo, f"{where} [servo]"),
-        timing=timing,
-        water=dict(table.get("water", {})),
+        fins=tuple(Fin(**_tuples(entry)) for entry in table.get("fin", [])),
+        servo=Servo(**servo),
+        timing=Timing(**table.get("timing", {})),
+        water=water,
         density_water=float(table.get("body", {}).get("density_water", 1000.0)),
-        effects=_effects(table, where),
+        effects=_effects(dict(table), where),
+        notes=tuple(notes),
     )
-    total = table.get("body", {}).get("mass_total")
-    if total is not None and abs(robot.mass - total) > 1e-9:
-        raise ConfigError(f"{where}: link masses add up to {robot.mass:.4f} kg, mass_total says {total} kg; mend one of them")
+    return _sound(robot)
+
+
+def checked(robot: Robot) -> Robot:
+    """A robot that was built by hand, by the rules of a file; one that was checked before comes back at once.
+
+    Raises:
+        DescriptionError: as `load_robot`.
+    """
+    if _SOUND in vars(robot):
+        return robot
+    where = f"robot {str(robot.name)[:64]!r}"
+    for kind, name, parts in ((Link, "links", robot.links), (Fin, "fins", robot.fins)):
+        if not isinstance(parts, tuple | list) or not all(isinstance(part, kind) for part in parts):
+            raise DescriptionError([f"{where} {name}: got {str(parts)[:60]}, expected a tuple of {kind.__name__}"])
+    if not isinstance(robot.servo, Servo) or not isinstance(robot.timing, Timing) or not isinstance(robot.water, Mapping):
+        raise DescriptionError([f"{where}: expected servo, a Servo, timing, a Timing, and water, a dict"])
+    table = {
+        "name": robot.name,
+        "title": robot.title,
+        "body": {"density_water": robot.density_water},
+        "link": [_plain(vars(link)) for link in robot.links],
+        "fin": [_plain(vars(fin)) for fin in robot.fins],
+        "servo": _plain(vars(robot.servo)),
+        "timing": _plain(vars(robot.timing)),
+        "water": _plain(robot.water),
+    }
+    notes = _examined(table, where)
+    water, assumed = _water(robot.water, robot.links, where)
+    if assumed:
+        robot = replace(robot, water=water)
+    object.__setattr__(robot, "notes", (*robot.notes, *notes, *assumed))
+    return _sound(robot)
+
+
+_SOUND = "_sound"  # attribute of a robot that passed; `dataclasses.replace` leaves it behind
+_TOLD: set[str] = set()
+
+
+def _sound(robot: Robot) -> Robot:
+    object.__setattr__(robot, _SOUND, True)
+    for note in robot.notes:
+        if note not in _TOLD:
+            _TOLD.add(note)
+            console.warn(note)
     return robot
+
+
+def _examined(table: Mapping[str, Any], where: str) -> list[str]:
+    """The notes on a sound table; pydantic is loaded here, by the first description."""
+    from fishmj.mjcf.validation import examine
+
+    errors, notes = examine(table, where)
+    if errors:
+        raise DescriptionError(errors)
+    return notes
+
+
+def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """One [[link]] or [[fin]] with tuples for lists, as the dataclasses hold them."""
+    frozen = dict(entry)
+    for key in ("com", "colour"):
+        if key in frozen:
+            frozen[key] = tuple(float(v) for v in frozen[key])
+    if "sections" in frozen:
+        frozen["sections"] = tuple(tuple(float(v) for v in row) for row in frozen["sections"])
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in frozen.items()}
+
+
+def _plain(value: Any) -> Any:
+    """As TOML would give it: lists for tuples and arrays, Python's numbers for NumPy's, nothing for None."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items() if item is not None}
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value
+
+
+def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], where: str) -> list[str]:
+    """What a block leaves out, in one line."""
+    left = {key: value for key, value in vars(default).items() if key not in given}
+    if not left:
+        return []
+    values = ", ".join(f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in left.items())
+    return [
+        f"{where} [{block}]: not given, taken from the default fish: {values} (SI, rad); state your own (docs/your_own_fish.md)"
+    ]
+
+
+def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tuple[dict, list[str]]:
+    """The water table with the prior's values in the place of those that are left out, and what to tell."""
+    missing = [key for key in WATER_NEEDS if key not in given and f"{key}_deg" not in given]
+    water = dict(given) if "model" in given or not missing else {"model": "structured", **given}
+    water.setdefault("model", "structured")
+    if not missing:
+        return water, []
+    from fishmj.mjcf.priors import water_prior
+
+    prior = water_prior(links)
+    taken = {key: value for key, value in prior.items() if key.removesuffix("_deg") in missing}
+    values = ", ".join(f"{key} = {value}" for key, value in taken.items())
+    return {**water, **taken}, [f"{where} [water]: not given, estimated from the shape: {values}; not fitted (docs/water.md)"]
 
 
 def check_timing(timing: Timing, where: str) -> None:
     """Steps must nest: physics into bus into control; names the nearest valid value otherwise."""
-    for small, large in (("physics_dt", "bus_dt"), ("bus_dt", "control_dt")):
-        a, b = getattr(timing, small), getattr(timing, large)
-        if a <= 0 or b <= 0:
-            raise ConfigError(f"{where}: {small} = {a} s and {large} = {b} s must be positive")
-        n = max(1, round(b / a))
-        if abs(b / a - n) > 1e-6:
-            raise ConfigError(
-                f"{where}: {large} = {b} s is not a multiple of {small} = {a} s; nearest valid {large}: {n * a:g} s"
-            )
-    if timing.command_path not in COMMAND_PATHS:
-        raise ConfigError(f"{where}: command_path = {timing.command_path!r}; choose one of {', '.join(COMMAND_PATHS)}")
+    from fishmj.mjcf.relations import timing as findings
+
+    for finding in findings(vars(timing)):
+        raise ConfigError(f"{where}: {finding.got} is not {finding.expected}; {finding.todo}")
 
 
 def _effects(table: dict, where: str) -> "tuple[Fitted, ...]":
@@ -192,32 +288,3 @@ def _effects(table: dict, where: str) -> "tuple[Fitted, ...]":
     from fishmj.effects.calibration import parse
 
     return parse(table, where)
-
-
-def _link(entry: dict, where: str) -> Link:
-    entry = dict(entry)
-    entry["sections"] = tuple(tuple(float(v) for v in row) for row in entry.get("sections", ()))
-    for key in ("com", "colour"):
-        if key in entry:
-            entry[key] = tuple(float(v) for v in entry[key])
-    link = _checked(Link, entry, where)
-    stations = [row[0] for row in link.sections]
-    if len(link.sections) < 2 or any(len(row) != 3 for row in link.sections):
-        raise ConfigError(f"{where} {link.name}: sections need at least two rows [station, height, width], got {link.sections}")
-    if stations != sorted(stations) or stations[0] != 0 or abs(stations[-1] - link.length) > 1e-9:
-        raise ConfigError(f"{where} {link.name}: section stations must rise from 0 to length = {link.length}, got {stations}")
-    if link.mass <= 0 or link.length <= 0:
-        raise ConfigError(f"{where} {link.name}: mass and length must be positive, got {link.mass} kg and {link.length} m")
-    return link
-
-
-def _checked(kind, table: dict, where: str):
-    known = {f.name: f for f in fields(kind)}
-    unknown = set(table) - set(known)
-    if unknown:
-        raise ConfigError(f"{where}: unknown key {sorted(unknown)[0]!r}; known: {', '.join(known)}")
-    try:
-        values = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
-        return kind(**values)
-    except TypeError as error:
-        raise ConfigError(f"{where}: {error}") from error

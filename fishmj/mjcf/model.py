@@ -45,7 +45,11 @@ def build(robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = F
             "mjcf.build: a passive-force callback is installed, and MuJoCo cannot compile a model meanwhile;"
             " build the model before the inject block, or leave the inject block first"
         )
-    return build_spec(robot, root, bare=bare, ellipsoid=ellipsoid).compile()
+    spec = build_spec(robot, root, bare=bare, ellipsoid=ellipsoid)
+    try:
+        return spec.compile()
+    except ValueError as error:  # what the checks of the description should have found; MuJoCo's words have several lines
+        raise ConfigError(f"{spec.modelname}: MuJoCo cannot build this robot: {' '.join(str(error).split())[:200]}") from error
 
 
 def mjcf_xml(robot: "Robot | str" = "fish", root: str = "planar") -> str:
@@ -63,8 +67,6 @@ def build_spec(
         raise UnknownName("root", root, ROOTS)
     robot = load_robot(robot)
     geometry = geometry_of(robot)
-    if np.any(geometry.com[:, 1] != 0.0):
-        raise ConfigError(f"{robot.name}: link com must have y = 0 (left-right symmetry), got {geometry.com[:, 1].tolist()} m")
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
     _options(spec, robot, root, ellipsoid)

@@ -19,11 +19,11 @@ A field is a path of keys and list indices with dots between. Units are converte
 
 import math
 import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fishmj.errors import LogError
+from fishmj.calib import parse_toml
+from fishmj.errors import ConfigError, LogError
 from fishmj.log.schema import TABLES
 from fishmj.log.text import read_text
 
@@ -80,10 +80,11 @@ def read_topics(path: str | Path) -> Topics:
     """
     path = Path(path)
     try:
-        spec = tomllib.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        spec = parse_toml(read_text(path), str(path))
+    except ConfigError as error:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: not valid TOML: {error}") from error
+        told = str(error).removeprefix(f"{path}: ")
+        raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: {told}") from error
     unknown = sorted(set(spec) - {"tables", "meta"})
     tables, meta = spec.get("tables"), spec.get("meta", {})
     if unknown or not isinstance(tables, dict) or not tables or not isinstance(meta, dict):

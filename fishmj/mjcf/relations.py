@@ -1,0 +1,265 @@
+"""What takes two keys of a description to be wrong: stations and length, masses and volume, nested steps, a servo's figures."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from math import isfinite, pi, radians
+from typing import Any
+
+from fishmj import names
+from fishmj.mjcf.findings import Finding, shown
+
+LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
+THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
+RESERVED = ("world",)  # MuJoCo's own body
+
+
+def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Finding]:
+    """Errors between keys, of the blocks that are sound by themselves. listed: the links are a list of a possible length."""
+    links = table.get("link", [])
+    whole = ("link", None) not in bad
+    for i, link in enumerate(links if listed else []):
+        if ("link", i) not in bad:
+            yield from _link(i, link)
+    if whole:
+        yield from _together(table, links, ("body", None) not in bad)
+    if whole and ("fin", None) not in bad:
+        yield from _fins(table.get("fin", []), links)
+        yield from _clashes(table.get("fin", []), links)
+    if ("servo", None) not in bad:
+        yield from _servo(table.get("servo", {}))
+    if ("timing", None) not in bad:
+        yield from timing(table.get("timing", {}))
+    if ("water", None) not in bad:
+        yield from _water(table.get("water", {}), len(links) if whole else None)
+    if ("effect", None) not in bad:
+        yield from _effects(table.get("effect", []))
+    version = table.get("version", {})
+    kept = version.get("parent_text", "") if ("version", None) not in bad else ""
+    if kept and not names.is_name(kept):
+        yield Finding(
+            "version",
+            None,
+            "parent_text",
+            shown(kept),
+            "the name of a file, without folders",
+            "the parent lies beside its version",
+        )
+
+
+def _link(i: int, link: Mapping[str, Any]) -> Iterator[Finding]:
+    length, rows = link["length"], link["sections"]
+    stations = [row[0] for row in rows]
+    if stations[0] != 0 or abs(stations[-1] - length) > 1e-9:
+        expected = f"stations from 0 to length = {length:g} m"
+        yield Finding(
+            "link", i, "sections", f"stations from {stations[0]:g} to {stations[-1]:g} m", expected, "mend length or the rows"
+        )
+    if any(b - a < 1e-6 for a, b in zip(stations, stations[1:], strict=False)):
+        todo = "sort the rows; for a step in the outline set two rows 0.1 mm apart"
+        yield Finding("link", i, "sections", f"stations {shown(stations)}", "stations that rise from row to row", todo)
+    for n, (_, height, width) in enumerate(rows, 1):
+        for what, value in (("height", height), ("width", width)):
+            if not 1e-4 <= value <= 10.0:
+                todo = "a pointed end is a small number such as 0.001" if value < 1e-4 else "check the unit: sections are in m"
+                yield Finding("link", i, "sections", f"{what} {value:g} in row {n}", f"a {what} from 0.0001 to 10 m", todo)
+    if (com := link.get("com")) is not None:
+        tall = max(row[1] for row in rows)
+        if com[1] != 0:
+            yield Finding(
+                "link", i, "com", shown(com), "y = 0, [back from the front, 0.0, up]", "the fish is the same left and right"
+            )
+        if not -length <= com[0] <= 2 * length or abs(com[2]) > 3 * tall:
+            expected = f"a point in the link: 0 to {length:g} m from its front, up to {tall / 2:g} m up or down"
+            yield Finding("link", i, "com", shown(com), expected, "com is measured from the link's own front, not from the nose")
+    if (start := link.get("fin_from")) is not None and start > length:
+        yield Finding(
+            "link",
+            i,
+            "fin_from",
+            f"{start:g} m",
+            f"a station of the link, 0 to length = {length:g} m",
+            "measure it from the link's front",
+        )
+
+
+def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body_sound: bool) -> Iterator[Finding]:
+    """All links: names, length, mass, volume."""
+    told = [link["name"] for link in links]
+    for i, label in enumerate(told):
+        if label in told[:i]:
+            yield Finding(
+                "link",
+                i,
+                "name",
+                shown(label),
+                "another name for each link: they must differ",
+                f"[[link]] {told.index(label) + 1} has it",
+            )
+    length, mass = sum(link["length"] for link in links), sum(link["mass"] for link in links)
+    for key, unit, total, most in (("length", "m", length, LONGEST), ("mass", "kg", mass, HEAVIEST)):
+        if total > most:
+            yield Finding(
+                "link",
+                None,
+                key,
+                f"{total:g} {unit} in all",
+                f"at most {most:g} {unit} for the whole fish",
+                f"check the unit: {unit}",
+            )
+    if not body_sound:
+        return
+    body = table.get("body", {})
+    stated = body.get("mass_total")
+    if stated is not None and abs(mass - stated) > 1e-9:
+        todo = "mend one of them, or leave mass_total out"
+        yield Finding("body", None, "mass_total", f"{stated:g} kg", f"the sum of the links' masses, {mass:.9g} kg", todo)
+    scale = width_scale(table)
+    if scale is not None and not THINNEST <= scale <= FATTEST:
+        got = f"{mass:g} kg in all for a hull that displaces {mass / scale:.3g} kg"
+        yield Finding(
+            "link", None, "mass", got, "about as much mass as displaced water", "check the units: kg, and sections in m"
+        )
+
+
+def width_scale(table: Mapping[str, Any]) -> float | None:
+    """Factor on all widths that lets the fish float; None where the sections are not sound."""
+    rho, volume = table.get("body", {}).get("density_water", 1000.0), 0.0
+    for link in table["link"]:
+        for (a, ha, wa), (b, hb, wb) in zip(link["sections"], link["sections"][1:], strict=False):
+            volume += pi / 4 * (b - a) * (2 * ha * wa + ha * wb + hb * wa + 2 * hb * wb) / 6  # height and width linear in between
+    return sum(link["mass"] for link in table["link"]) / (rho * volume) if volume > 0 else None
+
+
+def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    lengths, told = {link["name"]: link["length"] for link in links}, [fin["name"] for fin in fins]
+    for i, fin in enumerate(fins):
+        if fin["name"] in told[:i]:
+            yield Finding("fin", i, "name", shown(fin["name"]), "another name for each fin: they must differ", "rename one")
+        if fin["link"] not in lengths:
+            near = get_close_matches(fin["link"], lengths, 1, 0.5)
+            todo = f"did you mean {near[0]!r}?" if near else "name the link that carries the fin"
+            yield Finding("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
+            continue
+        front, rear, length = *fin["station"], lengths[fin["link"]]
+        if not (front < rear <= length + 1e-9 and rear - front >= 1e-4):
+            expected = f"[front edge, rear edge], the rear one behind, both within the link's {length:g} m"
+            yield Finding("fin", i, "station", shown(fin["station"]), expected, "measure both from the link's front, in m")
+
+
+def _clashes(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    """Names that would meet another one in the MuJoCo model."""
+    drawn = {f"{fin['name']}_{side}" for fin in fins for side in ("left", "right")} | {f"{link['name']}_fluid" for link in links}
+    for i, link in enumerate(links):
+        if link["name"] in drawn | set(RESERVED):
+            yield Finding(
+                "link", i, "name", shown(link["name"]), "a name that the model does not use for something else", "choose another"
+            )
+
+
+def _both(block: str, given: Mapping[str, Any], key: str) -> Iterator[Finding]:
+    if key in given and f"{key}_deg" in given:
+        yield Finding(block, None, key, f"both {key} and {key}_deg", "one of them", f"keep {key}_deg")
+
+
+def angle(given: Mapping[str, Any], key: str, default: float) -> float:
+    """`key` in rad, or `key_deg` in deg, in rad."""
+    return float(given[key]) if key in given else radians(given[f"{key}_deg"]) if f"{key}_deg" in given else default
+
+
+def servo_of(given: Mapping[str, Any]) -> dict[str, float]:
+    """Every figure of a [servo] block, the default servo's where it is silent; angles in rad."""
+    from fishmj.mjcf.description import Servo
+
+    plain = vars(Servo())
+    return {
+        key: angle(given, key, value) if key in ("range", "resolution") else given.get(key, value) for key, value in plain.items()
+    }
+
+
+def _servo(given: Mapping[str, Any]) -> Iterator[Finding]:
+    for key in ("range", "resolution"):
+        yield from _both("servo", given, key)
+    s = servo_of(given)
+    kb = s["torque"] / s["speed_no_load"]
+    if s["kd"] < kb * (1 - 1e-4):
+        expected = f"at least torque / speed_no_load = {kb:.4g} N m s/rad, the damping of the motor's own back-EMF"
+        figures = f"torque ({s['torque']:g} N m) or speed_no_load ({s['speed_no_load']:g} rad/s)"
+        todo = f"raise kd to {kb:.4g} or more, or correct {figures}"
+        yield Finding("servo", None, "kd", f"{s['kd']:g} N m s/rad", expected, todo)
+    if s["resolution"] >= s["range"]:
+        yield Finding(
+            "servo",
+            None,
+            "resolution",
+            f"{s['resolution']:.4g} rad",
+            f"less than the range, {s['range']:.4g} rad",
+            "it is one count of the encoder",
+        )
+    if s["kp"] * s["range"] < 0.01 * s["torque"]:
+        todo = "the servo would hardly hold itself; check kp, in N m/rad"
+        yield Finding(
+            "servo", None, "kp", f"{s['kp']:g} N m/rad", f"kp times range at least 1 % of the torque, {s['torque']:g} N m", todo
+        )
+
+
+def timing(given: Mapping[str, Any]) -> Iterator[Finding]:
+    """Steps must nest: physics into bus into control; names the nearest valid value otherwise."""
+    from fishmj.mjcf.description import COMMAND_PATHS, Timing
+
+    t = vars(Timing()) | dict(given)
+    for small, large in (("physics_dt", "bus_dt"), ("bus_dt", "control_dt")):
+        a, b = t[small], t[large]
+        if wrong := [f"{key} = {value} s" for key, value in ((small, a), (large, b)) if not (isfinite(value) and value > 0)]:
+            yield Finding("timing", None, large, wrong[0], "a positive number", "check the unit: s")
+            continue
+        n = max(1, round(b / a))
+        if abs(b / a - n) > 1e-6:
+            expected = f"a multiple of {small} = {a} s"
+            yield Finding("timing", None, large, f"{large} = {b} s", expected, f"nearest valid {large}: {n * a:g} s")
+    if t["command_path"] not in COMMAND_PATHS:
+        got = f"command_path = {t['command_path']!r}"
+        yield Finding("timing", None, "command_path", got, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
+
+
+def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Finding]:
+    for key in ("stall_angle", "stall_width"):
+        yield from _both("water", given, key)
+    for key in ("k", "cn"):
+        if key in given and n_links is not None and len(given[key]) != n_links:
+            got = f"{shown(given[key])}, {len(given[key])} of them"
+            yield Finding("water", None, key, got, f"one number a link, {n_links}", "the robot has as many [[link]] blocks")
+    if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5:
+        got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:g}"
+        yield Finding("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/water.md)")
+
+
+def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    """The catalogue's own checks; it is loaded only for a fish that has effects."""
+    if not blocks:
+        return
+    from fishmj.effects import calibration, catalogue
+    from fishmj.errors import FishmjError
+
+    told = [block["name"] for block in blocks]
+    for i, block in enumerate(blocks):
+        if block["name"] not in catalogue():
+            near = get_close_matches(block["name"], catalogue(), 1, 0.5)
+            expected = f"an effect of the catalogue{f', such as {near[0]!r}' if near else ''}"
+            yield Finding("effect", i, "name", shown(block["name"]), expected, "docs/effects.md lists them all")
+            continue
+        try:
+            calibration.block_of(dict(block), "")
+        except FishmjError as error:
+            yield Finding("effect", i, "", " ".join(str(error).split()).strip(": "), "")
+        if block["name"] in told[:i]:
+            yield Finding(
+                "effect",
+                i,
+                "name",
+                f"{shown(block['name'])}, listed {told.count(block['name'])} times",
+                "each effect once",
+                "keep one block",
+            )
+
+
+__all__ = ["angle", "relations", "servo_of", "timing", "width_scale"]

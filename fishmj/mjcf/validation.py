@@ -1,0 +1,151 @@
+"""Everything that is wrong with a description, in lines that a reader can act on: file, block, key, got, expected, what to do.
+
+    errors, notes = examine(table, "my_fish.toml")
+
+`schema.py` says what a single key may be, `relations.py` what takes two of them, `plausible.py` what is unlikely (notes).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic import ValidationError
+
+from fishmj import names
+from fishmj.mjcf import schema
+from fishmj.mjcf.findings import Finding, line, shown
+from fishmj.mjcf.plausible import unlikely
+from fishmj.mjcf.relations import relations
+
+
+def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]:
+    """(errors, notes), one line each, of a description as TOML gives it; `where` begins each line."""
+    given = table.get("schema", schema.SCHEMA)
+    if given != schema.SCHEMA:  # another format: every other line would be noise
+        kind = "a fitted water, for --water" if isinstance(given, str) and given.startswith("fishmj.water/") else "another format"
+        finding = Finding("", None, "schema", shown(given), repr(schema.SCHEMA), f"this file is {kind}, not a robot")
+        return [line(finding, table, where)], []
+    found = list(_single_keys(table))
+    bad = {(f.block, f.index) for f in found} | {(f.block, None) for f in found}
+    listed = not any(f.block == "link" and f.index is None for f in found)
+    found += list(relations(table, bad, listed))
+    notes = [] if found else [line(note, table, where) for note in unlikely(table)]
+    return [line(finding, table, where) for finding in sorted(found, key=_order)], notes
+
+
+def _order(f: Finding) -> tuple:
+    """As in the file's schema."""
+    blocks = [*schema.keys()]
+    return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.index is None else f.index)
+
+
+# what a single key may be
+
+
+def _single_keys(table: Mapping[str, Any]) -> Iterator[Finding]:
+    """What pydantic finds; several complaints about one key are one."""
+    try:
+        schema.Description.model_validate(dict(table))
+    except ValidationError as error:
+        told = set()
+        for entry in error.errors(include_url=False, include_context=False):
+            finding = _finding(entry, table)
+            if finding[:3] not in told:
+                told.add(finding[:3])
+                yield finding
+
+
+def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Finding:
+    place, kind, value = entry["loc"], entry["type"], entry["input"]
+    block, index, key, inner = _split(place)
+    if kind == "extra_forbidden":
+        return _unknown(block, index, key, table)
+    if kind == "missing" and not key:
+        return Finding(
+            block, None, "", "none", schema.said("", block)[2], f"describe the links: add [[{block}]] with {_main(block)}"
+        )
+    if kind == "missing":
+        what, _, expected = schema.said(block, key)
+        return Finding(block, index, key, "nothing", expected, f"add {key} = ... ({what})")
+    if block and not key:  # the block itself is no table, or there are too few or too many
+        whole = schema.said("", block)[2]
+        got = f"{len(value)} block{'s' * (len(value) != 1)}" if kind in ("too_short", "too_long") else shown(value)
+        return Finding(block, index, "", got, whole, f"a block begins with {_header(block)} on a line of its own")
+    if block not in schema.BLOCKS and block:  # [origin], [calibration.servo]
+        return Finding(block, None, key, shown(value), schema.said("", block)[2], f"({schema.said('', block)[0]})")
+    what, unit, expected = schema.said(block, key)
+    return Finding(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
+
+
+def _split(place: Sequence[Any]) -> tuple[str, int | None, str, list[Any]]:
+    """(block, index, key, place within the value) of pydantic's place."""
+    parts = [str(p) if not isinstance(p, int) else p for p in place]
+    first = str(parts[0])
+    if first in schema.LISTS:
+        index = parts[1] if len(parts) > 1 and isinstance(parts[1], int) else None
+        return first, index, str(parts[2]) if len(parts) > 2 else "", parts[3:]
+    if first in schema.BLOCKS or first in ("calibration", *schema.FREE):
+        return first, None, str(parts[1]) if len(parts) > 1 else "", parts[2:]
+    return "", None, first, parts[1:]
+
+
+def _got(value: Any, inner: Sequence[Any]) -> str:
+    """The value, and where in its list it stands."""
+    numbers = [i + 1 for i in inner if isinstance(i, int)]
+    spot = "" if not numbers else f" in row {numbers[0]}" if len(numbers) > 1 else f" at number {numbers[0]}"
+    length = f" ({len(value)} characters)" if isinstance(value, str) and len(value) > 60 else ""
+    length = f" ({len(value)} of them)" if isinstance(value, list) else length
+    return shown(value) + length + spot
+
+
+def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
+    """What to do about one key."""
+    if key == "name" and isinstance(value, str) and names.nearest(value):
+        return f"for example {names.nearest(value)[:24]!r}"
+    if isinstance(value, str) and kind in ("float_type", "int_type"):
+        return "write the number without quotes"
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal") and unit:
+        return f"check the number and its unit, {unit} ({what})"
+    return f"correct it ({what})"
+
+
+def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) -> Finding:
+    """An unknown key or block, with the nearest known one."""
+    name, own = shown(key)[1:-1], "your own notes go into [notes], [origin] or [measured]"
+    if block:
+        known = schema.keys(block)
+        near, home = get_close_matches(key, known, 1, 0.6), _home(key, block)
+        todo = f"it belongs under {home}; a key belongs to the last [block] above it" if home and not near else own
+        return Finding(block, index, name, "an unknown key", _one_of(near, known), todo)
+    blocks = [k for k in schema.keys() if k not in ("schema", "name", "title")]
+    if not isinstance(table[key], Mapping | list):
+        near, home = get_close_matches(key, schema.keys(), 1, 0.6), _home(key)
+        if home and not near:
+            return Finding("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
+        return Finding("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
+    near = get_close_matches(key, blocks, 1, 0.6)
+    expected = _one_of([_header(k) for k in near], [_header(k) for k in blocks], quote=False)
+    return Finding("", None, f"[{name}]", "an unknown block", expected, own)
+
+
+def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) -> str:
+    """The nearest first, then the others."""
+    others = ", ".join(k for k in known if k not in near)
+    return f"{repr(near[0]) if quote else near[0]} or another of {others}" if near else f"one of {others}"
+
+
+def _home(key: str, but: str = "") -> str:
+    """The header of another block that has this key; "" where none has."""
+    return next((_header(b) for b in schema.BLOCKS if b != but and key in schema.keys(b)), "")
+
+
+def _header(block: str) -> str:
+    return f"[[{block}]]" if block in schema.LISTS else f"[{block}]"
+
+
+def _main(block: str) -> str:
+    """The keys of a block that must be there."""
+    return ", ".join(k for k, info in schema.BLOCKS[block].model_fields.items() if info.is_required())
+
+
+__all__ = ["examine"]

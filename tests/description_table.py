@@ -1,0 +1,38 @@
+"""The table of keys in docs/your_own_fish.md, made from the models; `python tests/description_table.py` writes it there."""
+
+from pathlib import Path
+
+from fishmj.mjcf import schema
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "your_own_fish.md"
+BEGIN, END = "<!-- keys: begin -->\n", "<!-- keys: end -->\n"
+
+
+def table() -> str:
+    """Markdown: one row a key, in the order of the models."""
+    rows = ["| key | expected | what it is |", "|---|---|---|"]
+    rows += [row("", key) for key in schema.keys() if key not in schema.BLOCKS]
+    for block, model in schema.BLOCKS.items():
+        header = f"[[{block}]]" if block in schema.LISTS else f"[{block}]"
+        many = f"{schema.said('', block)[2]}. " if block in schema.LISTS else ""
+        rows.append(f"| **`{header}`** | | {many}{' '.join((model.__doc__ or '').split())} |")
+        rows += [row(block, key) for key in schema.keys(block)]
+    return "\n".join(rows) + "\n"
+
+
+def row(block: str, key: str) -> str:
+    what, _, expected = schema.said(block, key)
+    model = schema.BLOCKS[block] if block else schema.Description
+    needed = next(info for name, info in model.model_fields.items() if key == (info.alias or name)).is_required()
+    return f"| `{key}`{' *' if needed else ''} | {expected} | {what} |"
+
+
+def written() -> str:
+    """What stands on the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    return text[text.index(BEGIN) + len(BEGIN) : text.index(END)]
+
+
+if __name__ == "__main__":
+    page = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(page.replace(BEGIN + written() + END, BEGIN + table() + END), encoding="utf-8")
