@@ -17,6 +17,7 @@ PALETTE = (  # warm and dark ones, which stand out on blue water; neighbours dif
     (0.90, 0.52, 0.60),  # rose
     (0.27, 0.30, 0.34),  # slate
 )
+BLUNT = 0.25  # height of the first section over the head's, from which a nose is a wall
 NOSE = np.linspace(0.15, np.pi / 2, 7)  # rad, where a nose has its rings; the first is small, not a point: it has a normal
 
 
@@ -29,19 +30,19 @@ def colour_of(robot: Robot, i: int) -> tuple[float, float, float]:
 def drawn_sections(robot: Robot, i: int) -> np.ndarray:
     """The rows (S, 3) of link i's sections [m] as pictures show them: the head's front end is rounded off.
 
-    A first section of height h0 is a flat wall. It becomes half an ellipsoid of the depth r = h0 / 2, at most a quarter of the
-    link, inside the described length: its rings stand at r (1 - cos a) and have sin a of the size.
+    A first section is a flat wall, h0 high. One that is higher than a quarter of the head becomes half an ellipsoid inside the
+    described length, as deep as r = h0 / 2 (at most a quarter of the link), as high and wide as the link is at r: its rings
+    stand at r (1 - cos a) and have sin a of that.
     """
     link = robot.links[i]
     rows = np.array(link.sections, float)
-    depth = min(rows[0, 1] / 2, link.length / 4)
-    if i or depth <= 0:
+    depth = min(rows[0, 1:].max() / 2, link.length / 4)
+    if i or depth <= 0 or rows[0, 1] < BLUNT * rows[:, 1].max():
         return rows
-    stations = np.union1d(np.r_[0.0, depth * (1 - np.cos(NOSE[1:]))], rows[:, 0])
-    share = np.sqrt(np.clip(1 - (1 - stations / depth) ** 2, 0, 1))
-    share = np.where(stations < depth, np.maximum(share, np.sin(NOSE[0])), 1.0)
-    h, w = (np.interp(stations, rows[:, 0], rows[:, k]) for k in (1, 2))
-    return np.stack([stations, h * share, w * share], 1)
+    behind = rows[rows[:, 0] > depth * (1 + 1e-9)]
+    full = np.array([np.interp(depth, rows[:, 0], rows[:, k]) for k in (1, 2)])
+    stations = np.r_[0.0, depth * (1 - np.cos(NOSE[1:]))]
+    return np.concatenate([np.column_stack([stations, np.sin(NOSE)[:, None] * full]), behind])
 
 
 __all__ = ["PALETTE", "colour_of", "drawn_sections"]

@@ -120,8 +120,8 @@ def servo_from_sheet(
         eta = gear_efficiency(stall_torque, no_load_speed, voltage, stall_current)
         if eta > 1.0 + 1e-9 or eta < LEAST:
             raise ConfigError(
-                f"{where}: {stall_torque:.3g} N m, {no_load_speed:.3g} rad/s and {stall_current:.3g} A at {voltage:.3g} V contradict"
-                f" each other: {100 * eta:.3g} % of the stalled motor's torque would come out of its gears, expected"
+                f"{where}: {stall_torque:.3g} N m, {no_load_speed:.3g} rad/s and {stall_current:.3g} A at {voltage:.3g} V"
+                f" contradict each other: {100 * eta:.3g} % of the stalled motor's torque would come out of its gears, expected"
                 f" {100 * LEAST:g} to 100 %; are the units right (kg cm or N m, s/60deg or rpm), and all at one voltage?"
             )
     torque, speed = _digits(stall_torque, 4), _digits(no_load_speed, 4)

@@ -1,4 +1,4 @@
-"""`python -m fishmj.new`: describe your fish: eight answers, a table of sections or a photo make a description, checked and drawn."""
+"""`python -m fishmj.new`: describe your fish: eight answers, a table of sections or a photo become a checked description."""
 
 import argparse
 import sys
@@ -162,14 +162,13 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | 
     """Check the description as it reads back, write everything, say what was found."""
     from fishmj import store
     from fishmj.mjcf.description import load_robot
-    from fishmj.new.check import SECONDS, checks, swim_of
+    from fishmj.new.check import checks, swim_of
     from fishmj.new.picture import picture
 
     text = toml_of(robot, fish)
     with tempfile.TemporaryDirectory() as folder:  # nothing is written that does not read back
         robot = load_robot(store.write_text(Path(folder) / files["description"].name, text))
-    with console.Progress(SECONDS, "swim", unit="sim s", every=5.0) as bar:
-        swim = swim_of(robot, lambda seconds: bar.update(seconds))
+    swim = swim_of(robot)
     found = checks(robot, swim)
     store.write_text(files["description"], text)
     store.write_bytes(files["picture"], picture(robot))

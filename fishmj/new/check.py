@@ -17,6 +17,10 @@ GOOD, WRONG = (0.8, 1.25), (0.5, 2.0)  # factor on the widths
 FAST, FASTEST = 0.7, 1.0  # peak rate of the beat over the no-load speed
 STRONG = 0.7  # peak torque over the stall torque
 SLOW = 0.05  # body lengths a second, below which it does not swim
+SIZES = "the mass, a height or a width is off: the hull as measured does not displace what the fish weighs"
+SPEED = "beat slower or smaller, or take a faster servo"
+TORQUE = "beat slower or smaller, or take a stronger servo; at the stall torque the joints lag behind"
+STRONGER = "a servo far too strong for so light a fish shakes it to pieces at 4 ms a step; check both"
 OK, LOOK, FALSE = "ok", "look", "wrong"
 
 
@@ -42,40 +46,40 @@ class Swim(NamedTuple):
 
 def checks(robot: Robot, swim: Swim) -> list[Check]:
     """All checks of a description and its swim."""
-    g, servo = geometry_of(robot), robot.servo
+    g, servo, length = geometry_of(robot), robot.servo, robot.length
     raw = displaced(robot.links, robot.density_water).sum()
     gap = float(np.abs(g.mass - g.displaced).max())
-    trim = float(np.sum(g.displaced * (g.origin + g.buoyancy)) / robot.mass)
+    trim = -float(np.sum(g.displaced * (g.origin + g.buoyancy)) / robot.mass)
     depth = float(-np.sum(g.mass * g.com[:, 2]) / robot.mass)
     rate = 2 * np.pi * swim.frequency * swim.amplitude / servo.speed_no_load
-    load = swim.torque / servo.torque
-    length = robot.length
-    pace = swim.speed / length
-    widths = "mass, a height or a width is off" if not GOOD[0] <= g.width_scale <= GOOD[1] else ""
+    load, pace = swim.torque / servo.torque, swim.speed / length
+    beat = f"servo speed, {swim.frequency:g} Hz and {np.degrees(swim.amplitude):.3g} deg"
+    torque = f"{swim.torque:.3g} N m, {100 * load:.0f} % of stall"
+    weight = f"{robot.mass:.4g} kg, the mass"
+    share, tilt = _graded(gap / robot.mass, (0, 1e-3)), _graded(abs(trim) / length, (0, 0.01))
     return [
-        Check("width scale", f"{g.width_scale:.3f}", "0.8 to 1.25", _graded(g.width_scale, GOOD, WRONG), widths),
-        Check("hull as measured displaces", f"{raw:.4g} kg", f"the mass, {robot.mass:.4g} kg", _graded(raw / robot.mass, GOOD, WRONG)),
-        Check("link weighs what it displaces", f"within {1000 * gap:.2g} g", "within 1 g", OK if gap < max(1e-3, 1e-3 * robot.mass) else LOOK),
-        Check("trim: mass ahead of buoyancy", f"{-1000 * trim:.2g} mm", "within 1 % of length", OK if abs(trim) < 0.01 * length else LOOK),
-        Check("mass below buoyancy", f"{1000 * depth:.3g} mm", "above 0", OK if depth > 0 else FALSE, "" if depth > 0 else "add ballast low"),
-        Check(
-            f"servo speed, {swim.frequency:g} Hz and {np.degrees(swim.amplitude):.3g} deg", f"{100 * rate:.0f} % of no-load",
-            "below 70 %", _graded(rate, (0, FAST), (0, FASTEST)), "" if rate < FAST else "beat slower or smaller, or take a faster servo",
-        ),
-        Check(
-            "joint torque as it swims", f"{swim.torque:.3g} N m, {100 * load:.0f} % of stall", "below 70 %",
-            _graded(load, (0, STRONG), (0, np.inf)), "" if load < STRONG else "the drive saturates at times; beat slower, or a stronger servo",
-        ),
-        Check("stays finite", "yes" if swim.finite else "no", "yes", OK if swim.finite else FALSE),
-        Check(
+        _line("width scale", f"{g.width_scale:.3f}", "0.8 to 1.25", _graded(g.width_scale, GOOD, WRONG), SIZES),
+        _line("hull as measured displaces", f"{raw:.4g} kg", weight, _graded(raw / robot.mass, GOOD, WRONG)),
+        _line("link weighs what it displaces", f"within {1000 * gap:.1g} g", "within 0.1 %", share),
+        _line("trim: mass ahead of buoyancy", f"{1000 * trim:.1f} mm", "within 1 % of length", tilt),
+        _line("mass below buoyancy", f"{1000 * depth:.3g} mm", "above 0", OK if depth > 0 else FALSE, "add ballast low"),
+        _line(beat, f"{100 * rate:.0f} % of no-load", "below 70 %", _graded(rate, (0, FAST), (0, FASTEST)), SPEED),
+        _line("joint torque as it swims", torque, "below 70 %", _graded(load, (0, STRONG)), TORQUE),
+        _line("stays finite", "yes" if swim.finite else "no", "yes", OK if swim.finite else FALSE, STRONGER),
+        _line(
             "swims ahead", f"{swim.speed:.3g} m/s, {pace:.2f} lengths/s", f"above {SLOW:g} lengths/s",
-            OK if pace > SLOW else FALSE, "" if pace > SLOW else "see the servo's lines; is the tail fin's height right?",
+            OK if pace > SLOW else FALSE, "see the servo's lines; is the tail fin as high as it says?",
         ),
     ]  # fmt: skip
 
 
-def swim_of(robot: Robot, progress=lambda seconds: None) -> Swim:
-    """Build the MuJoCo model and let it swim with a travelling wave in its prior water, still. progress: called with s."""
+def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") -> Check:
+    """A line of the table; advice only where something is not as expected."""
+    return Check(what, found, expected, verdict, "" if verdict == OK else advice)
+
+
+def swim_of(robot: Robot) -> Swim:
+    """Build the MuJoCo model and let it swim with a travelling wave in its prior water, at rest."""
     from fishmj.sim import Sim
 
     joints = np.arange(robot.n_joints)
@@ -89,7 +93,6 @@ def swim_of(robot: Robot, progress=lambda seconds: None) -> Swim:
             sim.step(min(t, 1.0) * amplitude * np.sin(2 * np.pi * BEAT * t - lag * joints))
             track.append(sim.pose[:3])
             torque = max(torque, float(np.abs(sim.data.actuator_force).max()))
-            progress(t)
     except SimDiverged:
         return Swim(BEAT, amplitude, float("nan"), torque, False)
     start, end = track[-1 - round(SETTLED / robot.timing.bus_dt)], track[-1]
@@ -98,7 +101,7 @@ def swim_of(robot: Robot, progress=lambda seconds: None) -> Swim:
     return Swim(BEAT, amplitude, ahead, torque, bool(np.isfinite(track).all()))
 
 
-def _graded(value: float, good: tuple[float, float], possible: tuple[float, float]) -> str:
+def _graded(value: float, good: tuple[float, float], possible: tuple[float, float] = (-np.inf, np.inf)) -> str:
     return OK if good[0] <= value <= good[1] else LOOK if possible[0] <= value <= possible[1] else FALSE
 
 

@@ -54,7 +54,7 @@ def toml_of(robot: Robot, fish: Fish) -> str:
     words = {"given": "given on the command line", "asked": "asked", "default": "default, not measured"}
     said = {key: words[value] for key, value in fish.origin.items()}
     source = fish.outline.source
-    high, wide = fish.outline.rows[:, 1:].max(0)
+    high, wide = fish.outline.body
     sizes = {"length": f"{fish.outline.length:g} m", "height": f"{high:.4g} m", "width": f"{wide:.4g} m"}
     sizes |= {"tail_height": f"{fish.outline.rows[-1, 1]:.4g} m", "mass": f"{fish.mass:g} kg"}
     sizes |= {"joints": ", ".join(f"{x:.4g}" for x in fish.joints) + " m from the nose"}
@@ -71,8 +71,8 @@ def toml_of(robot: Robot, fish: Fish) -> str:
         f"density_water = {robot.density_water}   # kg/m3, fresh water",
         "",
         f"# sections: [distance from the front of the link, height, width], elliptical, linear in between; from {source}.",
-        "# mass and com are derived: every link weighs what it displaces and balances about its own centroid, so that a bent fish",
-        "# stays trimmed; com is [back from the front, left, up], its depth 0.2 of the body's height, a guess: weigh the ballast.",
+        "# mass and com are derived: every link weighs what it displaces and balances about its own centroid, so that a bent",
+        "# fish stays trimmed. com is [back from the front, left, up]; its depth, 0.2 of the body's height, is a guess.",
     ]
     for link in robot.links:
         lines += _link(link)
@@ -87,7 +87,7 @@ def toml_of(robot: Robot, fish: Fish) -> str:
             "",
         ]
     lines += [*_servo(robot.servo, fish.sheet), *_timing(robot.timing), *_water(robot.water)]
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
 
 
 def _link(link: Link) -> list[str]:
@@ -147,7 +147,7 @@ def _water(water: dict) -> list[str]:
     }
     text = lambda v: f'"{v}"' if isinstance(v, str) else str(v)  # noqa: E731
     rows = [f"{key} = {text(value)}" + (f"  # {notes[key]}" if key in notes else "") for key, value in water.items()]
-    return ["[water]                      # prior: values from the literature (docs/water.md), fitted to no flow", *rows, ""]
+    return ["[water]                      # prior: values from the literature (docs/water.md), fitted to no flow", *rows]
 
 
 __all__ = ["Fish", "robot_of", "toml_of"]

@@ -67,7 +67,7 @@ def read_photo(
     total = length if length is not None else found
     unit = total / pixels  # m per pixel of the small picture
     x, height = _profile(along, across, pixels)
-    rows = _sections(x * unit, height * unit)
+    rows = _sections(x * (total / x[-1]), height * unit)
     greatest = width if width is not None else width_ratio * rows[:, 1].max()
     rows[:, 2] = greatest * np.maximum(typical_width(rows[:, 0] / rows[-1, 0]), 0.01)
     outline = Outline(rows, root_of_fin(rows[:, 0], rows[:, 1]), f"photo {path.name}")
@@ -151,12 +151,14 @@ def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
     contrast = float(np.median(away[mask]) - np.median(rest)), float(rest.std() + 1e-6)
     if contrast[0] < max(CONTRAST * contrast[1], VISIBLE):
         raise ConfigError(
-            f"{unclear}the largest thing differs from the background by {contrast[0]:.3g}, which varies by {contrast[1]:.3g}{advice}"
+            f"{unclear}the largest thing differs from the background by {contrast[0]:.3g}, which itself varies"
+            f" by {contrast[1]:.3g}{advice}"
         )
     share = areas[order[0]] / mask.size
     if not AREA[0] <= share <= AREA[1]:
         raise ConfigError(
-            f"{unclear}the largest thing covers {100 * share:.2g} % of the picture, expected {100 * AREA[0]:g} to {100 * AREA[1]:g}{advice}"
+            f"{unclear}the largest thing covers {100 * share:.2g} % of the picture, expected {100 * AREA[0]:g} to"
+            f" {100 * AREA[1]:g}{advice}"
         )
     if len(order) > 1 and areas[order[1]] > OTHERS * areas[order[0]]:
         raise ConfigError(f"{unclear}there are two things of like size, {areas[order[0]]} and {areas[order[1]]} pixels{advice}")
@@ -168,7 +170,8 @@ def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
     values = np.linalg.eigvalsh(np.cov(np.stack(np.nonzero(filled))))
     if values[1] < SLENDER**2 * values[0]:
         raise ConfigError(
-            f"{unclear}the largest thing is {np.sqrt(values[1] / values[0]):.2g} times as long as high, expected {SLENDER:g} or more{advice}"
+            f"{unclear}the largest thing is {np.sqrt(values[1] / values[0]):.2g} times as long as high, expected {SLENDER:g}"
+            f" or more{advice}"
         )
     return filled.astype(bool)
 

@@ -1,6 +1,6 @@
 """The hull of a fish as one outline from nose to tail, and the links that joints cut it into. Metres from the nose."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +32,13 @@ class Outline:
     def length(self) -> float:
         """Nose to tail, m."""
         return float(self.rows[-1, 0])
+
+    @property
+    def body(self) -> tuple[float, float]:
+        """Greatest height and width in front of the tail fin, m."""
+        body = self.rows if self.fin_at is None else self.rows[self.rows[:, 0] <= self.fin_at]
+        high, wide = body[:, 1:].max(0)
+        return float(high), float(wide)
 
     def at(self, x) -> np.ndarray:
         """Rows (.., 3) at stations x [m], linear in between."""
@@ -92,8 +99,8 @@ def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
     for front, rear in zip(edges[:-1], edges[1:], strict=True):
         if rear - front < SHORTEST * total - 1e-9:
             raise ConfigError(
-                f"new: joints at {', '.join(f'{x:g}' for x in joints)} m from the nose: they must rise, lie inside the {total:g} m of the"
-                f" fish, and leave every link {SHORTEST * total:.3g} m or more"
+                f"new: joints at {', '.join(f'{x:g}' for x in joints)} m from the nose: they must rise, lie inside the fish of"
+                f" {total:g} m, and leave every link {SHORTEST * total:.3g} m or more"
             )
     names = ["head", *(f"body{i}" for i in range(1, len(edges) - 2)), "tail"][: len(edges) - 1]
     made = []
@@ -109,9 +116,4 @@ def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
     return tuple(made)
 
 
-def widened(outline: Outline, factor: float) -> Outline:
-    """The same with all widths times `factor`."""
-    return replace(outline, rows=outline.rows * [1.0, 1.0, factor])
-
-
-__all__ = ["LINKS", "Outline", "cut", "joints_of", "root_of_fin", "typical", "typical_width", "widened"]
+__all__ = ["LINKS", "Outline", "cut", "joints_of", "root_of_fin", "typical", "typical_width"]
