@@ -25,7 +25,7 @@ Exit 1: the description was written, and a check says that it is wrong.
 
 def options() -> console.Parser:
     from fishmj.mjcf.servos import SHELF
-    from fishmj.new.answers import CURRENT, HEIGHT, LENGTH, MASS, RATE, TAIL, TORQUE, VOLTAGE, WIDTH
+    from fishmj.new.answers import CURRENT, HEIGHT, LENGTH, RATE, TAIL, TORQUE, VOLTAGE, WIDTH
     from fishmj.new.quantity import KINDS, quantity
     from fishmj.new.shape import LINKS
 
@@ -57,7 +57,7 @@ def options() -> console.Parser:
     a.add_argument(
         "--mass",
         metavar="KG",
-        help="as it swims, {:g} to {:g} kg, half to twice what the hull displaces (asked; default that)".format(*MASS),
+        help="as it swims, half to twice what the hull displaces (asked; default what it displaces)",
     )
     a.add_argument("--links", metavar="N", help="rigid links, {} to {} (asked; default 4)".format(*LINKS))
     a.add_argument("--joints", metavar="M,..", help="in place of --links: the joints' distances from the nose")
@@ -180,7 +180,12 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | 
     written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if overlay is not None else ()))}
     console.say(*(f"wrote {path}" for path in written.values()), "", *next_steps(files["description"], robot.name))
     if args.json:
-        facts = {"speed": swim.speed, "lengths_per_second": swim.speed / robot.length, "torque": swim.torque, "mass": robot.mass}
+        facts = {
+            "speed": swim.speed,
+            "lengths_per_second": swim.speed / robot.length,
+            "torque": swim.torque,
+            "mass": round(robot.mass, 9),
+        }
         console.emit_json({**written, "name": robot.name, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
     return console.FAILED_CHECK if wrong else console.OK
 

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from fishmj import names
-from fishmj.calib import read_toml
+from fishmj.calib import read_toml, resolve, shipped
 from fishmj.errors import ConfigError, FishmjError, UnknownName, UsageError
 from fishmj.mjcf.servos import SHELF, Sheet
 from fishmj.new.quantity import quantity
 from fishmj.new.shape import LINKS, Outline, joints_of, typical
 
 LENGTH = (0.05, 5.0)  # m
-MASS = (0.005, 500.0)  # kg
 HEIGHT, WIDTH, TAIL = (0.03, 0.6), (0.02, 0.6), (0.02, 0.8)  # over the length
 FLOATS = (0.5, 2.0)  # mass over what the hull displaces; further off it is another fish
 TORQUE, RATE, VOLTAGE, CURRENT = (0.005, 300.0), (0.1, 100.0), (1.0, 60.0), (0.01, 100.0)
@@ -86,7 +85,7 @@ def sheet_file(path: Path) -> Sheet:
         raise ConfigError(
             f"{path}: unknown {sorted(unknown)}, missing {sorted(missing)}; a servo has {', '.join(('name', *SHEET))}"
         )
-    values = {}
+    values: dict[str, float] = {}
     for key, (kind, low, high) in SHEET.items():
         if key in table:
             try:
@@ -100,9 +99,14 @@ def sheet_file(path: Path) -> Sheet:
 
 def _name(text: str, _known: Known) -> str:
     try:
-        return names.checked(text.strip(), "robot")
+        name = names.checked(text.strip(), "robot")
     except ConfigError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+    if name in {*shipped(), *(read_toml(resolve(fish)).get("name") for fish in shipped())}:
+        raise argparse.ArgumentTypeError(
+            f"{name!r} is a shipped fish or calibration, whose water and logs it would mix with; choose another"
+        )
+    return name
 
 
 def _size(low: float, high: float) -> tuple[Callable[[str, Known], float], Callable[[Known], str]]:
@@ -122,7 +126,7 @@ def hull(known: Known) -> Outline:
 
 def _mass_range(known: Known) -> tuple[float, float]:
     floats = hull(known).displaced
-    return max(MASS[0], FLOATS[0] * floats), min(MASS[1], FLOATS[1] * floats)
+    return FLOATS[0] * floats, FLOATS[1] * floats
 
 
 (_height, _heights), (_width, _widths), (_tail, _tails) = _size(*HEIGHT), _size(*WIDTH), _size(*TAIL)
