@@ -280,7 +280,7 @@ def test_the_outline_of_a_photo_is_the_fish_that_was_drawn(tmp_path, name, view)
     found = np.concatenate([np.array(link.sections)[:, :2] + [a, 0] for link, a in zip(robot.links, starts, strict=False)])
     inside = (found[:, 0] > 0.015) & (found[:, 0] < 0.585)
     off = np.abs(found[:, 1] - np.interp(found[:, 0], rows[:, 0], rows[:, 1]))[inside]
-    assert robot.length == pytest.approx(0.6, abs=1e-6) and off.max() < 0.006 and off.mean() < 0.002  # m; a pixel is 1 mm
+    assert robot.length == pytest.approx(0.6, abs=1e-6) and off.max() < 0.006 and off.mean() < 0.0015  # m; a pixel is 1 mm
     plate = [a + link.fin_from for a, link in zip(starts, robot.links, strict=False) if link.fin_from is not None]
     assert plate[0] == pytest.approx(0.765 * 0.6, abs=0.015)
     overlay = cv2.imread("pike-outline.png")

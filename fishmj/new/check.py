@@ -61,7 +61,7 @@ def checks(robot: Robot, swim: Swim) -> list[Check]:
         _line("width scale", f"{g.width_scale:.3f}", "0.8 to 1.25", _graded(g.width_scale, GOOD, WRONG), SIZES),
         _line("hull as measured displaces", f"{raw:.4g} kg", weight, _graded(raw / robot.mass, GOOD, WRONG)),
         _line("link weighs what it displaces", f"within {1000 * gap:.1g} g", "within 0.1 %", share),
-        _line("trim: mass ahead of buoyancy", f"{1000 * trim:.1f} mm", "within 1 % of length", tilt),
+        _line("trim: mass ahead of buoyancy", f"{round(1000 * trim, 1) + 0.0:.1f} mm", "within 1 % of length", tilt),
         _line("mass below buoyancy", f"{1000 * depth:.3g} mm", "above 0", OK if depth > 0 else FALSE, "add ballast low"),
         _line(beat, f"{100 * rate:.0f} % of no-load", "below 70 %", _graded(rate, (0, FAST), (0, FASTEST)), SPEED),
         _line("joint torque as it swims", torque, "below 70 %", _graded(load, (0, STRONG)), TORQUE),
