@@ -4,6 +4,7 @@ All fish and pictures here are synthetic.
 """
 
 import json
+import tomllib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from fishmj import cli, console, controllers
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.mjcf import geometry_of, load_robot
-from fishmj.mjcf.description import Link
+from fishmj.mjcf.description import Link, robot_from_dict
 from fishmj.mjcf.drawing import PALETTE, colour_of, drawn_sections
 from fishmj.mjcf.outline import loft
 from fishmj.mjcf.priors import balanced, displaced, plate_share, water_prior
@@ -23,8 +24,10 @@ from fishmj.mjcf.servos import SHELF, gear_efficiency, servo_from_sheet, sheet_o
 from fishmj.mjcf.skin import skin
 from fishmj.new import __main__ as verb
 from fishmj.new.answers import QUESTIONS
+from fishmj.new.describe import Fish, toml_of
 from fishmj.new.quantity import quantity
 from fishmj.new.shape import cut, joints_of, typical
+from fishmj.new.table import read_sections
 from fishmj.sim import Sim
 
 cv2 = pytest.importorskip("cv2")
@@ -345,6 +348,41 @@ def test_truncated_pictures_are_refused(tmp_path, capsys, name, share):
     data = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(data[: int(share * len(data)) - 1])
     assert "truncated" in refused(capsys, "pike", f"--photo={name}", "--length=0.6", *PHOTO)
+
+
+def test_a_file_name_stays_a_comment(tmp_path):
+    """A name with a line break would otherwise write into the description."""
+    name = 'a\nname = "evil"\n.csv'
+    table(tmp_path / name)
+    assert new("pike", f"--sections={name}", "--mass=1.1", "--links=4", "--servo=lx-824") == console.OK
+    assert load_robot("pike.toml").name == "pike" and "table of sections a_name_evil_.csv" in (tmp_path / "pike.toml").read_text()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rows=st.lists(st.tuples(*[st.floats(1e-9, 0.2)] * 3), min_size=1, max_size=12),
+    links=st.integers(2, 10),
+    shift=st.floats(-0.05, 0.05),
+)
+def test_whatever_a_table_holds_is_a_description_or_one_error(tmp_path_factory, rows, links, shift):
+    """Random steps, heights and widths; the links read back with stations that rise, or the table is refused."""
+    folder = tmp_path_factory.mktemp("table")
+    x = np.cumsum([0.0, *(row[0] for row in rows)])
+    lines = [f"{a!r},{h!r},{w!r}" for a, (_, h, w) in zip(x.tolist(), [rows[0], *rows], strict=True)]
+    (folder / "t.csv").write_text("\n".join(["x,height,width", *lines]))
+    try:
+        outline = read_sections(folder / "t.csv")
+        made = cut(outline, [a + shift for a in joints_of(outline.length, links)])
+    except ConfigError as error:
+        assert "\n" not in str(error)
+        return
+    fish = Fish(
+        name="pike", outline=outline, mass=1.0, joints=[0.1] * (links - 1), sheet=SHELF["lx-824"], side_span=0.0, origin={}
+    )
+    text = toml_of(replace(load_robot("fish"), links=made, fins=(), water=water_prior(made)), fish)
+    back = robot_from_dict(tomllib.loads(text.replace("mass_total = ", "# ")), "t.toml")
+    assert [link.sections for link in back.links] == [link.sections for link in made]
+    assert all((np.diff([row[0] for row in link.sections]) > 0).all() for link in back.links)
 
 
 # servos

@@ -93,7 +93,9 @@ def sheet_file(path: Path) -> Sheet:
             except argparse.ArgumentTypeError as error:
                 raise ConfigError(f"{path}: {key}: {error}") from error
     return Sheet(
-        name=names.checked(table.get("name", path.stem), "servo", str(path)), source=f"data sheet in {path.name}", **values
+        name=names.checked(table.get("name", path.stem), "servo", str(path)),
+        source=f"data sheet in {names.nearest(path.name)}",
+        **values,
     )
 
 

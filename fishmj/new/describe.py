@@ -67,7 +67,7 @@ def toml_of(robot: Robot, fish: Fish) -> str:
         f'title = "{robot.title}"',
         "",
         "[body]",
-        f"mass_total = {round(robot.mass, 9)}  # kg, {said['mass']}; the links' masses must add up to it",
+        f"mass_total = {round(robot.mass, 9)}  # kg, {said.get('mass', 'derived')}; the links' masses must add up to it",
         f"density_water = {robot.density_water}   # kg/m3, fresh water",
         "",
         f"# sections: [distance from the front of the link, height, width], elliptical, linear in between; from {source}.",

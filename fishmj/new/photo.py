@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.errors import ConfigError, MissingExtra
+from fishmj.names import nearest
 from fishmj.new.shape import Outline, root_of_fin, typical_width
 
 BYTES = 50_000_000  # of the file
@@ -58,19 +59,19 @@ def read_photo(
     along, across, axis, middle = _axis(mask, nose)
     pixels = float(np.ptp(along)) + 1
     found = None if scale is None else scale * pixels / factor
-    if found is None and length is None:
+    total = length if length is not None else found
+    if total is None:
         raise ConfigError(f"new: {path}: no scale; give --length, the fish's in m, or --scale, m per pixel of the file")
     if found is not None and length is not None and abs(found / length - 1) > 0.05:
         raise ConfigError(
             f"new: {path}: --scale {scale:g} makes the fish {found:.3g} m long, --length says {length:g} m; mend one of them"
         )
-    total = length if length is not None else found
     unit = total / pixels  # m per pixel of the small picture
     x, height = _profile(along, across, pixels)
     rows = _sections(x * (total / x[-1]), height * unit)
     greatest = width if width is not None else width_ratio * rows[:, 1].max()
     rows[:, 2] = greatest * np.maximum(typical_width(rows[:, 0] / rows[-1, 0]), 0.01)
-    outline = Outline(rows, root_of_fin(rows[:, 0], rows[:, 1]), f"photo {path.name}")
+    outline = Outline(rows, root_of_fin(rows[:, 0], rows[:, 1]), f"photo {nearest(path.name)}")
     overlay = _overlay(cv2, small, mask, rows / unit, axis, middle, float(along.min()))
     return Seen(outline, overlay, unit * factor)
 

@@ -107,6 +107,7 @@ def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
     for i, (front, rear) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
         length = round(rear - front, 6)
         inside = outline.rows[(outline.rows[:, 0] > front + 1e-4 * total) & (outline.rows[:, 0] < rear - 1e-4 * total), 0]
+        inside = inside[np.diff(inside, prepend=front) > 1e-4 * total]  # rounded stations must still rise
         rows = outline.at(np.concatenate([[front], inside, [rear]]))
         stations = [0.0, *(round(float(x) - front, 6) for x in inside), length]
         sections = tuple((s, round(float(h), 6), round(float(w), 6)) for s, (_, h, w) in zip(stations, rows, strict=True))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import ConfigError
+from fishmj.names import nearest
 from fishmj.new.quantity import KINDS
 from fishmj.new.shape import Outline, root_of_fin
 
@@ -15,6 +16,7 @@ COLUMNS = ("x", "height", "width")
 LARGEST = 1_000_000  # bytes
 ROWS = (3, 500)
 SIZE = (0.02, 10.0)  # m, of the whole fish
+THINNEST = 1e-5  # m, of a section
 UNITS = KINDS["length"].units
 
 
@@ -51,7 +53,7 @@ def read_sections(path: Path, unit: str | None = None) -> Outline:
         raise ConfigError(
             f"{path}: a section of {rows[:, 1:].max():g} m in a fish of {x[-1]:g} m; are all columns in the same unit?"
         )
-    return Outline(rows, root_of_fin(x, rows[:, 1]), f"table of sections {path.name}")
+    return Outline(rows, root_of_fin(x, rows[:, 1]), f"table of sections {nearest(path.name)}")
 
 
 def _text(path: Path) -> str:
@@ -90,9 +92,9 @@ def _row(path: Path, line: int, row: list[str], columns: list[tuple[int, float, 
             value = float(cell) * factor
         except ValueError:
             value = math.nan
-        if not math.isfinite(value) or value < 0 or (value == 0 and name != "x"):
-            least = "0 or more" if name == "x" else "above 0"
-            raise ConfigError(f"{path}:{line}: {name} = {cell[:40]!r}; expected a number {least}")
+        least = 0.0 if name == "x" else THINNEST
+        if not math.isfinite(value) or value < least:
+            raise ConfigError(f"{path}:{line}: {name} = {cell[:40]!r}; expected a number of {least:g} m or more")
         values.append(value)
     return values
 
