@@ -182,6 +182,15 @@ def test_a_servo_that_cannot_move_the_fish_fails_the_check(capsys):
     assert "wrong" in capsys.readouterr().out and load_robot("pike.toml").name == "pike"
 
 
+def test_the_head_has_the_share_that_was_asked_for():
+    assert (
+        joints_of(1.0, 2) == [0.6] and joints_of(1.0, 2, 0.5) == [0.5] and joints_of(1.0, 4) == pytest.approx([0.4, 0.54, 0.68])
+    )
+    for head in (0.1, 0.4, 0.8):
+        for links in range(2, 11):
+            assert cut(typical(1.0, 0.2, 0.1, 0.2), joints_of(1.0, links, head))[0].length == pytest.approx(head)
+
+
 # tables of sections
 
 

@@ -62,11 +62,7 @@ def options() -> console.Parser:
     a.add_argument("--links", metavar="N", help="rigid links, {} to {} (asked; default 4)".format(*LINKS))
     a.add_argument("--joints", metavar="M,..", help="in place of --links: the joints' distances from the nose")
     a.add_argument(
-        "--head",
-        type=console.number(0.1, 0.8),
-        default=0.4,
-        metavar="SHARE",
-        help="of the length, 0.1 to 0.8, with --links (default 0.4)",
+        "--head", type=console.number(0.1, 0.8), metavar="SHARE", help="of the length, 0.1 to 0.8, with --links (default 0.4)"
     )
     a.add_argument(
         "--servo", metavar="NAME", help=f"{', '.join(SHELF)}, or a TOML file with the data sheet (asked; default lx-824)"

@@ -46,7 +46,7 @@ def links(text: str, known: Known) -> list[float]:
         n = int(text)
         if not LINKS[0] <= n <= LINKS[1]:
             raise argparse.ArgumentTypeError(f"got {text.strip()!r}, expected {LINKS[0]} to {LINKS[1]} links")
-        return joints_of(length, n, known.get("head", 0.4))
+        return joints_of(length, n, known.get("head"))
     return joints(text, length)
 
 

@@ -10,6 +10,8 @@ from fishmj.mjcf.drawing import PALETTE
 from fishmj.mjcf.priors import displaced
 
 HEAD, TAIL = 0.40, 0.68  # shares of the length at which the head ends and the tail begins, as in the default fish
+ALONE = 0.60  # share of a head with no body behind it
+ROOM, LAST = 0.06, 0.97  # between joints behind a long head; where the last joint may be at most
 DEEPEST = 0.22  # share of the length at which the body is highest
 LINKS = (2, 10)  # of a fish that this verb makes
 SHORTEST = 0.02  # of a link, over the fish
@@ -81,11 +83,17 @@ def root_of_fin(x: np.ndarray, height: np.ndarray) -> float | None:
     return float(x[i]) if height[i:].max() > 7 / 6 * height[i] else None
 
 
-def joints_of(length: float, links: int, head: float = HEAD) -> list[float]:
-    """Stations (links - 1,) of the joints for a number of links: the head, bodies of one length, a tail of a third; m."""
+def joints_of(length: float, links: int, head: float | None = None) -> list[float]:
+    """Stations (links - 1,) of the joints, m: the head, bodies of one length, a tail of a third or of what is left.
+
+    Args:
+        head: its share of the length; by default 0.4, and 0.6 of a fish that has only a head and a tail.
+    """
     if links == 2:
-        return [max(head, 0.6) * length]
-    return [float(x) for x in np.linspace(head, max(TAIL, head + 0.06 * (links - 2)), links - 1) * length]
+        return [(ALONE if head is None else head) * length]
+    first = HEAD if head is None else head
+    last = max(TAIL, min(first + ROOM * (links - 2), LAST))
+    return [float(x) for x in np.linspace(first, last, links - 1) * length]
 
 
 def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
