@@ -17,6 +17,7 @@ from fishmj.errors import UnknownName
 VERBS = (
     "doctor",
     "demo",
+    "new",
     "train",
     "evaluate",
     "experiments",

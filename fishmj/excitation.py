@@ -36,7 +36,8 @@ class Excitation:
     def __post_init__(self):
         shape = np.shape(self.commands)
         if len(shape) != 2 or shape[1] != JOINTS or not shape[0]:
-            raise ConfigError(f"excitation {self.id!r}: commands must be (T, {JOINTS}) rad, got shape {shape}")
+            needs = f"commands must be (T, {JOINTS}) rad, for a fish of {JOINTS} joints"
+            raise ConfigError(f"excitation {self.id!r}: {needs}; got shape {shape}")
         if not np.all(np.isfinite(self.commands)) or np.max(np.abs(self.commands)) > np.pi:
             raise ConfigError(f"excitation {self.id!r}: commands must be finite and within +-pi rad; are they degrees?")
 

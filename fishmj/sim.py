@@ -102,9 +102,12 @@ class Sim:
         """Advance one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.
 
         Raises:
+            ConfigError: the command is not finite, or for another number of joints.
             SimDiverged: the fish left the finite numbers; the last 100 states are saved and named in the message.
         """
         sent = bus_command(self.robot.servo, command)
+        if sent.shape != (self.robot.n_joints,):
+            raise ConfigError(f"Sim.step: command of shape {sent.shape}; {self.robot.name} has {self.robot.n_joints} joints")
         self.commands.append(sent)
         flow, power = self._meet_flow(), 0.0
         try:

@@ -33,7 +33,7 @@ class Link:
     sections: tuple[tuple[float, float, float], ...]  # (station, height, width) m, elliptical
     com: tuple[float, float, float] | None = None  # (back from the front, left, up) m; None = centroid
     fin_from: float | None = None  # behind this station the section is a plate, m
-    colour: tuple[float, float, float] = (0.4, 0.5, 0.6)
+    colour: tuple[float, float, float] | None = None  # RGB 0..1; None = of the palette, by index (mjcf.drawing)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.drawing import colour_of, drawn_sections
 from fishmj.mjcf.geometry import Geometry
 from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
 
@@ -18,14 +19,14 @@ def add_link(spec, body, robot: Robot, geometry: Geometry, i: int) -> None:
     """Hull mesh, fins and sites of link i on `body`."""
     link = robot.links[i]
     rear, front = geometry.span[i]
-    vertices, faces = loft(link, geometry, i)
+    vertices, faces = loft(robot, geometry, i)
     spec.add_mesh(
         name=f"{link.name}_hull",
         uservert=vertices.ravel(),
         userface=faces.ravel(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    shape = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": [*link.colour, 1.0]}
+    shape = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": [*colour_of(robot, i), 1.0]}
     body.add_geom(name=link.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{link.name}_hull", **shape)
     for fin in robot.fins:
         if fin.link == link.name:
@@ -59,10 +60,10 @@ def add_ellipsoid(body, geometry: Geometry, i: int) -> None:
     )
 
 
-def loft(link, geometry: Geometry, i: int) -> tuple[np.ndarray, np.ndarray]:
+def loft(robot: Robot, geometry: Geometry, i: int) -> tuple[np.ndarray, np.ndarray]:
     """Closed surface through the elliptical sections of link i: vertices (V, 3) [m, link frame] and triangles (F, 3)."""
-    rows = np.array(link.sections)
-    stations = np.union1d(np.linspace(0, link.length, STEPS), rows[:, 0])
+    rows = drawn_sections(robot, i)
+    stations = np.union1d(np.linspace(0, robot.links[i].length, STEPS), rows[:, 0])
     half_h = np.interp(stations, rows[:, 0], rows[:, 1]) / 2
     half_w = np.maximum(np.interp(stations, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2, 2e-4)  # visible from above
     turn = np.linspace(0, 2 * np.pi, RING, endpoint=False)

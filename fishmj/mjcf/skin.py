@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.mjcf.description import Fin, Robot
+from fishmj.mjcf.drawing import colour_of, drawn_sections
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
 ZONE = 0.3  # half-length of the bend zone over the shorter adjacent link
@@ -87,7 +88,7 @@ def bend(robot: Robot, hinge_x: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, 
 def _profile(robot: Robot, scale: float, smooth: bool):
     """Functions of the station from the nose [m] -> half-height, half-width [m]."""
     fronts = np.cumsum([0.0, *(link.length for link in robot.links)])
-    rows = np.concatenate([np.array(link.sections) + [front, 0, 0] for link, front in zip(robot.links, fronts, strict=False)])
+    rows = np.concatenate([drawn_sections(robot, i) + [fronts[i], 0, 0] for i in range(len(robot.links))])
     keep = np.concatenate([[True], np.diff(rows[:, 0]) > 1e-9])  # links meet in one section
     s, h, w = rows[keep].T
     h, w = h / 2, np.maximum(w * scale / 2, 2e-4)
@@ -105,7 +106,7 @@ def _hull(robot: Robot, g: Geometry, spacing: float, around: int, smooth: bool):
     for i, link in enumerate(robot.links):  # seams get two rings, so that colours meet in a sharp line
         n = max(2, int(np.ceil(link.length / spacing)))
         inner = fronts[i] + np.linspace(0, link.length, n + 1)
-        stations.append(np.union1d(inner, fronts[i] + np.array(link.sections)[:, 0]))
+        stations.append(np.union1d(inner, fronts[i] + drawn_sections(robot, i)[:, 0]))
         owners += [i] * len(stations[-1])
     s, owner = np.concatenate(stations), np.array(owners)
     half_h, half_w = profile(s)
@@ -130,7 +131,9 @@ def _hull(robot: Robot, g: Geometry, spacing: float, around: int, smooth: bool):
     ends += [np.stack([np.full(around, n * around + 1), (n - 1) * around + after, (n - 1) * around + k], 1)]
     vertices = np.concatenate([rings.reshape(-1, 3), [[x[0], 0, 0], [x[-1], 0, 0]]])
     normals = np.concatenate([normals, [[1, 0, 0], [-1, 0, 0]]])
-    base = np.array([link.colour for link in robot.links])[np.concatenate([np.repeat(owner, around), [0, owner[-1]]])]
+    base = np.array([colour_of(robot, i) for i in range(len(robot.links))])[
+        np.concatenate([np.repeat(owner, around), [0, owner[-1]]])
+    ]
     return vertices, normals, np.concatenate([faces, *ends]), _shaded(base, normals), vertices[:, 0]
 
 
@@ -161,7 +164,7 @@ def _fin(robot: Robot, g: Geometry, fin: Fin, side: float):
     quads = np.concatenate([np.stack([a, a + 7, a + 1], 1), np.stack([a + 1, a + 7, a + 8], 1)])
     down, up = (quads, quads[:, ::-1]) if side > 0 else (quads[:, ::-1], quads)
     normals = np.repeat([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], len(top), axis=0)
-    colour = np.tile(0.62 * np.array(link.colour), (len(vertices), 1))
+    colour = np.tile(0.62 * np.array(colour_of(robot, index)), (len(vertices), 1))
     return vertices, normals, np.concatenate([up, down + len(top)]), colour, np.full(len(vertices), front_x - middle)
 
 

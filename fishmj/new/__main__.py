@@ -1,0 +1,281 @@
+"""`python -m fishmj.new`: describe your fish: eight answers, a table of sections or a photo become a checked description."""
+
+import argparse
+import sys
+import tempfile
+import textwrap
+from pathlib import Path
+from typing import Any
+
+from fishmj import console
+from fishmj.errors import ConfigError, UsageError
+
+EXAMPLES = """
+examples
+  fishmj new                                                     asks eight questions
+  fishmj new carp --length 0.6 --height 0.11 --width 0.07 --tail-height 0.14 --mass 1.6 --links 5 --servo lx-824
+  fishmj new carp --length "60 cm" --links 5 --yes               defaults for the rest
+  fishmj new carp --sections table.csv --unit mm --joints 0.215,0.285,0.355 --mass 1.1 --servo lx-824
+  fishmj new carp --photo side.png --length 0.54 --nose right --mass 1.1 --width 0.062 --links 4 --servo lx-824
+  fishmj new carp --yes --stall-torque 20kgcm --no-load-speed 0.16s/60deg --voltage 7.4 --stall-current 3
+
+Exit 1: the description was written, and a check says that it is wrong.
+"""
+
+
+def options() -> console.Parser:
+    from fishmj.mjcf.servos import SHELF
+    from fishmj.new.answers import CURRENT, HEIGHT, LENGTH, RATE, TAIL, TORQUE, VOLTAGE, WIDTH
+    from fishmj.new.quantity import KINDS, quantity
+    from fishmj.new.shape import LINKS
+
+    p = console.parser("new", "Describe your fish: from eight answers, a table of sections or a photo to a checked description.")
+    p.formatter_class, p.epilog = argparse.RawDescriptionHelpFormatter, textwrap.dedent(EXAMPLES)
+    p.add_argument("name", nargs="?", metavar="NAME", help="of the fish, in logs, waters and policies (asked; default my_fish)")
+    p.add_argument(
+        "--out", type=console.out_file, metavar="FILE", help="description to write (default NAME.toml); NAME.png goes beside it"
+    )
+    p.add_argument("--force", action="store_true", help="overwrite files that are there")
+    p.add_argument("--yes", action="store_true", help="ask nothing: defaults for what is missing")
+    a = p.add_argument_group("answers", "a length may be 0.6, '60 cm' or 600mm, a mass 1.3 or 1300g; without a unit SI")
+    a.add_argument("--length", metavar="M", help="nose to tail fin, {:g} to {:g} m (asked; default 0.6)".format(*LENGTH))
+    a.add_argument(
+        "--height",
+        metavar="M",
+        help="greatest height of the body, {:g} to {:g} of the length (asked; default 0.18 of it)".format(*HEIGHT),
+    )
+    a.add_argument(
+        "--width",
+        metavar="M",
+        help="greatest width of the body, {:g} to {:g} of the length (asked; default 0.66 of the height)".format(*WIDTH),
+    )
+    a.add_argument(
+        "--tail-height",
+        metavar="M",
+        help="of the tail fin, {:g} to {:g} of the length (asked; default 1.25 of the body's)".format(*TAIL),
+    )
+    a.add_argument(
+        "--mass",
+        metavar="KG",
+        help="as it swims, half to twice what the hull displaces (asked; default what it displaces)",
+    )
+    a.add_argument("--links", metavar="N", help="rigid links, {} to {} (asked; default 4)".format(*LINKS))
+    a.add_argument("--joints", metavar="M,..", help="in place of --links: the joints' distances from the nose")
+    a.add_argument(
+        "--head", type=console.number(0.1, 0.8), metavar="SHARE", help="of the length, 0.1 to 0.8, with --links (default 0.4)"
+    )
+    a.add_argument(
+        "--servo", metavar="NAME", help=f"{', '.join(SHELF)}, or a TOML file with the data sheet (asked; default lx-824)"
+    )
+    a.add_argument(
+        "--side-fin",
+        type=quantity("length", 0.0, 1.0),
+        metavar="M",
+        help="span of each side fin, 0 for none (default 0.065 of the length)",
+    )
+    m = p.add_argument_group("measured outline, in place of length, height, width and tail height")
+    m.add_argument(
+        "--sections", type=Path, metavar="CSV", help="columns x,height,width from nose to tail; units in the header or by --unit"
+    )
+    m.add_argument("--unit", choices=tuple(KINDS["length"].units), help="of the table where its header does not say (default m)")
+    m.add_argument("--photo", type=Path, metavar="PNG", help="side view, PNG or JPG; the scale comes from --length or --scale")
+    m.add_argument(
+        "--scale",
+        type=quantity("scale", 1e-6, 0.1),
+        metavar="M",
+        help="of the photo, m per pixel, 1e-06 to 0.1 (default from --length)",
+    )
+    m.add_argument(
+        "--nose", choices=("left", "right"), default="left", help="side of the photo that the nose points to (default left)"
+    )
+    m.add_argument(
+        "--width-ratio",
+        type=console.number(0.05, 3.0),
+        default=0.66,
+        metavar="R",
+        help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default 0.66)",
+    )
+    s = p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage")
+    s.add_argument(
+        "--stall-torque",
+        type=quantity("torque", *TORQUE),
+        metavar="T",
+        help="17kgcm, 1.67Nm, 236ozin; {:g} to {:g} N m".format(*TORQUE),
+    )
+    s.add_argument(
+        "--no-load-speed",
+        type=quantity("rate", *RATE),
+        metavar="W",
+        help="0.2s/60deg, 50rpm, 5.2rad/s; {:g} to {:g} rad/s".format(*RATE),
+    )
+    s.add_argument("--voltage", type=quantity("voltage", *VOLTAGE), metavar="V", help="{:g} to {:g} V".format(*VOLTAGE))
+    s.add_argument(
+        "--stall-current",
+        type=quantity("current", *CURRENT),
+        metavar="A",
+        help="checks the others (default none); {:g} to {:g} A".format(*CURRENT),
+    )
+    return p
+
+
+def main(argv: list[str]) -> int:
+    args = options().parse_args(argv)
+    from fishmj.new import answers
+    from fishmj.new.describe import SIDE_SPAN, Fish, robot_of, toml_of
+
+    given = given_answers(args)
+    ask = None if args.yes or not (sys.stdin.isatty() and sys.stdout.isatty()) else input
+    if args.name is not None or args.yes or args.out is not None:
+        free(args, paths(args, str(args.name or "my_fish")))  # before anything is asked
+    known: dict[str, Any] = {"head": args.head}
+    overlay = None
+    if sheet := sheet_of(args):
+        known["servo"] = sheet
+    if args.sections is not None:
+        known |= {"outline": read_table(args)}
+    if args.photo is not None:
+        known["outline"], overlay = read_side_view(args)
+    if "outline" in known:
+        known |= {"length": known["outline"].length, "height": None, "width": None, "tail_height": None}
+    known, origin = answers.gather(known, given, ask, defaults=args.yes)
+    files = paths(args, known["name"])
+    free(args, files)
+    outline = answers.hull(known)
+    span = args.side_fin if args.side_fin is not None else round(SIDE_SPAN * outline.length, 3)
+    fish = Fish(
+        name=known["name"],
+        outline=outline,
+        mass=known["mass"],
+        joints=known["joints"],
+        sheet=known["servo"],
+        side_span=span,
+        origin=origin,
+    )
+    return finish(args, files, robot_of(fish), fish, toml_of, overlay)
+
+
+def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | None) -> int:
+    """Check the description as it reads back, write everything, say what was found."""
+    from fishmj import store
+    from fishmj.mjcf.description import load_robot
+    from fishmj.new.check import checks, swim_of
+    from fishmj.new.picture import picture
+
+    text = toml_of(robot, fish)
+    with tempfile.TemporaryDirectory() as folder:  # nothing is written that does not read back
+        robot = load_robot(store.write_text(Path(folder) / files["description"].name, text))
+    swim = swim_of(robot)
+    found = checks(robot, swim)
+    store.write_text(files["description"], text)
+    store.write_bytes(files["picture"], picture(robot))
+    if overlay is not None:
+        store.write_bytes(files["outline"], overlay)
+    wrong = [c for c in found if c.verdict == "wrong"]
+    rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
+    console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))
+    written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if overlay is not None else ()))}
+    console.say(*(f"wrote {path}" for path in written.values()), "", *next_steps(files["description"], robot.name))
+    if args.json:
+        facts = {
+            "speed": swim.speed,
+            "lengths_per_second": swim.speed / robot.length,
+            "torque": swim.torque,
+            "mass": round(robot.mass, 9),
+        }
+        console.emit_json({**written, "name": robot.name, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
+    return console.FAILED_CHECK if wrong else console.OK
+
+
+def next_steps(path: Path, name: str) -> list[str]:
+    """What to type next."""
+    return [
+        "next",
+        f"  fishmj play --robot {path} --controller drift                                     look at it",
+        f"  fishmj train --preset quick --robot {path} --out runs/{name}",
+        f"  fishmj evaluate runs/{name}/best.safetensors --robot {path} --repeats 1",
+    ]
+
+
+def paths(args, name: str) -> dict[str, Path]:
+    """Where everything goes."""
+    out = args.out if args.out is not None else Path(f"{name}.toml")
+    if out.suffix != ".toml":
+        raise UsageError(f"new: --out {out}: a description's name ends in .toml; for example {out.with_suffix('.toml')}")
+    made = {"description": out, "picture": out.with_suffix(".png")}
+    return made | ({"outline": out.with_name(f"{out.stem}-outline.png")} if args.photo is not None else {})
+
+
+def free(args, files: dict[str, Path]) -> None:
+    """Raise ConfigError where a file is there already."""
+    there = [str(path) for path in files.values() if path.exists()]
+    if there and not args.force:
+        raise ConfigError(f"new: {', '.join(there)}: there already; add --force to overwrite, or choose another --out")
+    if args.photo is not None and args.photo.resolve() in {path.resolve() for path in files.values()}:
+        raise ConfigError(f"new: {args.photo}: the photo itself would be overwritten; choose another --out")
+
+
+def given_answers(args) -> dict[str, str]:
+    """Answers on the command line, as text by question. Raises UsageError where two of them exclude each other."""
+    if args.links is not None and args.joints is not None:
+        raise UsageError("new: --links and --joints: one of them, not both")
+    if args.links is not None and not args.links.strip().isdecimal():
+        raise UsageError(f"new: --links: got {args.links[:40]!r}, expected a whole number; positions go to --joints")
+    if args.sections is not None and args.photo is not None:
+        raise UsageError("new: --sections and --photo: one of them, not both")
+    measured = "--sections" if args.sections is not None else "--photo" if args.photo is not None else ""
+    taken = {"--sections": ("length", "height", "width", "tail_height"), "--photo": ("height", "tail_height")}.get(measured, ())
+    for key in taken:
+        if getattr(args, key) is not None:
+            raise UsageError(f"new: --{key.replace('_', '-')} with {measured}: the outline says it; leave it out")
+    for key, value in (("scale", args.scale), ("unit", args.unit)):
+        if value is not None and measured != {"scale": "--photo", "unit": "--sections"}[key]:
+            raise UsageError(f"new: --{key} goes with {'--photo' if key == 'scale' else '--sections'}")
+    texts = {key: getattr(args, key) for key in ("name", "mass", "servo")}
+    texts |= {"joints": args.joints if args.joints is not None else args.links}
+    if not measured:
+        texts |= {key: getattr(args, key) for key in ("length", "height", "width", "tail_height")}
+    if args.joints is not None and "," not in args.joints:
+        texts["joints"] = f"{args.joints} m" if args.joints.strip().isdecimal() else args.joints
+    return {key: text for key, text in texts.items() if text is not None}
+
+
+def sheet_of(args):
+    """The servo of the data sheet options, or None where there are none. Raises UsageError where they are not whole."""
+    from fishmj.mjcf.servos import Sheet
+
+    figures = {key: getattr(args, key) for key in ("stall_torque", "no_load_speed", "voltage", "stall_current")}
+    figures = {key: value for key, value in figures.items() if value is not None}
+    if not figures:
+        return None
+    missing = [key for key in ("stall_torque", "no_load_speed", "voltage") if key not in figures]
+    if missing or args.servo is not None:
+        what = f"without --{', --'.join(missing)}" if missing else "with --servo"
+        options = ", ".join(f"--{key}" for key in figures)
+        raise UsageError(f"new: {options} {what}: give all of a data sheet, or a --servo".replace("_", "-"))
+    return Sheet(name="data-sheet", source="data sheet figures, given on the command line", **figures)
+
+
+def read_table(args):
+    from fishmj.new.table import read_sections
+
+    return read_sections(args.sections, args.unit)
+
+
+def read_side_view(args):
+    """Outline and overlay of the photo; its length and width are answers, too."""
+    from fishmj.new.answers import LENGTH
+    from fishmj.new.photo import read_photo
+    from fishmj.new.quantity import quantity
+
+    sizes = {}
+    for key, (low, high) in (("length", LENGTH), ("width", (0.001, LENGTH[1]))):
+        try:
+            sizes[key] = None if getattr(args, key) is None else quantity("length", low, high)(getattr(args, key))
+        except argparse.ArgumentTypeError as error:
+            raise UsageError(f"new: --{key}: {error}") from error
+    seen = read_photo(args.photo, scale=args.scale, nose=args.nose, width_ratio=args.width_ratio, **sizes)
+    return seen.outline, seen.overlay
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

@@ -1,0 +1,63 @@
+"""Numbers with units as people and data sheets write them: `60 cm`, `17kgcm`, `0.2s/60deg`. SI without a unit."""
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Kind(NamedTuple):
+    """A kind of quantity: its SI unit, and factors to it."""
+
+    si: str
+    units: dict[str, float]
+    inverse: dict[str, float] = {}  # unit -> factor over the number, such as s/60deg
+
+
+KINDS = {
+    "length": Kind("m", {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}),
+    "mass": Kind("kg", {"kg": 1.0, "g": 0.001}),
+    "torque": Kind(
+        "N m", {"nm": 1.0, "mnm": 0.001, "kgcm": 0.0980665, "kgfcm": 0.0980665, "gcm": 9.80665e-5, "ozin": 0.00706155}
+    ),
+    "rate": Kind(
+        "rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "rev/min": math.pi / 30}, {"s/60deg": math.pi / 3}
+    ),
+    "voltage": Kind("V", {"v": 1.0}),
+    "current": Kind("A", {"a": 1.0, "ma": 0.001}),
+    "scale": Kind("m per pixel", {"m": 1.0, "mm": 0.001}),
+    "ratio": Kind("", {}),
+}
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([^\d].*)?\Z", re.IGNORECASE | re.ASCII)
+
+
+def quantity(kind: str, low: float, high: float) -> Callable[[str], float]:
+    """The `type=` of an option that takes a quantity from `low` to `high` (SI); a unit may follow the number."""
+    what = KINDS[kind]
+    units = f" (units: {', '.join([*what.units, *what.inverse])})" if what.units else ""
+    expected = f"{f'{low:g} to {high:g} {what.si}'.strip()}{units}"
+
+    def parse(text: str) -> float:
+        value = _value(text, what)
+        if value is None or not math.isfinite(value) or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"got {text[:40]!r}, expected {expected}")
+        return value
+
+    return parse
+
+
+def _value(text: str, kind: Kind) -> float | None:
+    """In SI units; None where it is no number or the unit is not of this kind."""
+    found = _NUMBER.match(text[:80])
+    if found is None:
+        return None
+    number, unit = float(found[1]), re.sub(r"[\s.*·-]", "", (found[2] or "").lower().replace("°", "deg"))
+    if not unit:
+        return number
+    if unit in kind.inverse:
+        return kind.inverse[unit] / number if number else None
+    return number * kind.units[unit] if unit in kind.units else None
+
+
+__all__ = ["KINDS", "quantity"]
