@@ -16,6 +16,7 @@ import numpy as np
 from fishmj.errors import LogError, StoreError
 from fishmj.log import check, toml
 from fishmj.log.archive import read_archive, row_place, write_archive
+from fishmj.log.plausible import of_meta
 from fishmj.log.schema import SCHEMA, TABLES
 from fishmj.log.text import read_csv, read_text, write_csv
 from fishmj.log.trial import Table, Trial
@@ -51,6 +52,7 @@ def read_trial(path: str | Path) -> Trial:
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
     meta, notes = read_meta(path / META_FILE, required=True)
+    bounds = of_meta(meta, str(path / META_FILE))
     tables: dict[str, Table] = {}
     for file in sorted(path.iterdir()):
         if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
@@ -61,7 +63,7 @@ def read_trial(path: str | Path) -> Trial:
         if file.stem in tables:
             raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
         table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-        notes += check.check_table(file.stem, table, place)
+        notes += check.check_table(file.stem, table, place, bounds)
         tables[file.stem] = table
     if not tables:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
@@ -84,9 +86,10 @@ def write_trial(
     """
     folder = Path(folder)
     meta_text = _checked_meta(folder, trial.meta)
+    bounds = of_meta(trial.meta, str(folder / META_FILE))
     tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
     for name, table in tables.items():
-        check.check_table(name, table, row_place(folder / name))
+        check.check_table(name, table, row_place(folder / name), bounds)
     if not tables:
         raise LogError(f"{folder}: a trial needs at least one table of {', '.join(TABLES)}")
     if form not in ("auto", "csv", "npz"):
@@ -172,6 +175,7 @@ def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes
             notes.append(f"{path.name}: column {column!r} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
         raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
+    bounds = of_meta(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
-        notes += check.check_table(name, table, place)
+        notes += check.check_table(name, table, place, bounds)
     return Trial(meta, tables, name=path.parent.name, notes=(*notes, *check.check_counts(tables)))
