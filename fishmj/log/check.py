@@ -22,7 +22,9 @@ _LIMITS = {
     "rate": ("rate", "degrees per second; the schema says rad/s. Multiply the column by pi/180"),
     "speed": ("speed", "mm/s; the schema says m/s. Divide the column by 1000"),
 }
-_MILLIMETRES = "looks like millimetres or pixels; the schema says m. Divide the column by 1000, or multiply it by the metres of a pixel"
+_MILLIMETRES = (
+    "looks like millimetres or pixels; the schema says m. Divide the column by 1000, or multiply it by the metres of a pixel"
+)
 _STAMPS = ((3e3, "milliseconds", "1000"), (3e6, "microseconds", "1e6"), (math.inf, "nanoseconds", "1e9"))  # by the median step
 
 

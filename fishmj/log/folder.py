@@ -13,7 +13,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from fishmj.errors import LogError, StoreError
+from fishmj.errors import FishmjError, LogError, StoreError
 from fishmj.log import check, toml
 from fishmj.log.archive import read_archive, row_place, write_archive
 from fishmj.log.plausible import of_meta
@@ -69,6 +69,25 @@ def read_trial(path: str | Path) -> Trial:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
+
+
+def faults(path: Path) -> list[str]:
+    """Every table of a trial folder that does not read, one line each; empty where all do, or where it is no folder."""
+    out: list[str] = []
+    try:
+        meta, _ = read_meta(path / META_FILE, required=True)
+        bounds = of_meta(meta, str(path / META_FILE))
+        files = sorted(path.iterdir())
+    except (FishmjError, OSError) as error:
+        return [str(error)] if path.is_dir() else []
+    for file in files:
+        if file.suffix in (".csv", ".npz") and file.stem in TABLES:
+            try:
+                table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
+                check.check_table(file.stem, table, place, bounds)
+            except FishmjError as error:
+                out.append(str(error))
+    return out
 
 
 def write_trial(

@@ -1,0 +1,498 @@
+"""`fishmj log import`: recordings come in, whatever a laboratory calls its columns."""
+
+import shutil
+import sys
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from fishmj import calib, console, names
+from fishmj.errors import FishmjError, LogError, UsageError
+from fishmj.log import importers, measurements, plausible
+from fishmj.log.dataset import write_dataset
+from fishmj.log.folder import read_trial
+from fishmj.log.importers import gather, guess, registry
+from fishmj.log.importers.column_map import ColumnMap, read_map, written
+from fishmj.log.importers.convert import convert
+from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
+from fishmj.log.importers.limits import quoted
+from fishmj.log.importers.topics import by_name
+from fishmj.log.trial import Trial
+from fishmj.store import write_text
+
+ABOUT = """\
+Recordings -> a data set of trial folders with a manifest. Sources are never changed.
+
+Without a map the columns are guessed from their names and values; the guess is shown and must be confirmed, on a
+terminal by y, elsewhere by --yes. What is unclear is never taken: decide it with --set, or with a map.
+
+Files of one folder are one trial when no two have the same columns (commands, camera, battery), and a trial each when
+all have the same; a folder in a folder is looked at by itself; an MCAP file or rosbag2 is a trial; trial folders of our
+own format are copied. Where that cannot tell, say --one-trial or --trial-each."""
+EXAMPLE = """\
+examples:
+  fishmj log import commands.csv camera.csv battery.csv --out data/monday --robot swift --yes
+  fishmj log import lab/ --out data/lab --set servo1=cmd.c1:deg --set cam_u=pose.x:px*0.0012
+  fishmj log import lab/ --write-map MAP.toml        then edit it, and
+  fishmj log import lab/ --out data/lab --columns MAP.toml"""
+TABLE = "table"  # the format of what is read by its columns
+SHOWN = 3  # first values of a column
+
+
+@dataclass
+class Found:
+    """What came in: trials to write, one at a time, and what did not come in."""
+
+    format: str
+    trials: list[tuple[str, object]] = field(default_factory=list)  # (name, function that gives the trial)
+    skipped: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    guesses: list[tuple[Sequence[Kind], list[Guess]]] = field(default_factory=list)
+    maps: list[ColumnMap] = field(default_factory=list)
+    page: dict = field(default_factory=dict)
+
+
+def add(verbs) -> None:
+    """Register the verb."""
+    from argparse import RawDescriptionHelpFormatter
+
+    sub = verbs.add_parser(
+        "import",
+        help="recordings -> a data set of trial folders with a manifest",
+        description=ABOUT,
+        epilog=EXAMPLE,
+        formatter_class=RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    sub.add_argument(
+        "source", type=Path, nargs="+", help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders"
+    )
+    sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist")
+    sub.add_argument("--columns", type=Path, metavar="MAP.toml", help="which column is which (docs/logs.md); default: guessed")
+    sub.add_argument(
+        "--write-map",
+        type=console.out_file,
+        metavar="MAP.toml",
+        help="write the guess as a map to edit; with no --out nothing else is done",
+    )
+    sub.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="COLUMN=TABLE.COLUMN:UNIT",
+        help="decide one column, or COLUMN=skip; may be repeated; default: none",
+    )
+    sub.add_argument(
+        "--topics", type=Path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed"
+    )
+    sub.add_argument("--format", choices=sorted([*importers.FORMATS, TABLE]), help="default: found out; table: by its columns")
+    sub.add_argument("--robot", help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said")
+    sub.add_argument("--excitation", help="name of the experiment, such as steps_1; default: not said")
+    sub.add_argument("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
+    sub.add_argument("--medium", choices=("water", "air"), help="default: not said")
+    sub.add_argument("--origin", choices=("measured", "synthetic"), help="default: measured")
+    sub.add_argument("--licence", help="of the data, such as CC-BY-4.0; default: not said")
+    sub.add_argument(
+        "--plausible",
+        type=_bounds,
+        metavar="NAME=NUMBER",
+        help="relax a bound on magnitude, such as reach=5000 (m); default: data/calib/plausible.toml",
+    )
+    rule = sub.add_mutually_exclusive_group()
+    rule.add_argument("--one-trial", action="store_true", help="the files of one folder are one trial; default: by their columns")
+    rule.add_argument("--trial-each", action="store_true", help="every file is a trial; default: by their columns")
+    bad = sub.add_mutually_exclusive_group()
+    bad.add_argument("--strict", action="store_true", help="any bad file ends the import with exit 2; default: --skip-bad")
+    bad.add_argument(
+        "--skip-bad",
+        action="store_true",
+        help="bad files are left out and listed; exit 2 only when nothing came in (the default)",
+    )
+    sub.add_argument("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
+    sub.add_argument("--json", action="store_true", help="print one JSON object last")
+    sub.set_defaults(call=run)
+
+
+def run(args: Namespace) -> int:
+    """Import, write, and say what came in and what did not."""
+    if args.out is None and args.write_map is None:
+        raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")
+    if args.out is not None and args.out.exists():
+        raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
+    meta = _meta(args)
+    found = _found(args, meta)
+    if args.strict and found.skipped:
+        raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + "; ".join(list(found.skipped.values())[:3]))
+    _show(found)
+    if args.write_map is not None:
+        _write_map(args, found)
+        if args.out is None:
+            return console.OK
+    if found.guesses:
+        _agreed(args, found)
+    rows, notes = _write(args, found, meta)
+    for where, message in found.skipped.items():
+        console.warn(f"left out: {message if where in message else f'{where}: {message}'}")
+    told = {key: said for key in ("licence", "source") if (said := meta.get(key))}
+    left = f", {len(found.skipped)} left out" if found.skipped else ""
+    console.say(console.table(rows), "", *found.notes, f"{len(rows)} trials ({found.format}) written to {args.out}{left}")
+    if args.json:
+        console.emit_json(
+            {
+                **{"format": found.format, "out": str(args.out), "meta": told | _dataset_meta(found, rows, meta), "trials": rows},
+                **{"notes": notes, "skipped": found.skipped, "guess": [_as_row(k, g) for k, gs in found.guesses for g in gs]},
+            }
+        )
+    return console.OK
+
+
+# ------------------------------------------------------------------------------------------------------------ what there is
+def _found(args: Namespace, meta: dict) -> Found:
+    known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
+    if known and known != TABLE and known not in registry.MESSAGES:
+        return _in_format(args.source, known, args)
+    shelf = gather.Shelf()
+    together = True if args.one_trial else False if args.trial_each else None
+    found = Found(TABLE)
+    topics = args.topics if args.topics else None
+    items, passed = gather.plan(args.source, shelf, together=together)
+    found.notes += passed
+    found.page = _page(args.source)
+    mapped = [item for item in items if not item.own and (topics or args.format in registry.MESSAGES or _has_mapping(item))]
+    if mapped and all(gather.is_recording(file) for item in mapped for file in item.files):
+        found.format = registry.sniff(mapped[0].files[0])
+        for item in mapped:
+            found.trials.append((item.name, lambda item=item: _one(importers.read(item.files[0], topics=topics), item.name)))
+        items = [item for item in items if item not in mapped]
+    for item in items:
+        if item.own:
+            found.trials.append((item.name, lambda item=item: read_trial(item.files[0])))
+    foreign = [item for item in items if not item.own and item.files]
+    if args.columns:
+        wanted = read_map(args.columns)
+        found.maps.append(wanted)
+        for item in foreign:
+            found.trials.append((item.name, lambda item=item, wanted=wanted: _convert(item, shelf, wanted)))
+    elif foreign:
+        _guessed(foreign, shelf, args, found)
+    if found.trials and not foreign and not mapped:
+        found.format = "fishmj.log/1"
+    found.skipped |= shelf.skipped
+    if not found.trials and not any(guess.unclear(gs) for _, gs in found.guesses):
+        _nothing(args, found)
+    return found
+
+
+def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: Found) -> None:
+    """One guess for every layout of files."""
+    said = guess.overrides(args.set)
+    reasons = []
+    for group in gather.layouts(items, shelf).values():
+        kinds = guess.kinds(sheet for item in group for file in item.files for sheet in shelf.sheets(file))
+        here = {name: value for name, value in said.items() if any(name in kind.columns for kind in kinds)}
+        made = guess.guess(kinds, here)
+        where = ", ".join(item.name for item in group[:3]) + (", .." if len(group) > 3 else "")
+        try:
+            wanted = guess.map_of(made, kinds, {}, where)
+        except LogError as error:
+            if guess.unclear(made):
+                found.guesses.append((kinds, made))
+            else:
+                reasons.append(str(error))
+                found.skipped |= {str(item.files[0]): str(error) for item in group}
+            continue
+        found.guesses.append((kinds, made))
+        found.maps.append(wanted)
+        for item in group:
+            found.trials.append((item.name, lambda item=item, wanted=wanted: _convert(item, shelf, wanted)))
+    if unknown := [name for name in said if not any(name in kind.columns for kinds, _ in found.guesses for kind in kinds)]:
+        guess.guess(
+            [kind for kinds, _ in found.guesses for kind in kinds], {name: said[name] for name in unknown}
+        )  # names the nearest
+
+
+def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
+    """Recordings in the layout of one published data set."""
+    if args.columns or args.set:
+        raise LogError(
+            f"{sources[0]}: is in format {name}, which needs no map; leave --columns and --set out, or say --format {TABLE}"
+        )
+    found = Found(name)
+    for source in sources:
+        try:
+            trials = importers.read(source, name, topics=args.topics)
+        except LogError as error:
+            if not source.is_dir():
+                raise
+            trials, bad = registry.each(source, name)
+            if not trials:
+                raise error
+            found.skipped |= bad
+        found.trials += [(key, lambda trial=trial: trial) for key, trial in trials.items()]
+    return found
+
+
+def _has_mapping(item: gather.Item) -> bool:
+    """A recording with its TOML beside it, or whose topics are named like tables."""
+    from fishmj.log.importers import mcap, rosbag2
+
+    if len(item.files) != 1 or not gather.is_recording(item.files[0]):
+        return False
+    path = item.files[0]
+    if path.is_file() and path.with_suffix(".toml").is_file():
+        return True
+    found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
+    return bool(by_name({topic for topic, channel in found.items() if channel.encoding == "json"}).tables)
+
+
+def _one(trials: dict[str, Trial], name: str) -> Trial:
+    return replace(next(iter(trials.values())), name=name)
+
+
+def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial:
+    sheets = [sheet for file in item.files for sheet in shelf.sheets(file)]
+    clock = {table: f"{entry.t.column} of the file" for table, entry in wanted.tables.items()}
+    meta = {"source": ", ".join(file.name for file in item.files)[:200], "clock": clock, **wanted.meta}
+    made = convert(item.name, sheets, wanted, meta)
+    return replace(made, meta={**made.meta, "clock": {table: clock[table] for table in made.tables}})
+
+
+def _page(sources: Sequence[Path]) -> dict:
+    """What was weighed, where it lies beside the trials."""
+    for source in sources:
+        if source.is_dir() and (source / measurements.FILE).is_file():
+            return measurements.read(source)
+    return {}
+
+
+def _nothing(args: Namespace, found: Found) -> None:
+    why = "; ".join(list(found.skipped.values())[:3])
+    more = f"; and {len(found.skipped) - 3} more" if len(found.skipped) > 3 else ""
+    if why:
+        raise LogError(why + more)
+    formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
+    raise LogError(
+        f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial folders, or one of {formats}"
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------- the guess
+def _show(found: Found) -> None:
+    for kinds, made in found.guesses:
+        rows = [_as_row(kinds, g) for g in made]
+        console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
+
+
+def _as_row(kinds: Sequence[Kind], g: Guess) -> dict:
+    sheet = kinds[g.kind].sheets[0]
+    values = sheet.columns[g.column]
+    first = values[values == values][:SHOWN]
+    becomes = {UNCLEAR: f"UNCLEAR: {guess.choices(g)}", LEFT: "left out"}.get(g.state, "t" if g.place == "t" else g.place)
+    more = f" (and {len(kinds[g.kind].sheets) - 1} more)" if len(kinds[g.kind].sheets) > 1 else ""
+    unit = g.unit + (f"*{g.scale:g}" if g.scale != 1 else "")
+    return {
+        **{"file": quoted(sheet.name)[1:-1] + more, "column": quoted(g.column)[1:-1], "becomes": becomes},
+        **{"unit": unit if g.state != LEFT else "", "first values": ", ".join(f"{v:.6g}" for v in first), "why": g.why},
+    }
+
+
+def _write_map(args: Namespace, found: Found) -> None:
+    if not found.maps:
+        raise LogError(
+            f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set {_first_unclear(found)}"
+        )
+    if len(found.maps) > 1:
+        raise LogError(
+            f"{args.source[0]}: {len(found.maps)} layouts of files, one map cannot describe them; import them one after the other"
+        )
+    doubts = [(kinds, g) for kinds, made in found.guesses for g in guess.unclear(made)]
+    text = written(found.maps[0])
+    for kinds, g in doubts:
+        name = quoted(kinds[g.kind].sheets[0].name)[1:-1]
+        text += f"# unclear: {name}: {quoted(g.column)[1:-1]} may be {guess.choices(g)} ({g.why})\n"
+    write_text(args.write_map, text)
+    console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
+
+
+def _first_unclear(found: Found) -> str:
+    g = next((g for _, made in found.guesses for g in guess.unclear(made)), None)
+    return f"{quoted(g.column)[1:-1]}={guess.choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
+
+
+def _agreed(args: Namespace, found: Found) -> None:
+    """Nothing unclear is left, and the user agrees."""
+    doubts = [g for _, made in found.guesses for g in guess.unclear(made)]
+    if doubts:
+        told = "; ".join(
+            f"{quoted(g.column)[1:-1]}: {g.why}, --set {quoted(g.column)[1:-1]}={guess.choices(g)}" for g in doubts[:4]
+        )
+        more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
+        raise LogError(
+            f"{args.source[0]}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map MAP.toml, mend it, --columns MAP.toml"
+        )
+    if args.yes or all(_certain(g) for _, made in found.guesses for g in made):
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise LogError(
+            f"{args.source[0]}: the columns above are guessed; take them with --yes, or write them to a file with --write-map MAP.toml, "
+            "mend it, and import with --columns MAP.toml"
+        )
+    console.say("Take these columns? [y/N]")
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise LogError(
+            f"{args.source[0]}: nothing imported; write the guess with --write-map MAP.toml, mend it, and import with --columns MAP.toml"
+        )
+
+
+def _certain(g: Guess) -> bool:
+    """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
+    own = g.place.rpartition(".")[2] == g.column and (not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s"))
+    return g.said or own
+
+
+# --------------------------------------------------------------------------------------------------------------- writing
+def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[str, list[str]]]:
+    """Write the trials that convert; what does not is remembered in `found.skipped`."""
+    rows: list[dict] = []
+    notes: dict[str, list[str]] = {}
+    told = _dataset_meta(found, rows, meta)
+
+    def trials() -> Iterator[tuple[str, Trial]]:
+        with console.Progress(len(found.trials), "import", unit="trials") as bar:
+            for i, (name, load) in enumerate(found.trials):
+                try:
+                    trial = _with_meta(load(), meta, name)
+                    rows.append(_row(name, trial))
+                except FishmjError as error:
+                    if args.strict:
+                        raise
+                    found.skipped[name] = str(error)
+                    continue
+                notes[name] = list(trial.notes)
+                for key in ("licence", "source"):
+                    if said := trial.value(key):
+                        told.setdefault(f"_{key}", set()).add(str(said))
+                yield name, with_notes(trial)
+                if bar.elapsed > 5:
+                    bar.update(i + 1)
+
+    try:
+        loaded = _checked(trials(), args, found)
+        write_dataset(args.out, loaded, meta={}, page=found.page or None)
+        final = {"format": found.format} | {
+            key: "; ".join(sorted(told[f"_{key}"]))[:500] for key in ("licence", "source") if f"_{key}" in told
+        }
+        meta |= {key: final[key] for key in ("licence", "source") if key in final}
+        _manifest(args.out, final)
+    except BaseException:
+        shutil.rmtree(args.out, ignore_errors=True)  # it did not exist before
+        raise
+    return rows, notes
+
+
+def _checked(trials: Iterator[tuple[str, Trial]], args: Namespace, found: Found) -> Iterator[tuple[str, Trial]]:
+    """The trials, or the reasons where there is none."""
+    first = next(trials, None)
+    if first is None:
+        _nothing(args, found)
+        return
+    yield first
+    yield from trials
+
+
+def _manifest(folder: Path, meta: dict) -> None:
+    from fishmj.store import Manifest
+
+    Manifest.of(folder, meta).write(folder)
+
+
+def _dataset_meta(found: Found, rows: list[dict], meta: dict) -> dict:
+    return {"format": found.format}
+
+
+def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
+    """What was said on the command line goes before what the file says."""
+    said = {key: value for key, value in meta.items() if key not in ("source",)}
+    if (bounds := said.get(plausible.KEY)) and isinstance(trial.meta.get(plausible.KEY), dict):
+        said[plausible.KEY] = {**trial.meta[plausible.KEY], **bounds}
+    whole = {"origin": "measured", **trial.meta, **said}
+    notes = list(trial.notes)
+    joints = said.get("joints")
+    has = max((len([c for c in columns if c[0] in "cj" and c[1:].isdecimal()]) for columns in trial.tables.values()), default=0)
+    if joints and has and has != joints:
+        notes.append(f"the robot {said.get('robot')} has {joints} joints, the columns tell of {has}")
+    return replace(trial, meta=whole, name=name, notes=tuple(notes))
+
+
+def with_notes(trial: Trial) -> Trial:
+    """The reader's remarks moved into the meta data, so that they travel with the trial."""
+    said = trial.meta.get("notes")
+    before = said if isinstance(said, list) else [said] if said else []
+    fresh = [note for note in trial.notes if note not in before and "meta.toml: missing" not in note]
+    return replace(trial, meta={**trial.meta, "notes": [*before, *fresh]}) if fresh else trial
+
+
+def _row(name: str, trial: Trial) -> dict:
+    start, end = trial.span
+    tables = ", ".join(f"{table} {len(columns['t'])}" for table, columns in trial.tables.items())
+    return {"trial": name, "tables (rows)": tables, "seconds": round(end - start, 3), "notes": len(trial.notes)}
+
+
+# ------------------------------------------------------------------------------------------------------------ meta data
+def _meta(args: Namespace) -> dict:
+    meta: dict = {
+        key: value for key in ("excitation", "medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None
+    }
+    if args.excitation is not None:
+        names.checked(args.excitation, "excitation", "--excitation")
+    if args.robot is not None:
+        meta["robot"], joints = robot_of(args.robot)
+        meta |= {"joints": joints} if joints else {}
+    if args.plausible:
+        meta[plausible.KEY] = args.plausible
+    return meta
+
+
+def robot_of(text: str) -> tuple[str, int]:
+    """Name and number of joints (0: not known) of a robot: its TOML, a shipped one's file or its own name, or any name.
+
+    Raises:
+        ConfigError: no such file, not TOML, or no name that may stand in a path.
+    """
+    path = None
+    if text.endswith(".toml"):
+        path = Path(text)
+    else:
+        for name in calib.shipped():
+            shipped = calib.calib_folder() / f"{name}.toml"
+            if str(calib.read_toml(shipped).get("schema", "")).startswith("fishmj.fish") and text in (
+                name,
+                calib.read_toml(shipped).get("name"),
+            ):
+                path = shipped
+    if path is None:
+        return names.checked(text, "robot", "--robot"), 0
+    table = calib.read_toml(path)
+    links = table.get("link")
+    said = table.get("name", table.get("robot", {}).get("name") if isinstance(table.get("robot"), dict) else None)
+    return names.checked(said, "robot", str(path)), max(len(links) - 1, 0) if isinstance(links, list) else 0
+
+
+def _start(text: str) -> list[float]:
+    from argparse import ArgumentTypeError
+
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected three numbers x,y,yaw [m, m, rad], such as 0,0,1.57")
+    reach = plausible.shipped().start
+    return [console.number(-reach, reach)(part) for part in parts[:2]] + [console.number(-6.3, 6.3)(parts[2])]
+
+
+def _bounds(text: str) -> dict[str, float]:
+    from argparse import ArgumentTypeError
+
+    try:
+        return plausible.told(text)
+    except FishmjError as error:
+        raise ArgumentTypeError(str(error)) from error
