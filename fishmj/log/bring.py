@@ -1,10 +1,12 @@
 """`fishmj log import`: recordings come in, whatever a laboratory calls its columns."""
 
+import re
 import shutil
 import sys
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from fishmj import calib, console, names
@@ -17,7 +19,7 @@ from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
 from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
 from fishmj.log.importers.limits import quoted
-from fishmj.log.importers.topics import by_name
+from fishmj.log.importers.sheet import DATE
 from fishmj.log.trial import Trial
 from fishmj.store import write_text
 
@@ -152,19 +154,18 @@ def _found(args: Namespace, meta: dict) -> Found:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE and known not in registry.MESSAGES:
         return _in_format(args.source, known, args)
-    shelf = gather.Shelf()
+    shelf = gather.Shelf(topics=args.topics is not None)
     together = True if args.one_trial else False if args.trial_each else None
     found = Found(TABLE)
-    topics = args.topics if args.topics else None
     items, passed = gather.plan(args.source, shelf, together=together)
     found.notes += passed
     found.page = _page(args.source)
-    mapped = [item for item in items if not item.own and (topics or args.format in registry.MESSAGES or _has_mapping(item))]
-    if mapped and all(gather.is_recording(file) for item in mapped for file in item.files):
+    mapped = [item for item in items if not item.own and len(item.files) == 1 and shelf.mapped(item.files[0])]
+    if mapped:
         found.format = registry.sniff(mapped[0].files[0])
-        for item in mapped:
-            found.trials.append((item.name, lambda item=item: _one(importers.read(item.files[0], topics=topics), item.name)))
-        items = [item for item in items if item not in mapped]
+    for item in mapped:
+        found.trials.append((item.name, lambda item=item: _one(importers.read(item.files[0], topics=args.topics), item.name)))
+    items = [item for item in items if item not in mapped]
     for item in items:
         if item.own:
             found.trials.append((item.name, lambda item=item: read_trial(item.files[0])))
@@ -233,19 +234,6 @@ def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
     return found
 
 
-def _has_mapping(item: gather.Item) -> bool:
-    """A recording with its TOML beside it, or whose topics are named like tables."""
-    from fishmj.log.importers import mcap, rosbag2
-
-    if len(item.files) != 1 or not gather.is_recording(item.files[0]):
-        return False
-    path = item.files[0]
-    if path.is_file() and path.with_suffix(".toml").is_file():
-        return True
-    found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
-    return bool(by_name({topic for topic, channel in found.items() if channel.encoding == "json"}).tables)
-
-
 def _one(trials: dict[str, Trial], name: str) -> Trial:
     return replace(next(iter(trials.values())), name=name)
 
@@ -288,13 +276,19 @@ def _as_row(kinds: Sequence[Kind], g: Guess) -> dict:
     sheet = kinds[g.kind].sheets[0]
     values = sheet.columns[g.column]
     first = values[values == values][:SHOWN]
-    becomes = {UNCLEAR: f"UNCLEAR: {guess.choices(g)}", LEFT: "left out"}.get(g.state, "t" if g.place == "t" else g.place)
+    becomes = f"UNCLEAR: {guess.choices(g)}" if g.state == UNCLEAR else "left out" if g.state == LEFT else g.place
     more = f" (and {len(kinds[g.kind].sheets) - 1} more)" if len(kinds[g.kind].sheets) > 1 else ""
     unit = g.unit + (f"*{g.scale:g}" if g.scale != 1 else "")
     return {
         **{"file": quoted(sheet.name)[1:-1] + more, "column": quoted(g.column)[1:-1], "becomes": becomes},
-        **{"unit": unit if g.state != LEFT else "", "first values": ", ".join(f"{v:.6g}" for v in first), "why": g.why},
+        **{"unit": unit if g.state != LEFT else "", "first values": ", ".join(_shown(v, g.unit) for v in first), "why": g.why},
     }
+
+
+def _shown(value: float, unit: str) -> str:
+    if unit == DATE and abs(value) < 1e11:
+        return f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
+    return f"{value:.6g}"
 
 
 def _write_map(args: Namespace, found: Found) -> None:
@@ -347,7 +341,7 @@ def _agreed(args: Namespace, found: Found) -> None:
 
 def _certain(g: Guess) -> bool:
     """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
-    own = g.place.rpartition(".")[2] == g.column and (not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s"))
+    own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s"))
     return g.said or own
 
 

@@ -17,6 +17,7 @@ from fishmj.log.folder import FLAT_FILE, META_FILE
 from fishmj.log.importers import columnar, delimited, guess, mcap, messages, rosbag2
 from fishmj.log.importers.limits import most_bytes, quoted
 from fishmj.log.importers.sheet import Sheet
+from fishmj.log.importers.topics import by_name
 from fishmj.log.schema import TABLES
 
 DEEP = 12  # folders in folders
@@ -37,8 +38,10 @@ class Item:
 class Shelf:
     """Reads every file once, and keeps what it read as far as memory allows."""
 
+    topics: bool = False  # a mapping of topics was given: recordings need no sheets
     skipped: dict[str, str] = field(default_factory=dict)  # file -> why it was not read
     _kept: dict[Path, list[Sheet]] = field(default_factory=dict)
+    _mapped: dict[Path, bool] = field(default_factory=dict)
     _size: float = 0.0
 
     def sheets(self, path: Path) -> list[Sheet]:
@@ -55,12 +58,24 @@ class Shelf:
             self._kept[path] = found
         return found
 
+    def mapped(self, path: Path) -> bool:
+        """Whether it is a recording with a mapping: given, beside it, or by topics that are named like tables."""
+        if not is_recording(path):
+            return False
+        if self.topics or (path.is_file() and path.with_suffix(".toml").is_file()):
+            return True
+        if path not in self._mapped:
+            found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
+            self._mapped[path] = bool(by_name({t for t, channel in found.items() if channel.encoding == "json"}).tables)
+        return self._mapped[path]
+
     def readable(self, files: Sequence[Path]) -> list[Path]:
         """Those that can be read; the others are remembered with the reason."""
         out = []
         for file in files:
             try:
-                self.sheets(file)
+                if not self.mapped(file):
+                    self.sheets(file)
             except FishmjError as error:
                 self.skipped[str(file)] = str(error)
             else:

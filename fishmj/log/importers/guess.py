@@ -17,6 +17,7 @@ from fishmj.log.importers.units import SI, measures, of_kind, unit_of
 from fishmj.log.schema import TABLES, table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
+_NUMBER = re.compile(r"\d+")
 ROWS = 200_000  # of one file that the statistics look at
 NEEDS = {
     "pose": ("x", "y", "yaw"),
@@ -195,9 +196,26 @@ def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
     return out
 
 
+def _from_one(guesses: list[Guess]) -> list[Guess]:
+    """Numbers that count from 0 are moved up by one, a family at a time."""
+    families: dict[str, list[int]] = {}
+    for i, g in enumerate(guesses):
+        if not g.said and g.place and (found := _NUMBER.search(g.place)):
+            families.setdefault(_NUMBER.sub("#", g.place).rstrip("xy"), []).append(i)
+            if int(found[0]) > 999:
+                guesses[i] = replace(g, state=LEFT, places=(), why="its number is beyond any joint's")
+    for mine in families.values():
+        if any(_NUMBER.search(guesses[i].place)[0] == "0" for i in mine if guesses[i].place):  # type: ignore[index]
+            for i in mine:
+                g = guesses[i]
+                moved = tuple(_NUMBER.sub(lambda m: str(int(m[0]) + 1), place) for place in g.places)
+                guesses[i] = replace(g, places=moved, why=g.why + "; counted from 0")
+    return guesses
+
+
 def _numbered(guesses: list[Guess]) -> list[Guess]:
     """Numbers from 1 without holes; a single column without a number is the first."""
-    out = list(guesses)
+    out = _from_one(list(guesses))
     for template in ("cmd.c", "joint.j", "joint.w", "joint.temp", "joint.load", "cmd.on"):
         mine = [
             i
@@ -213,11 +231,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
                     out[i], state=UNCLEAR, places=(f"{template}{n}",), why="which joint is it, counted from the nose?"
                 )
         numbers = [int(out[i].place.removeprefix(template)) for i in mine if i not in bare]
-        if numbers and min(numbers) == 0:
-            for i in (i for i in mine if i not in bare):
-                n = int(out[i].place.removeprefix(template)) + 1
-                out[i] = replace(out[i], places=(f"{template}{n}",), why=out[i].why + "; counted from 0")
-        elif (
+        if (
             numbers
             and template in ("cmd.c", "joint.j")
             and sorted(numbers) != list(range(1, len(numbers) + 1))
@@ -262,6 +276,8 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
             out.append(g)
         else:
             unit, why = _by_value(kind, guesses, g, what)
+            if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
+                unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
             state = UNCLEAR if not unit else g.state
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
     return out

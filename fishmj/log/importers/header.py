@@ -5,84 +5,19 @@ from dataclasses import dataclass
 
 from fishmj.log.importers.units import UNITS, unit_of
 
-TIME = {"time", "t", "stamp", "timestamp", "clock", "elapsed", "utc", "epoch", "date", "datetime", "zeit", "uptime"}
-COMMAND = {
-    "cmd",
-    "cmds",
-    "command",
-    "commands",
-    "commanded",
-    "goal",
-    "target",
-    "des",
-    "desired",
-    "ref",
-    "reference",
-    "set",
-    "setpoint",
-    "sp",
-    "wanted",
-}
-MEASURED = {
-    "meas",
-    "measured",
-    "measurement",
-    "measurements",
-    "pos",
-    "position",
-    "actual",
-    "act",
-    "present",
-    "fb",
-    "feedback",
-    "enc",
-    "encoder",
-    "real",
-}
-MEASURED |= {"state", "states", "sensor", "sensed", "read"}
-SERVO = {"servo", "servos", "motor", "motors"}
-JOINT = {"joint", "joints", "angle", "angles", "ang", "theta", "q", "dof", "hinge", "phi"}
-RATE = {"vel", "velocity", "speed", "rate", "omega", "dot", "gyro"}
-CAMERA = {
-    "cam",
-    "camera",
-    "track",
-    "tracker",
-    "tracking",
-    "vicon",
-    "mocap",
-    "optitrack",
-    "pose",
-    "tank",
-    "world",
-    "com",
-    "centroid",
-    "head",
-    "fish",
-    "body",
-}
-HEADING = {"yaw", "heading", "theta", "psi", "orientation"}
-FORCE = {
-    "force",
-    "forces",
-    "fx",
-    "fy",
-    "fz",
-    "torque",
-    "torques",
-    "thrust",
-    "wrench",
-    "moment",
-    "mx",
-    "my",
-    "mz",
-    "effort",
-    "tau",
-    "newton",
-}
-VOLT = {"volt", "volts", "voltage", "vbat", "vbatt", "u"}
-CURRENT = {"current", "amp", "amps", "ampere", "ibat", "ibatt"}
-BATTERY = {"batt", "battery", "supply", "bus", "power", "bat"}
+TIME = set("time t stamp timestamp clock elapsed utc epoch date datetime zeit uptime".split())
+COMMAND = set("cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted soll".split())
+MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real ist".split())
+MEASURED |= set("state states sensor sensed read".split())
+SERVO = set("servo servos motor motors".split())
+JOINT = set("joint joints angle angles ang theta q dof hinge phi winkel".split())
+RATE = set("vel velocity speed rate omega dot gyro".split())
+CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body".split())
+HEADING = set("yaw heading theta psi orientation".split())
+FORCE = set("force forces fx fy fz torque torques thrust wrench moment mx my mz effort tau newton".split())
+VOLT = set("volt volts voltage vbat vbatt u spannung".split())
+CURRENT = set("current amp amps ampere ibat ibatt strom".split())
+BATTERY = set("batt battery supply bus power bat".split())
 TEMPERATURE = {"temp", "temperature"}
 _GLUED = {  # names without a mark between their words
     **{
@@ -144,12 +79,12 @@ def parse(raw: str) -> Header:
     unit, name = "", raw
     if found := _BRACKET.match(raw[:200]):
         name, unit = found[1], unit_of(found[2])
-    rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
-    if not unit and mark and last and unit_of(last) and words(rest) and last.lower() not in ("g", "min"):
-        unit, name = unit_of(last), rest  # as it is written: mV is no m V
     said = words(name) or words(raw)
+    rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
     if not unit and len(said) > 2 and tuple(said[-2:]) in _RATES:
         unit, said = unit_of(" ".join(said[-2:])), said[:-2]
+    elif not unit and mark and last and unit_of(last) and words(rest) and last.lower() not in ("g", "min"):
+        unit, said = unit_of(last), words(rest)  # as it is written: mV is no m V
     elif not unit and len(said) > 1 and unit_of(said[-1]) and said[-1] not in ("g", "min"):
         unit, said = unit_of(said[-1]), said[:-1]
     elif len(said) == 1 and said[0] in (

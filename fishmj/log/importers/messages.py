@@ -261,11 +261,18 @@ def _imu(content: dict) -> dict[str, float]:
     return out
 
 
+def _array(content: dict) -> dict[str, float]:
+    values = content.get("data")
+    return {f"value.{i}": float(v) for i, v in enumerate(values[:WIDTH] if isinstance(values, list) else (), start=1)}
+
+
 _TYPED: dict[str, Callable[[dict], dict[str, float]]] = {
     "sensor_msgs/msg/JointState": _joints,
     "sensor_msgs/msg/BatteryState": _battery,
     "sensor_msgs/msg/Imu": _imu,
     "nav_msgs/msg/Odometry": _odometry,
+    "std_msgs/msg/Float64MultiArray": _array,
+    "std_msgs/msg/Float32MultiArray": _array,
 }
 _SPACE = {f"{p}{axis}": "m" for p in ("pose.position.", "pose.pose.position.", "position.", "point.") for axis in "xyz"}
 _TURN = {f"{p}orientation.yaw": "rad" for p in ("pose.", "pose.pose.", "")}

@@ -24,7 +24,7 @@ def role(name: Header, context: set[str]) -> Role:
     Args:
         context: words of the file's name or the topic: `commands.csv` tells what its columns are.
     """
-    for rule in (_exact, _force, _time, _power, _imu, _velocity, _place, _heading, _joint):
+    for rule in (_force, _exact, _time, _power, _imu, _velocity, _place, _heading, _joint):
         if found := rule(name, context):
             return found
     return Role(why="the name says nothing that the log's schema knows")
@@ -32,7 +32,7 @@ def role(name: Header, context: set[str]) -> Role:
 
 def _exact(name: Header, context: set[str]) -> Role | None:
     """Names of the schema itself."""
-    if name.words in (("c",), ("j",)) and name.number is not None and not name.unit.endswith("A"):
+    if name.words in (("c",), ("j",)) and name.number is not None and measures(name.unit) in ("", "angle"):
         return Role(("cmd.c#" if name.words == ("c",) else "joint.j#",), "the schema's own name")
     if name.words == ("w",) and name.number is not None:
         return Role(("joint.w#",), "the schema's own name")
@@ -44,7 +44,9 @@ def _exact(name: Header, context: set[str]) -> Role | None:
 
 
 def _force(name: Header, context: set[str]) -> Role | None:
-    if name.has(header.FORCE) or measures(name.unit) in ("force", "torque") or "wrench" in context:
+    if name.has(header.FORCE) or measures(name.unit) in ("force", "torque") or (
+        context & header.FORCE and not name.has(header.TIME)
+    ):
         return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
     if measures(name.unit) in ("mass", "power", "share", "count") and not name.has(header.SERVO | header.JOINT):
         return Role(why=f"{name.unit}: the schema has no such column")
@@ -107,7 +109,7 @@ def _power(name: Header, context: set[str]) -> Role | None:
     if name.has(header.BATTERY - {"bus", "power", "supply"}) and alone:
         return Role(("power.V", "power.I"), "a battery's voltage or its current?")
     if name.has(header.TEMPERATURE):
-        if name.has(header.SERVO | header.JOINT) and name.number is not None:
+        if name.number is not None:
             return Role(("joint.temp#",), "a servo's temperature")
         return Role(why="a temperature of no servo")
     return None
@@ -150,7 +152,7 @@ def _place(name: Header, context: set[str]) -> Role | None:
         return Role((f"target.{axis}",), "where it should be")
     if name.number is not None and (name.has({"marker", "markers", "point", "led", "dot", "p"}) or name.words == (axis,)):
         return Role((f"markers.p#{axis}",), "a numbered point")
-    if name.words == (axis,) and not context.isdisjoint(header.COMMAND - {"ref", "set"}):
+    if context & {"target", "goal", "setpoint", "waypoint"} or (name.words == (axis,) and context & header.COMMAND):
         return Role((f"target.{axis}",), "the file's name says that it is a target")
     return Role((f"pose.{axis}",), "a position" + (" of the camera" if name.has(header.CAMERA) else ""))
 
@@ -175,6 +177,8 @@ def _heading(name: Header, context: set[str]) -> Role | None:
 def _joint(name: Header, context: set[str]) -> Role | None:
     said = measures(name.unit)
     known = name.has(header.SERVO | header.JOINT | {"tail", "fin", "hinge"})
+    if name.number is not None and name.words in (("value",), ("data",), ("values",)):  # an array on a topic of angles
+        known = bool(context & (header.SERVO | header.JOINT))
     numbered = name.number is not None and (name.has(header.COMMAND | header.MEASURED) or said == "angle")
     if not (known or numbered) or said not in ("", "angle", "rate"):
         return Role(why=f"{name.unit} measures no angle") if known and said else None
