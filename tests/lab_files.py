@@ -47,7 +47,10 @@ def one(path: Path, rows: int = ROWS) -> Path:
     """Everything on a common clock, units in the names."""
     s = swim(rows)
     servos = {k: v for k, v in s.items() if k.startswith("servo")}
-    return write(path, {"time_ms": 1e3 * s["t"], **servos, "cam_x_mm": s["x"], "cam_y_mm": s["y"], "cam_yaw_deg": s["yaw"], "batt_V": s["volt"]})
+    return write(
+        path,
+        {"time_ms": 1e3 * s["t"], **servos, "cam_x_mm": s["x"], "cam_y_mm": s["y"], "cam_yaw_deg": s["yaw"], "batt_V": s["volt"]},
+    )
 
 
 def parquet(path: Path, rows: int = ROWS) -> Path:
@@ -58,14 +61,18 @@ def parquet(path: Path, rows: int = ROWS) -> Path:
     s = swim(rows)
     stamps = pa.array((1_700_000_000_000_000_000 + 1e9 * s["t"]).astype("int64"), pa.timestamp("ns"))
     servos = {k: v for k, v in s.items() if k.startswith("servo")}
-    pq.write_table(pa.table({"stamp": stamps, **servos, "x_mm": s["x"], "y_mm": s["y"], "yaw_deg": s["yaw"], "mode": ["swim"] * rows}), path)
+    pq.write_table(
+        pa.table({"stamp": stamps, **servos, "x_mm": s["x"], "y_mm": s["y"], "yaw_deg": s["yaw"], "mode": ["swim"] * rows}), path
+    )
     return path
 
 
 def npz(path: Path, rows: int = ROWS) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     s = swim(rows)
-    np.savez_compressed(path, time_ms=1e3 * s["t"], servo_deg=np.stack([s[f"servo{k}_deg"] for k in (1, 2, 3)], 1), extra=np.zeros(3))
+    np.savez_compressed(
+        path, time_ms=1e3 * s["t"], servo_deg=np.stack([s[f"servo{k}_deg"] for k in (1, 2, 3)], 1), extra=np.zeros(3)
+    )
     return path
 
 
@@ -82,7 +89,9 @@ def _messages(rows: int):
         header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="tank")
         angles = np.radians([s[f"servo{k}_deg"][i] for k in (1, 2, 3)])
         none = np.zeros(0)
-        state = kinds["sensor_msgs/msg/JointState"](header=header, name=["a", "b", "c"], position=angles, velocity=0 * angles, effort=none)
+        state = kinds["sensor_msgs/msg/JointState"](
+            header=header, name=["a", "b", "c"], position=angles, velocity=0 * angles, effort=none
+        )
         layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         command = kinds["std_msgs/msg/Float64MultiArray"](layout=layout, data=angles)
         turn = math.radians(s["yaw"][i])
@@ -106,7 +115,9 @@ def bag(folder: Path, rows: int = 40) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  storage_identifier: sqlite3\n")
     database = sqlite3.connect(folder / f"{folder.name}_0.db3")
-    database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT)")
+    database.execute(
+        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT)"
+    )
     database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
     numbers: dict[str, int] = {}
     for topic, kind, now, data in _messages(rows):
@@ -149,7 +160,12 @@ def mcap_json(path: Path, rows: int = 40) -> Path:
         channel = writer.register_channel(topic="/servo_command", message_encoding="json", schema_id=0)
         for i in range(rows):
             body = {"angle": {str(k): s[f"servo{k}_deg"][i] for k in (1, 2, 3)}}
-            writer.add_message(channel, log_time=1_700_000_000_000_000_000 + round(1e9 * s["t"][i]), publish_time=0, data=json.dumps(body).encode())
+            writer.add_message(
+                channel,
+                log_time=1_700_000_000_000_000_000 + round(1e9 * s["t"][i]),
+                publish_time=0,
+                data=json.dumps(body).encode(),
+            )
         writer.finish()
     return path
 
@@ -164,8 +180,35 @@ MAKERS = {  # name -> writes a valid source below a folder and returns it
     "rosbag2": lambda root: bag(root / "bag", 12),
     **{name: (lambda root, make=make: make(root / name)) for name, make in recordings.MAKERS.items()},
 }
-_JUNK = [b",", b"\n", b";", b"\t", b"-", b"e9", b"nan", b"[", b'"', b"}", b"\x00", b"1e999", b" ", b"9" * 400, "é;".encode(), b"null", b"\xff\xfe"]
-_JUNK += [b"=1+1", b"2026-01-15T12:00:00Z", b"\x1b[31m", b"\xff" * 8, b"\x00" * 8, b"\x7f\xff\xff\xff\xff\xff\xff\xff", b"deg", b"t"]
+_JUNK = [
+    b",",
+    b"\n",
+    b";",
+    b"\t",
+    b"-",
+    b"e9",
+    b"nan",
+    b"[",
+    b'"',
+    b"}",
+    b"\x00",
+    b"1e999",
+    b" ",
+    b"9" * 400,
+    "é;".encode(),
+    b"null",
+    b"\xff\xfe",
+]
+_JUNK += [
+    b"=1+1",
+    b"2026-01-15T12:00:00Z",
+    b"\x1b[31m",
+    b"\xff" * 8,
+    b"\x00" * 8,
+    b"\x7f\xff\xff\xff\xff\xff\xff\xff",
+    b"deg",
+    b"t",
+]
 
 
 def mutated(raw: bytes, rng: random.Random) -> bytes:

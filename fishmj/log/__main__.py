@@ -18,7 +18,9 @@ def main(argv: list[str]) -> int:
     verbs = parser.add_subparsers(dest="verb", required=True)
     for module in VERBS:
         module.add(verbs)
-    args = parser.parse_args(argv)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:  # the verb's own parser knows which of its options is the nearest
+        verbs.choices[args.verb].parse_args(argv[argv.index(args.verb) + 1 :])
     return args.call(args)
 
 

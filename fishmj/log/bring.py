@@ -13,7 +13,7 @@ from fishmj import calib, console, names
 from fishmj.errors import FishmjError, LogError, UsageError
 from fishmj.log import importers, measurements, plausible
 from fishmj.log.dataset import write_dataset
-from fishmj.log.folder import read_trial
+from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
@@ -40,6 +40,8 @@ examples:
   fishmj log import lab/ --out data/lab --columns MAP.toml"""
 TABLE = "table"  # the format of what is read by its columns
 SHOWN = 3  # first values of a column
+SOON = 5.0  # s before progress shows
+LONGEST = 1000  # characters of a message
 
 
 @dataclass
@@ -118,14 +120,19 @@ def add(verbs) -> None:
 
 def run(args: Namespace) -> int:
     """Import, write, and say what came in and what did not."""
+    with plausible.relaxing(args.plausible or {}):
+        return _run(args)
+
+
+def _run(args: Namespace) -> int:
     if args.out is None and args.write_map is None:
         raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")
     if args.out is not None and args.out.exists():
         raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
     meta = _meta(args)
-    found = _found(args, meta)
+    found = _found(args)
     if args.strict and found.skipped:
-        raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + "; ".join(list(found.skipped.values())[:3]))
+        raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + _line("; ".join(list(found.skipped.values())[:3])))
     _show(found)
     if args.write_map is not None:
         _write_map(args, found)
@@ -133,16 +140,15 @@ def run(args: Namespace) -> int:
             return console.OK
     if found.guesses:
         _agreed(args, found)
-    rows, notes = _write(args, found, meta)
+    rows, notes, told = _write(args, found, meta)
     for where, message in found.skipped.items():
-        console.warn(f"left out: {message if where in message else f'{where}: {message}'}")
-    told = {key: said for key in ("licence", "source") if (said := meta.get(key))}
+        console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
     left = f", {len(found.skipped)} left out" if found.skipped else ""
     console.say(console.table(rows), "", *found.notes, f"{len(rows)} trials ({found.format}) written to {args.out}{left}")
     if args.json:
         console.emit_json(
             {
-                **{"format": found.format, "out": str(args.out), "meta": told | _dataset_meta(found, rows, meta), "trials": rows},
+                **{"format": found.format, "out": str(args.out), "meta": told, "trials": rows},
                 **{"notes": notes, "skipped": found.skipped, "guess": [_as_row(k, g) for k, gs in found.guesses for g in gs]},
             }
         )
@@ -150,7 +156,7 @@ def run(args: Namespace) -> int:
 
 
 # ------------------------------------------------------------------------------------------------------------ what there is
-def _found(args: Namespace, meta: dict) -> Found:
+def _found(args: Namespace) -> Found:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE and known not in registry.MESSAGES:
         return _in_format(args.source, known, args)
@@ -234,6 +240,12 @@ def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
     return found
 
 
+def _line(message: str) -> str:
+    """A message as one line that a terminal can show."""
+    clean = "".join(c if c.isprintable() else " " for c in message)
+    return clean if len(clean) <= LONGEST else clean[: LONGEST - 3] + "..."
+
+
 def _one(trials: dict[str, Trial], name: str) -> Trial:
     return replace(next(iter(trials.values())), name=name)
 
@@ -258,7 +270,7 @@ def _nothing(args: Namespace, found: Found) -> None:
     why = "; ".join(list(found.skipped.values())[:3])
     more = f"; and {len(found.skipped) - 3} more" if len(found.skipped) > 3 else ""
     if why:
-        raise LogError(why + more)
+        raise LogError(_line(why) + more)
     formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
     raise LogError(
         f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial folders, or one of {formats}"
@@ -341,22 +353,26 @@ def _agreed(args: Namespace, found: Found) -> None:
 
 def _certain(g: Guess) -> bool:
     """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
-    own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s"))
+    own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (
+        not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s")
+    )
     return g.said or own
 
 
 # --------------------------------------------------------------------------------------------------------------- writing
-def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[str, list[str]]]:
-    """Write the trials that convert; what does not is remembered in `found.skipped`."""
+def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[str, list[str]], dict]:
+    """Write the trials that convert; what does not is remembered in `found.skipped`. Rows, notes, the manifest's meta."""
     rows: list[dict] = []
     notes: dict[str, list[str]] = {}
-    told = _dataset_meta(found, rows, meta)
+    told: dict[str, str] = {}  # filled before the manifest, which comes last
+    said: dict[str, set[str]] = {"licence": set(), "source": set()}
 
     def trials() -> Iterator[tuple[str, Trial]]:
         with console.Progress(len(found.trials), "import", unit="trials") as bar:
             for i, (name, load) in enumerate(found.trials):
                 try:
-                    trial = _with_meta(load(), meta, name)
+                    trial = with_notes(_with_meta(load(), meta, name))
+                    checked_meta(args.out / name, trial.meta)
                     rows.append(_row(name, trial))
                 except FishmjError as error:
                     if args.strict:
@@ -364,28 +380,22 @@ def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[
                     found.skipped[name] = str(error)
                     continue
                 notes[name] = list(trial.notes)
-                for key in ("licence", "source"):
-                    if said := trial.value(key):
-                        told.setdefault(f"_{key}", set()).add(str(said))
-                yield name, with_notes(trial)
-                if bar.elapsed > 5:
+                for key, values in said.items():
+                    values |= {str(value)} if (value := trial.value(key)) else set()
+                yield name, trial
+                if bar.elapsed > SOON:
                     bar.update(i + 1)
+        told.update({"format": found.format} | {key: "; ".join(sorted(values))[:500] for key, values in said.items() if values})
 
     try:
-        loaded = _checked(trials(), args, found)
-        write_dataset(args.out, loaded, meta={}, page=found.page or None)
-        final = {"format": found.format} | {
-            key: "; ".join(sorted(told[f"_{key}"]))[:500] for key in ("licence", "source") if f"_{key}" in told
-        }
-        meta |= {key: final[key] for key in ("licence", "source") if key in final}
-        _manifest(args.out, final)
+        write_dataset(args.out, _any(trials(), args, found), meta=told, page=found.page or None)
     except BaseException:
         shutil.rmtree(args.out, ignore_errors=True)  # it did not exist before
         raise
-    return rows, notes
+    return rows, notes, told
 
 
-def _checked(trials: Iterator[tuple[str, Trial]], args: Namespace, found: Found) -> Iterator[tuple[str, Trial]]:
+def _any(trials: Iterator[tuple[str, Trial]], args: Namespace, found: Found) -> Iterator[tuple[str, Trial]]:
     """The trials, or the reasons where there is none."""
     first = next(trials, None)
     if first is None:
@@ -393,16 +403,6 @@ def _checked(trials: Iterator[tuple[str, Trial]], args: Namespace, found: Found)
         return
     yield first
     yield from trials
-
-
-def _manifest(folder: Path, meta: dict) -> None:
-    from fishmj.store import Manifest
-
-    Manifest.of(folder, meta).write(folder)
-
-
-def _dataset_meta(found: Found, rows: list[dict], meta: dict) -> dict:
-    return {"format": found.format}
 
 
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:

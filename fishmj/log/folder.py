@@ -104,7 +104,7 @@ def write_trial(
         LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.
     """
     folder = Path(folder)
-    meta_text = _checked_meta(folder, trial.meta)
+    meta_text = checked_meta(folder, trial.meta)
     bounds = of_meta(trial.meta, str(folder / META_FILE))
     tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
     for name, table in tables.items():
@@ -149,7 +149,12 @@ def _swap(temporary: Path, folder: Path) -> None:
     sync_folder(folder.parent)
 
 
-def _checked_meta(folder: Path, meta: dict) -> str:
+def checked_meta(folder: Path, meta: dict) -> str:
+    """The text of a trial's meta.toml.
+
+    Raises:
+        LogError: the origin is missing, a value is impossible or has no TOML form.
+    """
     meta = toml.nested({"schema": SCHEMA, **meta})
     if "origin" not in meta:
         raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')

@@ -1,7 +1,9 @@
 """How large a value may be before its unit is doubted: `data/calib/plausible.toml`, relaxed by a trial's `[plausible]`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 
@@ -56,12 +58,26 @@ def shipped() -> Plausible:
     return Plausible(*[1.0] * len(names)).relaxed(found, str(path))
 
 
+_SAID: ContextVar[Mapping] = ContextVar("said", default={})  # on the command line
+
+
+@contextmanager
+def relaxing(said: Mapping) -> Iterator[None]:
+    """Within: every table is read with these bounds in place of the shipped ones; a trial's own go before them."""
+    shipped().relaxed(said, "--plausible")
+    token = _SAID.set(said)
+    try:
+        yield
+    finally:
+        _SAID.reset(token)
+
+
 def of_meta(meta: Mapping, where: str) -> Plausible:
-    """The shipped bounds, relaxed by the `[plausible]` table of a trial's meta data."""
+    """The shipped bounds, relaxed by the command line and by the `[plausible]` table of a trial's meta data."""
     said = meta.get(KEY, {})
     if not isinstance(said, Mapping):
         raise LogError(f"{where}: {KEY} = {str(said)[:40]!r}; expected a table such as [{KEY}] reach = 5000.0")
-    return shipped().relaxed(said, f"{where} [{KEY}]")
+    return shipped().relaxed(_SAID.get(), "--plausible").relaxed(said, f"{where} [{KEY}]")
 
 
 def told(text: str) -> dict[str, float]:

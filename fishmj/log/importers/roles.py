@@ -44,8 +44,10 @@ def _exact(name: Header, context: set[str]) -> Role | None:
 
 
 def _force(name: Header, context: set[str]) -> Role | None:
-    if name.has(header.FORCE) or measures(name.unit) in ("force", "torque") or (
-        context & header.FORCE and not name.has(header.TIME)
+    if (
+        name.has(header.FORCE)
+        or measures(name.unit) in ("force", "torque")
+        or (context & header.FORCE and not name.has(header.TIME))
     ):
         return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
     if measures(name.unit) in ("mass", "power", "share", "count") and not name.has(header.SERVO | header.JOINT):
