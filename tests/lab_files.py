@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import random
 import sqlite3
 from pathlib import Path
@@ -9,7 +10,36 @@ from pathlib import Path
 import numpy as np
 import recordings
 
+from fishmj import console, log
+from fishmj.log import __main__ as command
+
 ROWS = 120
+N = np.arange(100)
+WAVE = np.sin(0.3 * N)
+
+
+def importer(tmp_path, capsys, monkeypatch):
+    """A function that runs `log import` and gives (exit code, stdout, stderr); the data set is tmp_path/set."""
+    monkeypatch.setattr(os, "fsync", lambda handle: None)  # durability is tested elsewhere
+
+    def run(*words, out=tmp_path / "set"):
+        code = console.run(command.main, ["import", *map(str, words), *(["--out", str(out)] if out else [])])
+        told = capsys.readouterr()
+        return code, told.out, told.err.strip()
+
+    return run
+
+
+def only(folder):
+    """The one trial of a data set."""
+    data = log.read_dataset(folder)
+    assert len(data) == 1
+    return data[data.names[0]]
+
+
+def near(got, wanted, tolerance=1e-6):
+    """Equal within a tolerance."""
+    assert np.allclose(got, wanted, atol=tolerance), (got[:4], wanted[:4])
 
 
 def swim(rows: int = ROWS) -> dict[str, np.ndarray]:
@@ -178,7 +208,7 @@ MAKERS = {  # name -> writes a valid source below a folder and returns it
     "mcap_cdr": lambda root: mcap_cdr(root / "log.mcap", 12),
     "mcap_json": lambda root: mcap_json(root / "log.mcap", 12),
     "rosbag2": lambda root: bag(root / "bag", 12),
-    **{name: (lambda root, make=make: make(root / name)) for name, make in recordings.MAKERS.items()},
+    **{name: (lambda root, make=make, name=name: make(root / name)) for name, make in recordings.MAKERS.items()},
 }
 _JUNK = [
     b",",

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fishmj import calib, console, names
+from fishmj import console
 from fishmj.errors import FishmjError, LogError, UsageError
-from fishmj.log import importers, measurements, plausible
+from fishmj.log import about, importers, measurements, plausible
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, registry
@@ -93,13 +93,13 @@ def add(verbs) -> None:
     sub.add_argument("--format", choices=sorted([*importers.FORMATS, TABLE]), help="default: found out; table: by its columns")
     sub.add_argument("--robot", help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said")
     sub.add_argument("--excitation", help="name of the experiment, such as steps_1; default: not said")
-    sub.add_argument("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
+    sub.add_argument("--start", type=about.start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
     sub.add_argument("--medium", choices=("water", "air"), help="default: not said")
     sub.add_argument("--origin", choices=("measured", "synthetic"), help="default: measured")
     sub.add_argument("--licence", help="of the data, such as CC-BY-4.0; default: not said")
     sub.add_argument(
         "--plausible",
-        type=_bounds,
+        type=about.bounds,
         metavar="NAME=NUMBER",
         help="relax a bound on magnitude, such as reach=5000 (m); default: data/calib/plausible.toml",
     )
@@ -129,7 +129,7 @@ def _run(args: Namespace) -> int:
         raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")
     if args.out is not None and args.out.exists():
         raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
-    meta = _meta(args)
+    meta = about.of_options(args)
     found = _found(args)
     if args.strict and found.skipped:
         raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + _line("; ".join(list(found.skipped.values())[:3])))
@@ -273,7 +273,8 @@ def _nothing(args: Namespace, found: Found) -> None:
         raise LogError(_line(why) + more)
     formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
     raise LogError(
-        f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial folders, or one of {formats}"
+        f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial "
+        f"folders, or one of {formats}"
     )
 
 
@@ -306,7 +307,8 @@ def _shown(value: float, unit: str) -> str:
 def _write_map(args: Namespace, found: Found) -> None:
     if not found.maps:
         raise LogError(
-            f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set {_first_unclear(found)}"
+            f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set "
+            f"{_first_unclear(found)}"
         )
     if len(found.maps) > 1:
         raise LogError(
@@ -335,19 +337,22 @@ def _agreed(args: Namespace, found: Found) -> None:
         )
         more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
         raise LogError(
-            f"{args.source[0]}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map MAP.toml, mend it, --columns MAP.toml"
+            f"{args.source[0]}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "
+            "MAP.toml, mend it, --columns MAP.toml"
         )
     if args.yes or all(_certain(g) for _, made in found.guesses for g in made):
         return
     if sys.stdin is None or not sys.stdin.isatty():
         raise LogError(
-            f"{args.source[0]}: the columns above are guessed; take them with --yes, or write them to a file with --write-map MAP.toml, "
+            f"{args.source[0]}: the columns above are guessed; take them with --yes, or write them to a file with "
+            "--write-map MAP.toml, "
             "mend it, and import with --columns MAP.toml"
         )
     console.say("Take these columns? [y/N]")
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise LogError(
-            f"{args.source[0]}: nothing imported; write the guess with --write-map MAP.toml, mend it, and import with --columns MAP.toml"
+            f"{args.source[0]}: nothing imported; write the guess with --write-map MAP.toml, mend it, and import "
+            "with --columns MAP.toml"
         )
 
 
@@ -431,62 +436,3 @@ def _row(name: str, trial: Trial) -> dict:
     start, end = trial.span
     tables = ", ".join(f"{table} {len(columns['t'])}" for table, columns in trial.tables.items())
     return {"trial": name, "tables (rows)": tables, "seconds": round(end - start, 3), "notes": len(trial.notes)}
-
-
-# ------------------------------------------------------------------------------------------------------------ meta data
-def _meta(args: Namespace) -> dict:
-    meta: dict = {
-        key: value for key in ("excitation", "medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None
-    }
-    if args.excitation is not None:
-        names.checked(args.excitation, "excitation", "--excitation")
-    if args.robot is not None:
-        meta["robot"], joints = robot_of(args.robot)
-        meta |= {"joints": joints} if joints else {}
-    if args.plausible:
-        meta[plausible.KEY] = args.plausible
-    return meta
-
-
-def robot_of(text: str) -> tuple[str, int]:
-    """Name and number of joints (0: not known) of a robot: its TOML, a shipped one's file or its own name, or any name.
-
-    Raises:
-        ConfigError: no such file, not TOML, or no name that may stand in a path.
-    """
-    path = None
-    if text.endswith(".toml"):
-        path = Path(text)
-    else:
-        for name in calib.shipped():
-            shipped = calib.calib_folder() / f"{name}.toml"
-            if str(calib.read_toml(shipped).get("schema", "")).startswith("fishmj.fish") and text in (
-                name,
-                calib.read_toml(shipped).get("name"),
-            ):
-                path = shipped
-    if path is None:
-        return names.checked(text, "robot", "--robot"), 0
-    table = calib.read_toml(path)
-    links = table.get("link")
-    said = table.get("name", table.get("robot", {}).get("name") if isinstance(table.get("robot"), dict) else None)
-    return names.checked(said, "robot", str(path)), max(len(links) - 1, 0) if isinstance(links, list) else 0
-
-
-def _start(text: str) -> list[float]:
-    from argparse import ArgumentTypeError
-
-    parts = text.split(",")
-    if len(parts) != 3:
-        raise ArgumentTypeError(f"got {text[:40]!r}, expected three numbers x,y,yaw [m, m, rad], such as 0,0,1.57")
-    reach = plausible.shipped().start
-    return [console.number(-reach, reach)(part) for part in parts[:2]] + [console.number(-6.3, 6.3)(parts[2])]
-
-
-def _bounds(text: str) -> dict[str, float]:
-    from argparse import ArgumentTypeError
-
-    try:
-        return plausible.told(text)
-    except FishmjError as error:
-        raise ArgumentTypeError(str(error)) from error

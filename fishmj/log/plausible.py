@@ -58,7 +58,7 @@ def shipped() -> Plausible:
     return Plausible(*[1.0] * len(names)).relaxed(found, str(path))
 
 
-_SAID: ContextVar[Mapping] = ContextVar("said", default={})  # on the command line
+_SAID: ContextVar[Mapping | None] = ContextVar("said", default=None)  # on the command line
 
 
 @contextmanager
@@ -77,7 +77,7 @@ def of_meta(meta: Mapping, where: str) -> Plausible:
     said = meta.get(KEY, {})
     if not isinstance(said, Mapping):
         raise LogError(f"{where}: {KEY} = {str(said)[:40]!r}; expected a table such as [{KEY}] reach = 5000.0")
-    return shipped().relaxed(_SAID.get(), "--plausible").relaxed(said, f"{where} [{KEY}]")
+    return shipped().relaxed(_SAID.get() or {}, "--plausible").relaxed(said, f"{where} [{KEY}]")
 
 
 def told(text: str) -> dict[str, float]:

@@ -154,12 +154,14 @@ class ColumnMap(_Strict):
             for column, source in entry.columns.items():
                 if not is_column(spec, column):
                     raise ValueError(
-                        f"[tables.{name}]: no column {quoted(column)}{_near(column, known)}; known: {', '.join(known)}, and 2, 3, .. of the numbered"
+                        f"[tables.{name}]: no column {quoted(column)}{_near(column, known)}; known: "
+                        f"{', '.join(known)}, and 2, 3, .. of the numbered"
                     )
                 what, got = measured(name, column), measures(source.unit)
                 if source.unit and got != what:
                     raise ValueError(
-                        f"[tables.{name}] {column}: {source.unit} measures {got or 'a date'}; expected {SI.get(what) or 'no unit'} or its kin"
+                        f"[tables.{name}] {column}: {source.unit} measures {got or 'a date'}; expected "
+                        f"{SI.get(what) or 'no unit'} or its kin"
                     )
         return self
 
@@ -208,7 +210,10 @@ def of_dict(raw: dict, where: str) -> ColumnMap:
 
 def written(made: ColumnMap) -> str:
     """The map as TOML."""
-    head = "# Which column of the files is which of fishmj.log/1, in what unit (docs/logs.md). Read it, mend it, and import with it.\n"
+    head = (
+        "# Which column of the files is which of fishmj.log/1, in what unit (docs/logs.md). Read it, mend it, and "
+        "import with it.\n"
+    )
     plain = made.model_dump(exclude_defaults=True)
     lines = [f"skip = {toml.inline(plain['skip'])}"] if plain.get("skip") else []
     lines += ["", toml.dumps({"meta": plain["meta"]}).rstrip()] if plain.get("meta") else []

@@ -1,4 +1,5 @@
-"""Binary tables: Parquet (extra `logs`) and `.npz` archives of one array a column. What they would unpack to is measured first."""
+"""Binary tables: Parquet (extra `logs`) and `.npz` archives of one array a column. What they would unpack to is "
+"measured first."""
 
 from pathlib import Path
 

@@ -61,7 +61,8 @@ def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet | None
     if len(fitting) > 1:
         names = ", ".join(quoted(sheet.name) for sheet in fitting[:4])
         raise LogError(
-            f'{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say which with file = "pattern", '
+            f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say "
+            'which with file = "pattern", '
             "or import each file as a trial of its own with --trial-each"
         )
     return fitting[0] if fitting else None
@@ -79,11 +80,17 @@ def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
     text = [sheet for sheet in sheets for column in lacking if column in sheet.text]
     where = sheets[0].where if sheets else "nothing"
     if not lacking:
-        return f"{where}: [tables.{table}]: no one file holds all of {', '.join(map(quoted, _sources(entry)))} (file = {quoted(entry.file or '*')})"
+        return (
+            f"{where}: [tables.{table}]: no one file holds all of {', '.join(map(quoted, _sources(entry)))} (file = "
+            f"{quoted(entry.file or '*')})"
+        )
     near = get_close_matches(lacking[0], has, 1, 0.5)
     hint = f"; did you mean {quoted(near[0])}?" if near else ""
     told = "; it holds text" if text else ""
-    return f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has {', '.join(quoted(c)[1:-1] for c in has[:12])}"
+    return (
+        f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has "
+        f"{', '.join(quoted(c)[1:-1] for c in has[:12])}"
+    )
 
 
 def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
@@ -100,12 +107,14 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
             if np.isnan(out[column]).all():
                 what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
                 raise LogError(
-                    f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; leave it out of the map"
+                    f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
+                    "leave it out of the map"
                 )
     keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)
     if not keep.any():
         raise LogError(
-            f"{sheet.where}: [tables.{table}]: no row has a number in all of {', '.join(map(quoted, names.values()))}; map them to tables of their own"
+            f"{sheet.where}: [tables.{table}]: no row has a number in all of "
+            f"{', '.join(map(quoted, names.values()))}; map them to tables of their own"
         )
     if not keep.all():
         notes.append(f"{table}: {int((~keep).sum())} of {len(keep)} rows of {sheet.name} left out, blank in one of its columns")

@@ -106,7 +106,8 @@ def _table(path: Path, lines: Iterator[tuple[int, str]], notes: list[str]) -> Sh
         named = [name.strip() for name in _split(comment, mark)] if comment else []
         if len(named) != len(names) or all(_is_number(name) for name in named):
             raise LogError(
-                f"{path}:{head[0][0]}:1: the first row holds numbers; write the names of the columns there, such as time_s,servo1_deg"
+                f"{path}:{head[0][0]}:1: the first row holds numbers; write the names of the columns there, such "
+                "as time_s,servo1_deg"
             )
         names, body = named, head
     else:
@@ -183,7 +184,8 @@ class _Reader:
             else "another separator?"
         )
         raise LogError(
-            f"{self.path}:{number}:1: {count} values in a row of {len(self.names)} columns, as in {len(self.odd)} row(s); is the row cut off, or {hint}"
+            f"{self.path}:{number}:1: {count} values in a row of {len(self.names)} columns, as in {len(self.odd)} "
+            f"row(s); is the row cut off, or {hint}"
         )
 
     def sheet(self, units: dict[str, str], notes: list[str]) -> Sheet:
@@ -199,7 +201,8 @@ class _Reader:
         for column, count in self.counts.items():
             if count and np.isfinite(columns[column]).any():
                 notes.append(
-                    f"{name}: column {quoted(column)}: {count} cell(s) of text, such as {quoted(self.text[column])}, taken for blanks"
+                    f"{name}: column {quoted(column)}: {count} cell(s) of text, such as "
+                    f"{quoted(self.text[column])}, taken for blanks"
                 )
         units = {**units, **dict.fromkeys(self.dates, DATE)}
         return checked(Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes)))
@@ -237,7 +240,8 @@ def _separator(path: Path, head: list[tuple[int, str]], comment: str) -> str:
         if mark in first.strip():
             return mark
     raise LogError(
-        f"{path}:{head[0][0]}:1: one column only, {quoted(first)}; expected columns separated by commas, semicolons, tabs or blanks"
+        f"{path}:{head[0][0]}:1: one column only, {quoted(first)}; expected columns separated by commas, "
+        "semicolons, tabs or blanks"
     )
 
 

@@ -95,7 +95,8 @@ def read_sheets(path: Path) -> list[Sheet]:
     if suffix in delimited.SUFFIXES or not suffix:
         return [delimited.read(path)]
     raise LogError(
-        f"{path}: files of type {quoted(suffix)} are not read; export it as CSV. Known: {', '.join((*TABLE_FILES, '.mcap', '.db3'))}"
+        f"{path}: files of type {quoted(suffix)} are not read; export it as CSV. Known: "
+        f"{', '.join((*TABLE_FILES, '.mcap', '.db3'))}"
     )
 
 
@@ -210,7 +211,8 @@ def _is_one(tables: Sequence[Path], different: int) -> bool:
     if different == 1:
         return False
     raise LogError(
-        f"{tables[0].parent}: {len(tables)} files with {different} sets of columns ({', '.join(quoted(p.name)[1:-1] for p in tables[:4])}, ..): "
+        f"{tables[0].parent}: {len(tables)} files with {different} sets of columns "
+        f"({', '.join(quoted(p.name)[1:-1] for p in tables[:4])}, ..): "
         "are they one trial or many? Say --one-trial or --trial-each, or put the files of each trial into a folder of its own"
     )
 

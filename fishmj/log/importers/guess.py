@@ -9,7 +9,6 @@ import numpy as np
 from fishmj.errors import LogError, UnknownName
 from fishmj.log.importers import header, values
 from fishmj.log.importers.column_map import ColumnMap, is_column, measured, of_dict
-from fishmj.log.importers.header import Header
 from fishmj.log.importers.limits import quoted
 from fishmj.log.importers.roles import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
@@ -358,7 +357,7 @@ def _points(guesses: list[Guess]) -> list[Guess]:
 def _complete(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
     """Tables that lack a column they need are left out, and so is everything of a file without stamps."""
     out = list(guesses)
-    for k, kind in enumerate(found):
+    for k in range(len(found)):
         mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place != "t"]
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
             out = [
@@ -393,7 +392,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: s
         LogError: nothing is left.
     """
     tables: dict[str, dict] = {}
-    for k, kind in enumerate(found):
+    for k in range(len(found)):
         mine = [g for g in guesses if g.kind == k and g.state == TAKEN]
         stamp = next((g for g in mine if g.place == "t"), None)
         if stamp is None:
@@ -425,7 +424,10 @@ def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: s
 def _nothing(guesses: Sequence[Guess], where: str) -> str:
     if all(g.place != "t" for g in guesses):
         names = ", ".join(quoted(g.column)[1:-1] for g in guesses[:8])
-        return f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = {{ column = "frame", scale = 0.01 }}'
+        return (
+            f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = '
+            f'{{ column = "frame", scale = 0.01 }}'
+        )
     told = "; ".join(f"{quoted(g.column)[1:-1]}: {g.why}" for g in guesses if g.place != "t")[:300]
     return f"{where}: no column was recognised ({told}); write a map (docs/logs.md) and import with --columns MAP.toml"
 

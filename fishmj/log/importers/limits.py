@@ -28,7 +28,8 @@ def check_size(path: Path, size: float, what: str = "is") -> None:
     """Refuse `size` bytes beyond the limit."""
     if size > most_bytes():
         raise LogError(
-            f"{path}: {what} {size / 1e9:.3g} GB, the limit is {most_bytes() / 1e9:g} GB; if you trust the file set {VARIABLE}={int(size / 1e9) + 1}"
+            f"{path}: {what} {size / 1e9:.3g} GB, the limit is {most_bytes() / 1e9:g} GB; if you trust the file "
+            f"set {VARIABLE}={int(size / 1e9) + 1}"
         )
 
 

@@ -89,7 +89,8 @@ def _database(path: Path, needed: set[str] | None) -> Found:
             tables = {row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
                 raise LogError(
-                    f"{path}: no rosbag2: tables {', '.join(map(quoted, sorted(map(str, tables))[:6])) or 'none'}; expected topics and messages"
+                    f"{path}: no rosbag2: tables "
+                    f"{', '.join(map(quoted, sorted(map(str, tables))[:6])) or 'none'}; expected topics and messages"
                 )
             for number, name, kind, encoding in database.execute(
                 "SELECT id, name, type, serialization_format FROM topics LIMIT 10000"
