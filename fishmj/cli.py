@@ -20,6 +20,7 @@ VERBS = (
     "train",
     "evaluate",
     "experiments",
+    "log",
     "replay",
     "play",
     "bench",
