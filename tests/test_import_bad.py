@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import struct
 
 import lab_files
@@ -12,6 +13,8 @@ from synthetic import whole_trial
 
 from fishmj import console, log
 from fishmj.log import __main__ as command
+from fishmj.log.importers import guess
+from fishmj.log.importers.delimited import read as read_text_table
 
 
 @pytest.fixture
@@ -286,3 +289,54 @@ def test_the_robots_name_and_joints_come_from_its_description(tmp_path, bring):
     assert robot_of(str(tmp_path / "eel.toml")) == ("eel", 2)
     assert bring(lab_files.one(tmp_path / "a.csv"), "--yes", "--robot", tmp_path / "eel.toml")[0] == 0
     assert any("has 2 joints, the columns tell of 3" in note for note in only(tmp_path / "set").meta["notes"])
+
+
+# ---------------------------------------------------------------------------------------------------------------- hostile
+def test_names_with_escape_codes_never_reach_the_terminal(tmp_path, bring):
+    folder = tmp_path / "lab\x1b[31m"
+    lab_files.write(folder / "run\x1b]0;x\x07.csv", {"time_ms": 20.0 * N, "servo1_deg": WAVE, "\x1b[31mred": WAVE})
+    (folder / "bad\x1b[2J\n.csv").write_text("")
+    code, out, err = bring(folder, "--yes")
+    assert code == 0 and "\x1b" not in out + err and "\x07" not in out + err
+    assert not any("\x1b" in note for note in only(tmp_path / "set").meta["notes"])
+    code, out, err = bring(folder / "bad\x1b[2J\n.csv", "--yes", out=tmp_path / "two")
+    assert code == 2 and err.isprintable()
+
+
+def test_a_trial_folder_whose_table_is_a_link_outside_or_a_pipe_is_not_read(tmp_path, bring):
+    (tmp_path / "secret.csv").write_text("t,c1\n0,0.1\n0.02,0.1\n")
+    for name in ("linked", "piped", "good"):
+        log.write_trial(tmp_path / "ours" / name, whole_trial(0.2), form="csv")
+        if name != "good":
+            (tmp_path / "ours" / name / "cmd.csv").unlink()
+    (tmp_path / "ours" / "linked" / "cmd.csv").symlink_to(tmp_path / "secret.csv")
+    os.mkfifo(tmp_path / "ours" / "piped" / "cmd.csv")
+    code, out, err = bring(tmp_path / "ours")
+    assert code == 0 and log.read_dataset(tmp_path / "set").names == ("good",)
+    assert "a link that leads outside" in out and "is no plain file" in err
+
+
+def test_thousands_of_numbered_columns_are_weighed_in_seconds(tmp_path):
+    import time
+
+    zero = np.zeros(20)
+    sheet_columns = {"time_ms": 20.0 * np.arange(20), **{f"servo{k}_deg": zero for k in range(1, 900)}}
+    sheet_columns |= {f"x{k}": zero for k in range(1, 900)}
+    sheet = read_text_table(lab_files.write(tmp_path / "a.csv", sheet_columns))
+    start = time.monotonic()
+    found = guess.guess(guess.kinds([sheet]))
+    assert time.monotonic() - start < 60 and sum(g.state == guess.TAKEN for g in found) > 800
+
+
+def test_stamps_of_seconds_and_nanoseconds_are_added(tmp_path, bring):
+    rows = "".join(f"{1_700_000_000 + (20 * i) // 1000},{20_000_000 * i % 10**9},{10 * math.sin(i):.4f}\n" for i in range(100))
+    (tmp_path / "a.csv").write_text("header.stamp.sec,header.stamp.nanosec,goal_1_deg\n" + rows)
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
+    near(only(tmp_path / "set").tables["cmd"]["t"], 0.02 * np.arange(100), 1e-6)
+
+
+def test_a_table_that_lies_in_two_files_is_not_pieced_together(tmp_path, bring):
+    lab_files.write(tmp_path / "lab" / "a.csv", {"time_ms": 20.0 * N, "goal1_deg": WAVE, "goal2_deg": WAVE})
+    lab_files.write(tmp_path / "lab" / "b.csv", {"time_ms": 10.0 * N, "goal3_deg": WAVE, "batt_V": 7.4 + 0 * WAVE})
+    code, out, _ = bring(tmp_path / "lab", "--yes")
+    assert code == 0 and "table cmd also needs c1" in out and "c3" not in only(tmp_path / "set").tables["cmd"]

@@ -18,8 +18,8 @@ from fishmj.log.importers import gather, guess, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
 from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
-from fishmj.log.importers.limits import quoted
 from fishmj.log.importers.sheet import DATE
+from fishmj.log.limits import quoted
 from fishmj.log.trial import Trial
 from fishmj.store import write_text
 
@@ -121,7 +121,10 @@ def add(verbs) -> None:
 def run(args: Namespace) -> int:
     """Import, write, and say what came in and what did not."""
     with plausible.relaxing(args.plausible or {}):
-        return _run(args)
+        try:
+            return _run(args)
+        except LogError as error:  # names from files stand in it
+            raise LogError(_line(str(error))) from error
 
 
 def _run(args: Namespace) -> int:
@@ -144,7 +147,9 @@ def _run(args: Namespace) -> int:
     for where, message in found.skipped.items():
         console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
     left = f", {len(found.skipped)} left out" if found.skipped else ""
-    console.say(console.table(rows), "", *found.notes, f"{len(rows)} trials ({found.format}) written to {args.out}{left}")
+    console.say(
+        console.table(rows), "", *map(_line, found.notes), f"{len(rows)} trials ({found.format}) written to {args.out}{left}"
+    )
     if args.json:
         console.emit_json(
             {
@@ -227,6 +232,8 @@ def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
         )
     found = Found(name)
     for source in sources:
+        if outside := gather.leading_outside(source):
+            raise LogError(f"{outside[0]}: a link that leads outside {source}; put the file itself there")
         try:
             trials = importers.read(source, name, topics=args.topics)
         except LogError as error:
@@ -421,7 +428,7 @@ def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     has = max((len([c for c in columns if c[0] in "cj" and c[1:].isdecimal()]) for columns in trial.tables.values()), default=0)
     if joints and has and has != joints:
         notes.append(f"the robot {said.get('robot')} has {joints} joints, the columns tell of {has}")
-    return replace(trial, meta=whole, name=name, notes=tuple(notes))
+    return replace(trial, meta=whole, name=name, notes=tuple(_line(note) for note in notes))
 
 
 def with_notes(trial: Trial) -> Trial:

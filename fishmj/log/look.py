@@ -8,7 +8,7 @@ from fishmj.errors import FishmjError, LogError
 from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, faults, read_trial
 from fishmj.log.importers import gather
-from fishmj.log.importers.limits import quoted
+from fishmj.log.limits import quoted
 from fishmj.log.timebase import audit
 from fishmj.store import Manifest
 from fishmj.store.manifest import MANIFEST

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.importers.limits import COLUMNS, check_size, quoted, regular
 from fishmj.log.importers.sheet import DATE, Sheet, checked
+from fishmj.log.limits import COLUMNS, check_size, quoted, regular
 from fishmj.store import read_npz
 
 PARQUET = (".parquet", ".pq")

@@ -9,9 +9,9 @@ import numpy as np
 from fishmj.errors import LogError
 from fishmj.log.importers.assemble import Place, renamed, trial_of
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap
-from fishmj.log.importers.limits import quoted
 from fishmj.log.importers.rows import STRAY
 from fishmj.log.importers.sheet import DATE, Sheet
+from fishmj.log.limits import quoted
 from fishmj.log.trial import Table, Trial
 
 EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start

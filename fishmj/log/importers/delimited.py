@@ -14,13 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj import console
 from fishmj.errors import LogError
-from fishmj.log.importers.limits import COLUMNS, LINE, check_size, quoted, regular
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.importers.units import unit_of
+from fishmj.log.limits import COLUMNS, LINE, check_size, quoted, regular
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 BAD_ROWS = 0.01  # share of rows of another length that are left out with a note; more is another format
+SOON = 5.0  # s before progress shows
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _BLANKS = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a"}
@@ -78,9 +80,13 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
 
 def _lines(path: Path, file) -> Iterator[tuple[int, str]]:
     """(number from 1, text) of every line that is not blank."""
-    number = 0
+    number, done = 0, 0
+    bar = console.Progress(path.stat().st_size, f"read {quoted(path.name)}", unit="B")
     while line := file.readline(LINE + 1):
         number += 1
+        done += len(line)
+        if not number % 50_000 and bar.elapsed > SOON:
+            bar.update(min(done, bar.total))
         if len(line) > LINE:
             raise LogError(f"{path}:{number}:1: a line of over {LINE} characters; it is no table, or it is binary")
         if line.strip():

@@ -15,9 +15,9 @@ from fishmj import names
 from fishmj.errors import FishmjError, LogError
 from fishmj.log.folder import FLAT_FILE, META_FILE
 from fishmj.log.importers import columnar, delimited, guess, mcap, messages, rosbag2
-from fishmj.log.importers.limits import most_bytes, quoted
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.importers.topics import by_name
+from fishmj.log.limits import most_bytes, quoted
 from fishmj.log.schema import TABLES
 
 DEEP = 12  # folders in folders
@@ -138,9 +138,13 @@ def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None)
 
 def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int) -> list[Item]:
     here = f"{prefix}_{folder.name}".strip("_") if depth else folder.resolve().name
+    whole = is_own(folder) or rosbag2.sniff(folder)
+    if whole and (outside := leading_outside(folder)):
+        notes.append(f"{folder}: passed over: {outside[0].name} is a link that leads outside")
+        return []
     if is_own(folder):
         return [Item(here, (folder,), own=True)]
-    if rosbag2.sniff(folder):
+    if whole:
         return [Item(here, tuple(shelf.readable([folder])))]
     if depth > DEEP:
         raise LogError(f"{folder}: folders in folders, {DEEP} deep; name the folder that holds the trials")
@@ -162,6 +166,21 @@ def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: 
     return items
 
 
+def leading_outside(folder: Path) -> list[Path]:
+    """Links in a folder that lead out of it."""
+    if not folder.is_dir():
+        return []
+    root = folder.resolve()
+    return [entry for entry in sorted(folder.rglob("*")) if entry.is_symlink() and not _within(entry, root)]
+
+
+def _within(link: Path, root: Path) -> bool:
+    try:
+        return link.resolve(strict=True).is_relative_to(root)
+    except (OSError, RuntimeError):
+        return False
+
+
 def _inside(folder: Path, root: Path, notes: list[str]) -> Iterator[Path]:
     """Entries of a folder in order of name, without hidden ones and links that lead outside."""
     try:
@@ -174,10 +193,7 @@ def _inside(folder: Path, root: Path, notes: list[str]) -> Iterator[Path]:
         if entry.name.startswith("."):
             continue
         if entry.is_symlink():
-            try:
-                inside = entry.resolve(strict=True).is_relative_to(root)
-            except (OSError, RuntimeError):
-                inside = False
+            inside = _within(entry, root)
             if not inside or entry.is_dir():
                 notes.append(f"{entry}: a link that leads {'to a folder' if inside else 'outside'}; passed over")
                 continue

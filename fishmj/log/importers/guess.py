@@ -9,13 +9,14 @@ import numpy as np
 from fishmj.errors import LogError, UnknownName
 from fishmj.log.importers import header, values
 from fishmj.log.importers.column_map import ColumnMap, is_column, measured, of_dict
-from fishmj.log.importers.limits import quoted
 from fishmj.log.importers.roles import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.importers.units import SI, measures, of_kind, unit_of
+from fishmj.log.limits import quoted
 from fishmj.log.schema import TABLES, table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
+NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
 _NUMBER = re.compile(r"\d+")
 ROWS = 200_000  # of one file that the statistics look at
 NEEDS = {
@@ -108,7 +109,7 @@ def guess(found: Sequence[Kind], said: dict[str, tuple[str, str, float]] | None 
     out = _commanded_or_measured(out)
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
-    out = _points(_once(out))
+    out = _points(_once(out, found))
     return _complete(out, found)
 
 
@@ -251,6 +252,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
 def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
     """A unit for every column that has a place: said by its name or file, else by the values of its family."""
     out = []
+    known: dict[tuple[str, str], tuple[str, str]] = {}  # by family: its values are looked at once
     for g in guesses:
         if g.state == LEFT:
             out.append(g)
@@ -274,7 +276,10 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
         elif not what:
             out.append(g)
         else:
-            unit, why = _by_value(kind, guesses, g, what)
+            family = (_family(g.place), what if what != "length" else "")
+            if family not in known:
+                known[family] = _by_value(kind, guesses, g, what)
+            unit, why = known[family]
             if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
                 unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
             state = UNCLEAR if not unit else g.state
@@ -283,8 +288,8 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
 
 
 def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
-    family = re.sub(r"\d+\Z", "", g.place)
-    mine = [o for o in guesses if o.state != LEFT and not o.unit and re.sub(r"\d+\Z", "", o.place) == family]
+    family = _family(g.place)
+    mine = [o for o in guesses if o.state != LEFT and not o.unit and _family(o.place) == family]
     if what == "time":
         return values.time_unit(kind.sheets[0].columns[g.column])
     if what == "angle" and g.place.endswith("yaw"):
@@ -309,11 +314,28 @@ def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[st
     return SI.get(what, ""), "no unit said"
 
 
-def _once(guesses: list[Guess]) -> list[Guess]:
+def _family(place: str) -> str:
+    """Columns that share a unit: joints of one kind; x and y; stamps, heading and supply each by itself."""
+    return re.sub(r"\d+(?=[xy]?\Z)", "", place)
+
+
+def _split_stamp(guesses: list[Guess], stamps: list[int], kind: Kind) -> tuple[int, int] | None:
+    """The columns of seconds and of the nanoseconds within them, as ROS exports stamps."""
+    whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
+    if (guesses[whole].unit, guesses[part].unit) != ("s", "ns") or guesses[part].said:
+        return None
+    low, high = (float(f(kind.values(guesses[part].column))) for f in (np.nanmin, np.nanmax))
+    return (whole, part) if 0 <= low and high < 1e9 else None
+
+
+def _once(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
     """Two columns for one place are both unclear, but a stamp a file is enough: said with its unit, or a date."""
     out = list(guesses)
     for k in {g.kind for g in out}:
         stamps = [i for i, g in enumerate(out) if g.kind == k and g.place == "t" and g.state != LEFT]
+        if len(stamps) == 2 and (pair := _split_stamp(out, stamps, found[k])):
+            out[pair[1]] = replace(out[pair[1]], places=(NANOSECONDS,), why="added to the seconds beside it")
+            stamps = [pair[0]]
         if len(stamps) > 1:
             rank = [(not out[i].said, out[i].state != TAKEN, header.parse(out[i].column).unit == "", i) for i in stamps]
             best = min(rank)
@@ -325,7 +347,7 @@ def _once(guesses: list[Guess]) -> list[Guess]:
                     out[i] = replace(out[i], state=LEFT, places=(), why="another column of time is taken")
     places: dict[str, list[int]] = {}
     for i, g in enumerate(out):
-        if g.place and g.place != "t" and g.state == TAKEN:
+        if g.place and g.place not in ("t", NANOSECONDS) and g.state == TAKEN:
             places.setdefault(g.place, []).append(i)
     for place, mine in places.items():
         said = [i for i in mine if out[i].said]
@@ -358,7 +380,7 @@ def _complete(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
     """Tables that lack a column they need are left out, and so is everything of a file without stamps."""
     out = list(guesses)
     for k in range(len(found)):
-        mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place != "t"]
+        mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place not in ("t", NANOSECONDS)]
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
             out = [
                 replace(g, state=LEFT, places=(), why="the file has no column of time") if i in mine and not g.said else g
@@ -377,6 +399,12 @@ def _complete(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
                     else g
                     for i, g in enumerate(out)
                 ]
+    first: dict[str, int] = {}
+    for i, g in enumerate(out):
+        table = g.place.partition(".")[0] if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
+        if table and first.setdefault(table, g.kind) != g.kind:
+            why = f"table {table} lies in another file already; a table of ours is one file with one clock"
+            out[i] = replace(g, state=UNCLEAR if g.said else LEFT, places=g.places if g.said else (), why=why)
     return out
 
 
@@ -405,10 +433,11 @@ def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: s
         for g in mine:
             if g is stamp:
                 continue
+            if g.place == NANOSECONDS:
+                t["nanoseconds"] = g.column
+                continue
             table, _, column = g.place.partition(".")
             entry = tables.setdefault(table, {"t": t, "columns": {}, "kind": k})
-            if entry["kind"] != k:  # a table lies in one file: the one that came first
-                continue
             source = {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
             entry["columns"][column] = source
     for entry in tables.values():

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from fishmj.errors import LogError, MissingExtra
 from fishmj.log.importers import messages
-from fishmj.log.importers.limits import check_size, most_bytes, quoted, regular
 from fishmj.log.importers.messages import Channel, Found
 from fishmj.log.importers.topics import by_name, read_topics
+from fishmj.log.limits import check_size, most_bytes, quoted, regular
 from fishmj.log.trial import Trial
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -15,9 +15,9 @@ import numpy as np
 from fishmj.errors import LogError, MissingExtra
 from fishmj.log.importers import header
 from fishmj.log.importers.assemble import trial_of
-from fishmj.log.importers.limits import quoted
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.importers.topics import UNITS, Field, Topic, Topics
+from fishmj.log.limits import quoted
 from fishmj.log.trial import Table, Trial
 
 DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks

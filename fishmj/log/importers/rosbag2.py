@@ -9,9 +9,9 @@ from pathlib import Path
 
 from fishmj.errors import LogError
 from fishmj.log.importers import mcap, messages
-from fishmj.log.importers.limits import check_size, quoted, regular
 from fishmj.log.importers.messages import Channel, Found
 from fishmj.log.importers.topics import by_name, read_topics
+from fishmj.log.limits import check_size, quoted, regular
 from fishmj.log.trial import Trial
 
 SUFFIX = ".db3"

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.importers.limits import quoted
+from fishmj.log.limits import quoted
 from fishmj.log.trial import Table
 
 DATE = "date"  # the unit of date-time stamps, which readers give as s since 1970

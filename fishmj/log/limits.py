@@ -33,11 +33,13 @@ def check_size(path: Path, size: float, what: str = "is") -> None:
         )
 
 
-def regular(path: Path) -> int:
+def regular(path: Path, *, empty: bool = False) -> int:
     """Size of a plain file [bytes].
 
+    Args:
+        empty: an empty file will do.
     Raises:
-        LogError: there is none, it is a pipe, a device or a folder, or it is beyond the limit.
+        LogError: there is none, it is a pipe, a device or a folder, it is empty, or it is beyond the limit.
     """
     try:
         found = path.stat()
@@ -45,7 +47,7 @@ def regular(path: Path) -> int:
         raise LogError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if not stat.S_ISREG(found.st_mode):
         raise LogError(f"{path}: is no plain file (a pipe, a device or a folder); save the recording to a file first")
-    if not found.st_size:
+    if not found.st_size and not empty:
         raise LogError(f"{path}: the file is empty; record it again or remove it")
     check_size(path, found.st_size)
     return found.st_size
