@@ -1,7 +1,8 @@
 """Damaged recordings of every format end in one of our errors, never in a traceback, and write nothing beside --out.
 
 FISHMJ_FUZZ_SECONDS: for how long each format is damaged (default 1 s, so that the whole file takes under 20 s). Example n of a
-format is the same every time: its number seeds the damage.
+format is the same every time: its number seeds the damage. FISHMJ_FUZZ_FIRST: the number of the first example (default 0), to go
+on where a run ended. FISHMJ_FUZZ_REPORT: a file to which every format adds how many examples ran.
 """
 
 import contextlib
@@ -18,6 +19,7 @@ from synthetic import whole_trial
 from fishmj import console, log
 from fishmj.log import __main__ as command
 
+FIRST = int(os.environ.get("FISHMJ_FUZZ_FIRST", "0"))
 SECONDS = float(os.environ.get("FISHMJ_FUZZ_SECONDS", "1"))
 SLOW = 30.0  # s that no example may take
 
@@ -37,7 +39,7 @@ def files_of(path):
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_damaged_recording_is_read_or_refused_in_one_line(tmp_path, monkeypatch, name):
     monkeypatch.setattr(os, "fsync", lambda handle: None)  # durability is tested elsewhere
-    rng_seed, count, refused = 0, 0, 0
+    rng_seed, count, refused = FIRST, 0, 0
     source = MAKERS[name](tmp_path / "source")
     kept = {file: file.read_bytes() for file in files_of(source)}
     out = tmp_path / "out" / "set"

@@ -4,9 +4,10 @@ import re
 import shutil
 import sys
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from fishmj import console
@@ -21,7 +22,8 @@ from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import quoted
 from fishmj.log.trial import Trial
-from fishmj.store import write_text
+from fishmj.store import Manifest, write_text
+from fishmj.store.manifest import MANIFEST
 
 ABOUT = """\
 Recordings -> a data set of trial folders with a manifest. Sources are never changed.
@@ -49,7 +51,7 @@ class Found:
     """What came in: trials to write, one at a time, and what did not come in."""
 
     format: str
-    trials: list[tuple[str, object]] = field(default_factory=list)  # (name, function that gives the trial)
+    trials: list[tuple[str, Callable[[], Trial]]] = field(default_factory=list)  # (name, function that gives the trial)
     skipped: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     guesses: list[tuple[Sequence[Kind], list[Guess]]] = field(default_factory=list)
@@ -163,29 +165,33 @@ def _run(args: Namespace) -> int:
 # ------------------------------------------------------------------------------------------------------------ what there is
 def _found(args: Namespace) -> Found:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
-    if known and known != TABLE and known not in registry.MESSAGES:
+    if known and known != TABLE:
         return _in_format(args.source, known, args)
     shelf = gather.Shelf(topics=args.topics is not None)
     together = True if args.one_trial else False if args.trial_each else None
     found = Found(TABLE)
     items, passed = gather.plan(args.source, shelf, together=together)
-    found.notes += passed
+    found.notes += [*passed, *_changed(args.source)]
     found.page = _page(args.source)
     mapped = [item for item in items if not item.own and len(item.files) == 1 and shelf.mapped(item.files[0])]
     if mapped:
         found.format = registry.sniff(mapped[0].files[0])
+    elif args.topics is not None:
+        raise LogError(
+            f"{args.source[0]}: --topics is for MCAP and rosbag2 recordings, and there is none; leave it out, or see --columns"
+        )
     for item in mapped:
-        found.trials.append((item.name, lambda item=item: _one(importers.read(item.files[0], topics=args.topics), item.name)))
+        found.trials.append((item.name, partial(_mapped, item, args.topics)))
     items = [item for item in items if item not in mapped]
     for item in items:
         if item.own:
-            found.trials.append((item.name, lambda item=item: read_trial(item.files[0])))
+            found.trials.append((item.name, partial(read_trial, item.files[0])))
     foreign = [item for item in items if not item.own and item.files]
     if args.columns:
         wanted = read_map(args.columns)
         found.maps.append(wanted)
         for item in foreign:
-            found.trials.append((item.name, lambda item=item, wanted=wanted: _convert(item, shelf, wanted)))
+            found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
     elif foreign:
         _guessed(foreign, shelf, args, found)
     if found.trials and not foreign and not mapped:
@@ -199,7 +205,6 @@ def _found(args: Namespace) -> Found:
 def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: Found) -> None:
     """One guess for every layout of files."""
     said = guess.overrides(args.set)
-    reasons = []
     for group in gather.layouts(items, shelf).values():
         kinds = guess.kinds(sheet for item in group for file in item.files for sheet in shelf.sheets(file))
         here = {name: value for name, value in said.items() if any(name in kind.columns for kind in kinds)}
@@ -211,13 +216,12 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
             if guess.unclear(made):
                 found.guesses.append((kinds, made))
             else:
-                reasons.append(str(error))
                 found.skipped |= {str(item.files[0]): str(error) for item in group}
             continue
         found.guesses.append((kinds, made))
         found.maps.append(wanted)
         for item in group:
-            found.trials.append((item.name, lambda item=item, wanted=wanted: _convert(item, shelf, wanted)))
+            found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
     if unknown := [name for name in said if not any(name in kind.columns for kinds, _ in found.guesses for kind in kinds)]:
         guess.guess(
             [kind for kinds, _ in found.guesses for kind in kinds], {name: said[name] for name in unknown}
@@ -243,7 +247,9 @@ def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
             if not trials:
                 raise error
             found.skipped |= bad
-        found.trials += [(key, lambda trial=trial: trial) for key, trial in trials.items()]
+        found.trials += [(key, partial(replace, trial)) for key, trial in trials.items()]
+    named = gather.renamed([gather.Item(key, ()) for key, _ in found.trials])
+    found.trials = [(item.name, load) for item, (_, load) in zip(named, found.trials, strict=True)]
     return found
 
 
@@ -253,8 +259,9 @@ def _line(message: str) -> str:
     return clean if len(clean) <= LONGEST else clean[: LONGEST - 3] + "..."
 
 
-def _one(trials: dict[str, Trial], name: str) -> Trial:
-    return replace(next(iter(trials.values())), name=name)
+def _mapped(item: gather.Item, topics: Path | None) -> Trial:
+    """A recording by its mapping of topics."""
+    return replace(next(iter(importers.read(item.files[0], topics=topics).values())), name=item.name)
 
 
 def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial:
@@ -271,6 +278,22 @@ def _page(sources: Sequence[Path]) -> dict:
         if source.is_dir() and (source / measurements.FILE).is_file():
             return measurements.read(source)
     return {}
+
+
+def _changed(sources: Sequence[Path]) -> list[str]:
+    """What is no longer as the manifest of a data set says."""
+    out = []
+    for source in sources:
+        if source.is_dir() and (source / MANIFEST).is_file():
+            try:
+                changes = Manifest.read(source).check(source)
+            except FishmjError as error:
+                out.append(str(error))
+            else:
+                out += [f"{source}: {change}" for change in changes[:3]] + (
+                    [f"and {len(changes) - 3} more"] if len(changes) > 3 else []
+                )
+    return out
 
 
 def _nothing(args: Namespace, found: Found) -> None:

@@ -40,12 +40,12 @@ def inspect(args: Namespace) -> int:
     """Exit 0: everything reads; 1: some files or trials are not as they should be (one line each)."""
     audits, broken = [], {}
     found, changed = _trials(args.data)
-    for name, load in found.items():
+    for name, path in found.items():
         try:
-            trial = load()
+            trial = read_trial(path)
             audits.append(audit(trial))
         except (FishmjError, OSError) as error:
-            problems = faults(args.data / name if args.data.name != name else args.data) or [str(error)]
+            problems = faults(path) or [str(error)]
             broken[name] = "; ".join(problems)
             for problem in problems:
                 console.warn(f"{quoted(name)[1:-1]}: {problem}")
@@ -93,15 +93,14 @@ def _plain(path: Path, root: Path) -> bool:
     return not any(part.startswith(".") for part in parts) and path.resolve().is_relative_to(root.resolve())
 
 
-def _trials(path: Path) -> tuple[dict, list[str]]:
-    """Name -> function that reads the trial; and the files that are not as the manifest says."""
+def _trials(path: Path) -> tuple[dict[str, Path], list[str]]:
+    """Trials by name; and the files that are not as the manifest says."""
     if path.is_dir() and (path / MANIFEST).is_file() and not (path / META_FILE).is_file():
         changed = [f"{path}: {change}" for change in Manifest.read(path).check(path)]
-        data = read_dataset(path, verify=False)
-        return {name: lambda name=name: data[name] for name in data.names}, changed
+        return {name: path / name for name in read_dataset(path, verify=False).names}, changed
     if path.is_dir() and not gather.is_own(path) and not (path / META_FILE).is_file():
         inside = sorted(sub for sub in path.iterdir() if sub.is_dir() and not sub.name.startswith(".") and gather.is_own(sub))
         if inside:
             console.warn(f"{path}: has no {MANIFEST}; write it with fishmj log manifest {path}")
-            return {sub.name: lambda sub=sub: read_trial(sub) for sub in inside}, []
-    return {path.name: lambda: read_trial(path)}, []
+            return {sub.name: sub for sub in inside}, []
+    return {path.name: path}, []

@@ -198,7 +198,8 @@ def of_dict(raw: dict, where: str) -> ColumnMap:
         first = error.errors(include_url=False)[0]
         at = ".".join(_short(str(part)) for part in first["loc"])
         if first["type"] == "extra_forbidden":
-            model: type[BaseModel] = {1: ColumnMap, 3: TableMap, 4: Stamp}.get(len(first["loc"]), Column)
+            models: dict[int, type[BaseModel]] = {1: ColumnMap, 3: TableMap, 4: Stamp}
+            model = models.get(len(first["loc"]), Column)
             key, known = str(first["loc"][-1]), list(model.model_fields)
             raise LogError(f"{where}: {at}: unknown key{_near(key, known)}; known: {', '.join(known)}") from error
         said = first["msg"].removeprefix("Value error, ")

@@ -133,7 +133,7 @@ def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None)
     for source in sources:
         if source.is_dir():
             items += _walk(source, source.resolve(), shelf, together, notes, "", 0)
-    return list(_renamed(items)), notes
+    return renamed(items), notes
 
 
 def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int) -> list[Item]:
@@ -241,9 +241,10 @@ def _joined(prefix: str, name: str) -> str:
     return f"{prefix}_{name}" if prefix else name
 
 
-def _renamed(items: Sequence[Item]) -> Iterator[Item]:
+def renamed(items: Sequence[Item]) -> list[Item]:
     """Names that may stand in a path, none of them twice."""
     taken: set[str] = set()
+    out = []
     for item in items:
         base = names.nearest(item.name) or "trial"
         name, n = base, 1
@@ -251,7 +252,8 @@ def _renamed(items: Sequence[Item]) -> Iterator[Item]:
             n += 1
             name = f"{base[:58]}_{n}"
         taken.add(name.lower())
-        yield Item(name, item.files, item.own)
+        out.append(Item(name, item.files, item.own))
+    return out
 
 
 def layouts(items: Sequence[Item], shelf: Shelf) -> dict[tuple, list[Item]]:

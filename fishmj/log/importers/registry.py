@@ -52,7 +52,7 @@ def each(path: Path, name: str) -> tuple[dict[str, Trial], dict[str, str]]:
     for file in sorted(p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")):
         try:
             if FORMATS[name].sniff(file):
-                trials |= FORMATS[name].read(file)
+                trials = FORMATS[name].read(file) | trials  # the first of two files of one trial stays
         except FishmjError as error:
             bad[str(file)] = str(error)
     return trials, bad

@@ -4,6 +4,7 @@ Each verdict is (unit or "" where the values allow two, why). A bound between tw
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
     return ("deg", f"up to {most:.4g}") if most > 40 else ("", f"up to {most:.3g}: rad or deg?")
 
 
-def length_unit(values: np.ndarray) -> tuple[str, str]:
+def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     """Of positions (x and y together); the first row's place does not count."""
     spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
     told = f"spread {spread:.3g}"
