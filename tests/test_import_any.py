@@ -220,6 +220,8 @@ def guessed(tmp_path, columns, name="log.csv"):
         ({"time_s": 0.02 * N, "servo1_rad": 20 * WAVE}, "servo1_rad"),  # the name says rad, the values do not
         ({"time_s": 0.02 * N, "c1": 20 * WAVE}, "c1"),
         ({"time_s": 0.02 * N, "x": 1000 + 2 * N, "y": N, "yaw_deg": WAVE}, "x"),  # mm, cm, px or m
+        ({"time_s": 0.02 * N, "x_m": WAVE, "y_m": WAVE, "yaw": 2.5 * WAVE}, "yaw"),  # turns as no fish does, if rad
+        ({"time_s": 0.02 * N, "servo1_deg": 20 * WAVE, "x_m": WAVE, "y_m": WAVE, "yaw": 0.2 * WAVE}, "yaw"),  # others are deg
         ({"time_s": 0.02 * N, "x_px": 1000 + 2 * N, "y_px": N, "yaw_deg": WAVE}, "x_px"),
         ({"time_s": 0.02 * N, "cam_x_m": WAVE, "gps_x_m": WAVE, "y_m": WAVE, "yaw_deg": WAVE}, "gps_x_m"),  # two for one place
         ({"time_s": 0.02 * N, "servo_front_deg": WAVE, "servo_rear_deg": WAVE}, "servo_rear_deg"),  # which joint

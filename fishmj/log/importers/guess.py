@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 
 import numpy as np
 
@@ -89,7 +90,7 @@ def kinds(sheets: Iterable[Sheet]) -> list[Kind]:
 def _pattern(group: Sequence[Sheet], others: Sequence[Sheet]) -> str:
     """A pattern that the names of a group fit and no other's does."""
     if len({sheet.name for sheet in group}) == 1:
-        return group[0].name
+        return escape(group[0].name)
     shared = set.intersection(*(set(context(sheet)) for sheet in group)) - set.union(set(), *(set(context(o)) for o in others))
     return f"*{max(shared, key=len)}*" if shared else ""
 
@@ -282,6 +283,13 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
             unit, why = known[family]
             if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
                 unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
+            if (
+                what == "angle"
+                and unit == "rad"
+                and any(o.unit == "deg" for o in guesses)
+                and not why.startswith(("wraps", "all zero"))
+            ):
+                unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
     return out

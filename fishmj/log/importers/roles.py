@@ -86,28 +86,12 @@ def _time(name: Header, context: set[str]) -> Role | None:
 def _power(name: Header, context: set[str]) -> Role | None:
     said, alone = measures(name.unit), not name.has(header.SERVO | header.JOINT) and name.number is None
     battery = name.has(header.BATTERY) or not context.isdisjoint(header.BATTERY)
-    if (
-        name.has(header.VOLT - {"u"})
-        or said == "voltage"
-        or name.words in (("v",), ("u",))
-        or (battery and name.words[-1:] in (("v",), ("u",)))
-    ):
-        return (
-            Role(("power.V",), "a word or unit of voltage")
-            if alone
-            else Role(why="the voltage of one servo; the schema holds the supply's")
-        )
-    if (
-        said == "current"
-        or (name.has(header.CURRENT) and said == "")
-        or (name.words == ("i",) and alone)
-        or (battery and name.words[-1:] == ("i",))
-    ):
-        return (
-            Role(("power.I",), "a word or unit of current")
-            if alone
-            else Role(why="the current of one servo; the schema holds the supply's")
-        )
+    volts = name.has(header.VOLT - {"u"}) or name.words in (("v",), ("u",)) or (battery and name.has({"v", "u"}))
+    if said == "voltage" or (volts and not said):
+        return Role(("power.V",), "a word or unit of voltage") if alone else Role(why="the voltage of one servo")
+    amps = name.has(header.CURRENT) or (name.words == ("i",) and alone) or (battery and name.has({"i"}))
+    if said == "current" or (amps and not said):
+        return Role(("power.I",), "a word or unit of current") if alone else Role(why="the current of one servo")
     if name.has(header.BATTERY - {"bus", "power", "supply"}) and alone:
         return Role(("power.V", "power.I"), "a battery's voltage or its current?")
     if name.has(header.TEMPERATURE):

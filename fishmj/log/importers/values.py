@@ -14,6 +14,7 @@ TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 400.0
 TANK = 8.0  # m of spread of a position: below it is m
+TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
 FLUTTER = 30.0  # a spread beyond is cm, mm or px
 
 
@@ -66,7 +67,8 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
     if most == 0:
         return "rad", "all zero"
     if most <= 3.2:
-        return "rad", f"up to {most:.3g}"
+        turn = float(np.quantile(np.abs(np.diff(values)), 0.9)) if len(values) > 1 else 0.0
+        return ("", f"turns by {turn:.2g} between rows: rad or deg?") if turn > TURN else ("rad", f"up to {most:.3g}")
     return ("deg", f"up to {most:.4g}") if most > 40 else ("", f"up to {most:.3g}: rad or deg?")
 
 
