@@ -74,7 +74,7 @@ def add(verbs) -> None:
     sub.add_argument(
         "source", type=Path, nargs="+", help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders"
     )
-    sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist")
+    sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
     sub.add_argument("--columns", type=Path, metavar="MAP.toml", help="which column is which (docs/logs.md); default: guessed")
     sub.add_argument(
         "--write-map",
@@ -142,6 +142,8 @@ def _run(args: Namespace) -> int:
     if args.write_map is not None:
         _write_map(args, found)
         if args.out is None:
+            if args.json:
+                console.emit_json({"map": args.write_map, "guess": _rows(found)})
             return console.OK
     if found.guesses:
         _agreed(args, found)
@@ -156,7 +158,7 @@ def _run(args: Namespace) -> int:
         console.emit_json(
             {
                 **{"format": found.format, "out": str(args.out), "meta": told, "trials": rows},
-                **{"notes": notes, "skipped": found.skipped, "guess": [_as_row(k, g) for k, gs in found.guesses for g in gs]},
+                **{"notes": notes, "skipped": found.skipped, "guess": _rows(found)},
             }
         )
     return console.OK
@@ -313,6 +315,10 @@ def _show(found: Found) -> None:
     for kinds, made in found.guesses:
         rows = [_as_row(kinds, g) for g in made]
         console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
+
+
+def _rows(found: Found) -> list[dict]:
+    return [_as_row(kinds, g) for kinds, made in found.guesses for g in made]
 
 
 def _as_row(kinds: Sequence[Kind], g: Guess) -> dict:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fishmj import names
+from fishmj import console, names
 from fishmj.errors import FishmjError, LogError
 from fishmj.log.folder import FLAT_FILE, META_FILE
 from fishmj.log.importers import columnar, delimited, guess, mcap, messages, rosbag2
@@ -20,6 +20,7 @@ from fishmj.log.importers.topics import by_name
 from fishmj.log.limits import most_bytes, quoted
 from fishmj.log.schema import TABLES
 
+SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders
 MANY = 100_000  # files
 TABLE_FILES = (*delimited.SUFFIXES, *columnar.PARQUET, *columnar.NPZ)
@@ -72,7 +73,10 @@ class Shelf:
     def readable(self, files: Sequence[Path]) -> list[Path]:
         """Those that can be read; the others are remembered with the reason."""
         out = []
-        for file in files:
+        bar = console.Progress(len(files), "read", unit="files")
+        for i, file in enumerate(files):
+            if bar.elapsed > SOON:
+                bar.update(i)
             try:
                 if not self.mapped(file):
                     self.sheets(file)

@@ -161,6 +161,9 @@ def sheets(path: Path, found: Found) -> list[Sheet]:
     for topic, channel in sorted(found.items()):
         if not channel.messages:
             continue
+        if channel.encoding not in ("json", "cdr"):
+            notes.append(f"{topic}: messages encoded as {quoted(channel.encoding)} are not read; convert them to JSON")
+            continue
         if channel.encoding != "json" and channel.type not in KEPT:
             notes.append(f"{topic}: messages of {quoted(channel.type or channel.encoding)} need a mapping (--topics); left out")
             continue
