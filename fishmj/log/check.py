@@ -169,7 +169,7 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         bad, told, name = 0, f"starts at {x[0]:g}", "start"
     elif len(away):
         bad, told, name = int(away[0]), f"{x[away[0]]:g} is {abs(x[away[0]] - x[0]):g} from the first row", "reach"
-    elif len(x) > 10 and (pace := float(np.median(np.abs(np.diff(x)) / np.diff(t)))) > bounds.speed:
+    elif len(x) > 10 and (pace := _pace(x, t)) > bounds.speed:
         bad, told, name = 1, f"moves {pace:.3g} a second", "speed"
     else:
         return
@@ -177,6 +177,12 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         f"{place(bad, column)}: column {column!r}: {told}, which {_MILLIMETRES}; "
         f"if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import"
     )
+
+
+def _pace(x: np.ndarray, t: np.ndarray) -> float:
+    """Median speed over a second, so that the noise of a fix is no speed."""
+    rows = int(np.clip(round(1.0 / max(float(np.median(np.diff(t))), 1e-9)), 1, len(x) - 1))
+    return float(np.median(np.abs(x[rows:] - x[:-rows]) / (t[rows:] - t[:-rows])))
 
 
 def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:

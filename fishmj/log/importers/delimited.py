@@ -81,7 +81,7 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
 def _lines(path: Path, file) -> Iterator[tuple[int, str]]:
     """(number from 1, text) of every line that is not blank."""
     number, done = 0, 0
-    bar = console.Progress(path.stat().st_size, f"read {quoted(path.name)}", unit="B")
+    bar = console.Progress(path.stat().st_size, f"read {quoted(path.name)[1:-1]}", unit="B")
     while line := file.readline(LINE + 1):
         number += 1
         done += len(line)
