@@ -449,3 +449,24 @@ def test_pipes_and_devices_are_refused(tmp_path, bring):
     for source in (tmp_path / "pipe.csv", "/dev/zero"):
         code, _, err = bring(source, "--yes")
         assert code == 2 and "is no plain file" in err
+
+
+def test_the_map_in_the_docs_is_valid():
+    import tomllib
+    from pathlib import Path
+
+    text = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
+    shown = text.partition("### MAP.toml")[2].split("```toml")[1].split("```")[0]
+    assert set(of_dict(tomllib.loads(shown), "docs/logs.md").tables) == {"cmd", "pose"}
+
+
+def test_a_trials_own_meta_relaxes_a_bound(tmp_path):
+    lab_files.write(tmp_path / "pose.csv", {"t": 1.0 * N, "x": 9.0 * N, "y": 0 * WAVE, "yaw": 0 * WAVE})
+    (tmp_path / "meta.toml").write_text('origin = "measured"\n')
+    with pytest.raises(LogError, match="from the first row, which looks like millimetres"):
+        log.read_trial(tmp_path)
+    (tmp_path / "meta.toml").write_text('origin = "measured"\n[plausible]\nreach = 5000.0\n')
+    assert log.read_trial(tmp_path).tables["pose"]["x"][-1] == 891
+    (tmp_path / "meta.toml").write_text('origin = "measured"\nplausible = "all"\n')
+    with pytest.raises(LogError, match="expected a table such as"):
+        log.read_trial(tmp_path)
