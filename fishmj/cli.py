@@ -21,6 +21,7 @@ VERBS = (
     "train",
     "evaluate",
     "experiments",
+    "log",
     "replay",
     "play",
     "bench",

@@ -55,7 +55,7 @@ def test_fault_20_a_faulty_csv_is_refused_at_file_line_column_with_the_fix(tmp_p
     [
         ("t,x,y,yaw\n0,0,0,-120\n", r"pose.csv:2:7: column 'yaw': -120 looks like degrees"),
         ("t,x,y,yaw\n" + "".join(f"{i / 50},0,0,{5 * i % 17}\n" for i in range(50)), "looks like degrees"),
-        ("t,x,y,yaw\n0,1500,0,0\n", r"pose.csv:2:3: column 'x': 1500 looks like millimetres"),
+        ("t,x,y,yaw\n0,1500,0,0\n", r"pose.csv:2:3: column 'x': starts at 1500, which looks like millimetres"),
     ],
 )
 def test_fault_20_wrong_units_of_a_pose_are_noticed(tmp_path, text, message):

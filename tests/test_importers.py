@@ -154,7 +154,7 @@ def test_a_wrong_topic_mapping_is_named(tmp_path, old, new, message):
 
 
 def test_mcap_in_another_encoding_or_damaged_is_refused(tmp_path):
-    with pytest.raises(LogError, match=r"messages are encoded as 'cdr'; expected json"):
+    with pytest.raises(LogError, match=r"messages are encoded as 'cdr' without a schema; expected json, or cdr of"):
         importers.read(recordings.recording(tmp_path / "a", encoding="cdr"))
     path = recordings.recording(tmp_path / "b")
     path.write_bytes(path.read_bytes()[:-400])

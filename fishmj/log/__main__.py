@@ -1,100 +1,27 @@
-"""`python -m fishmj.log`: bring recordings in, and check data sets.
+"""`python -m fishmj.log`: bring recordings in, check data sets, state what they hold.
 
-python -m fishmj.log import SRC --out DATASET [--format F] [--topics MAP.toml]
+python -m fishmj.log import FILES_OR_FOLDER... --out DATASET [--columns MAP.toml] [--robot NAME] [--yes]
 python -m fishmj.log check DATASET
+python -m fishmj.log manifest FOLDER
 """
 
 import sys
-from argparse import Namespace
-from dataclasses import replace
-from pathlib import Path
 
 from fishmj import console
-from fishmj.errors import LogError
-from fishmj.log import importers
-from fishmj.log.dataset import read_dataset, write_dataset
-from fishmj.log.folder import META_FILE, read_trial
-from fishmj.log.timebase import audit
-from fishmj.log.trial import Trial
-from fishmj.store.manifest import MANIFEST
+from fishmj.log import bring, look
+
+VERBS = (bring, look)  # modules with add(verbs), which registers their verbs and says which function each calls
 
 
 def main(argv: list[str]) -> int:
     parser = console.parser("log", "Bring recordings in, and check data sets.", json=False)
     verbs = parser.add_subparsers(dest="verb", required=True)
-    bring = verbs.add_parser(
-        "import", help="foreign recordings -> a data set of trial folders with a manifest", allow_abbrev=False
-    )
-    bring.add_argument("source", type=Path, help="file or folder")
-    bring.add_argument("--out", type=Path, required=True, help="the data set to write; must not exist")
-    bring.add_argument("--format", choices=sorted(importers.FORMATS), help="found out when not said")
-    bring.add_argument("--topics", type=Path, help="MCAP: the TOML that says which topic is which table")
-    look = verbs.add_parser("check", help="read a data set or a trial, audit its clocks", allow_abbrev=False)
-    look.add_argument("data", type=Path, help="data set, trial folder or samples.csv")
-    for sub in (bring, look):
-        sub.add_argument("--json", action="store_true", help="print one JSON object last")
-    args = parser.parse_args(argv)
-    return bring_in(args) if args.verb == "import" else inspect(args)
-
-
-def bring_in(args: Namespace) -> int:
-    """Import, write, and say what came in."""
-    if args.out.exists():
-        raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
-    name = args.format or importers.sniff(args.source)
-    trials = importers.read(args.source, name, topics=args.topics)
-    meta = {"format": name, **{key: said for key in ("licence", "source") if (said := _said(trials, key))}}
-    write_dataset(args.out, ((key, with_notes(trial)) for key, trial in trials.items()), meta=meta)
-    rows = [_row(key, trial) for key, trial in trials.items()]
-    console.say(console.table(rows), "", f"{len(trials)} trials ({name}) written to {args.out}")
-    if args.json:
-        notes = {key: list(trial.notes) for key, trial in trials.items()}
-        console.emit_json({"format": name, "out": str(args.out), "meta": meta, "trials": rows, "notes": notes})
-    return console.OK
-
-
-def inspect(args: Namespace) -> int:
-    """Exit 0: everything reads; 1: some trials break the schema (all are listed)."""
-    audits, broken = [], {}
-    for name, load in _trials(args.data).items():
-        try:
-            trial = load()
-        except LogError as error:
-            broken[name] = str(error)
-            continue
-        audits.append(audit(trial))
-        console.say(audits[-1].text(), *(f"  note: {note}" for note in trial.notes), "")
-    for name, message in broken.items():
-        console.warn(f"{name}: {message}")
-    console.say(f"{len(audits)} trials read, {len(broken)} refused")
-    if args.json:
-        console.emit_json({"trials": [one.as_dict() for one in audits], "refused": broken})
-    return console.FAILED_CHECK if broken else console.OK
-
-
-def with_notes(trial: Trial) -> Trial:
-    """The reader's remarks moved into the meta data, so that they travel with the trial."""
-    said = trial.meta.get("notes")
-    before = said if isinstance(said, list) else [said] if said else []
-    return replace(trial, meta={**trial.meta, "notes": [*before, *trial.notes]}) if trial.notes else trial
-
-
-def _trials(path: Path) -> dict:
-    """Name -> function that reads the trial."""
-    if path.is_dir() and (path / MANIFEST).is_file() and not (path / META_FILE).is_file():
-        data = read_dataset(path)
-        return {name: lambda name=name: data[name] for name in data.names}
-    return {path.name: lambda: read_trial(path)}
-
-
-def _said(trials: dict[str, Trial], key: str) -> str:
-    return "; ".join(sorted({str(trial.value(key)) for trial in trials.values() if trial.value(key)}))
-
-
-def _row(name: str, trial: Trial) -> dict:
-    start, end = trial.span
-    tables = ", ".join(f"{table} {len(columns['t'])}" for table, columns in trial.tables.items())
-    return {"trial": name, "tables (rows)": tables, "seconds": round(end - start, 3), "notes": len(trial.notes)}
+    for module in VERBS:
+        module.add(verbs)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:  # the verb's own parser knows which of its options is the nearest
+        verbs.choices[args.verb].parse_args(argv[argv.index(args.verb) + 1 :])
+    return args.call(args)
 
 
 if __name__ == "__main__":

@@ -11,36 +11,37 @@ from collections.abc import Callable
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.log.plausible import Plausible, shipped
 from fishmj.log.schema import META, ORIGINS, SCHEMA, TableSpec, look_up, table_spec
 from fishmj.log.trial import Table, gaps
 
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
 
-# Bounds on magnitude, beyond any fish in a tank; a value outside is a mistake of units.
-ANGLE = math.pi  # rad, a joint
-SPIN = 30.0  # rad/s, a joint or the body; a fast servo turns at 5 to 8 rad/s
-REACH = 100.0  # m
-SPEED = 20.0  # m/s
-TURNS = 4  # an unwrapped heading may have piled up this many before the first row
-PERIOD = 5.0  # s, the slowest sensible median time step
 _LIMITS = {
-    "angle": (ANGLE, "degrees; the schema says rad. Multiply the column by pi/180"),
-    "rate": (SPIN, "degrees per second; the schema says rad/s. Multiply the column by pi/180"),
-    "position": (REACH, "millimetres or pixels; the schema says m. Convert the column"),
-    "speed": (SPEED, "mm/s; the schema says m/s. Divide the column by 1000"),
+    "angle": ("angle", "degrees; the schema says rad. Multiply the column by pi/180"),
+    "rate": ("rate", "degrees per second; the schema says rad/s. Multiply the column by pi/180"),
+    "speed": ("speed", "mm/s; the schema says m/s. Divide the column by 1000"),
 }
+_MILLIMETRES = (
+    "looks like millimetres or pixels; the schema says m. Divide the column by 1000, or multiply it by the metres of a pixel"
+)
+_STAMPS = ((3e3, "milliseconds", "1000"), (3e6, "microseconds", "1e6"), (math.inf, "nanoseconds", "1e9"))  # by the median step
 
 
-def check_table(name: str, table: Table, place: Place) -> list[str]:
-    """Raise `LogError` for the first breach of the schema; return notes about gaps and extra columns."""
-    spec = table_spec(name)
+def check_table(name: str, table: Table, place: Place, bounds: Plausible | None = None) -> list[str]:
+    """Raise `LogError` for the first breach of the schema; return notes about gaps and extra columns.
+
+    Args:
+        bounds: on magnitude; the shipped ones when None.
+    """
+    spec, bounds = table_spec(name), bounds or shipped()
     _check_shapes(name, table, place)
     extra = check_columns(name, spec, list(table), place)
     for column, values in table.items():
         _check_finite(column, values, place)
-    _check_time(table["t"], place)
+    _check_time(table["t"], place, bounds)
     for column, values in table.items():
-        _check_units(spec.kind(column), column, values, table["t"], place)
+        _check_units(spec.kind(column), column, values, table["t"], place, bounds)
     notes = [f"{name}: column {column!r} is not in the schema; kept" for column in extra]
     pauses = gaps(table["t"])
     if spec.continuous and len(pauses):
@@ -129,7 +130,7 @@ def _check_finite(column: str, values: np.ndarray, place: Place) -> None:
         )
 
 
-def _check_time(t: np.ndarray, place: Place) -> None:
+def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> None:
     step = np.diff(np.asarray(t, float))
     back = np.flatnonzero(step <= 0)
     if len(back):
@@ -139,33 +140,60 @@ def _check_time(t: np.ndarray, place: Place) -> None:
             f"{place(i + 1, 't')}: time {verb}: {float(t[i + 1]):.6f} s after {float(t[i]):.6f} s; stamps must rise. "
             "Sort the rows by t, remove repeated ones, or split the trial where the clock was set"
         )
-    if len(step) and float(np.median(step)) > PERIOD:
+    middle = float(np.median(step)) if len(step) else 0.0
+    if middle > bounds.period:
+        unit, factor = next((unit, factor) for limit, unit, factor in _STAMPS if middle < limit)
         raise LogError(
-            f"{place(1, 't')}: the median step is {float(np.median(step)):g} s, which looks like milliseconds; "
-            "the schema says s. Divide the column by 1000"
+            f"{place(1, 't')}: the median step is {middle:g} s, which looks like {unit}; "
+            f"the schema says s. Divide the column by {factor}"
         )
 
 
-def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, place: Place) -> None:
+def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
     if kind == "heading":
-        _check_heading(column, np.asarray(values, float), np.asarray(t, float), place)
+        _check_heading(column, np.asarray(values, float), np.asarray(t, float), place, bounds)
+    elif kind == "position":
+        _check_position(column, np.asarray(values, float), np.asarray(t, float), place, bounds)
     elif kind:
-        limit, fix = _LIMITS[kind]
-        bad = np.flatnonzero(np.abs(values) > limit)
+        bound, fix = _LIMITS[kind]
+        bad = np.flatnonzero(np.abs(values) > getattr(bounds, bound))
         if len(bad):
             value = float(values[bad[0]])
             raise LogError(f"{place(int(bad[0]), column)}: column {column!r}: {value:g} looks like {fix}")
 
 
-def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place) -> None:
+def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
+    """A place far from the origin proves nothing (a boat, a grid of a map): how far it moves and how fast does."""
+    away = np.flatnonzero(np.abs(x - x[0]) > bounds.reach)
+    if abs(x[0]) > bounds.start:
+        bad, told, name = 0, f"starts at {x[0]:g}", "start"
+    elif len(away):
+        bad, told, name = int(away[0]), f"{x[away[0]]:g} is {abs(x[away[0]] - x[0]):g} from the first row", "reach"
+    elif len(x) > 10 and (pace := _pace(x, t)) > bounds.speed:
+        bad, told, name = 1, f"moves {pace:.3g} a second", "speed"
+    else:
+        return
+    raise LogError(
+        f"{place(bad, column)}: column {column!r}: {told}, which {_MILLIMETRES}; "
+        f"if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import"
+    )
+
+
+def _pace(x: np.ndarray, t: np.ndarray) -> float:
+    """Median speed over a second, so that the noise of a fix is no speed."""
+    rows = int(np.clip(round(1.0 / max(float(np.median(np.diff(t))), 1e-9)), 1, len(x) - 1))
+    return float(np.median(np.abs(x[rows:] - x[:-rows]) / (t[rows:] - t[:-rows])))
+
+
+def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
     """Unwrapped headings may pile up turns, so size alone proves nothing: look at the start and at the turning rate."""
     bad = -1
-    if abs(yaw[0]) > TURNS * 2 * math.pi:
+    if abs(yaw[0]) > bounds.turns * 2 * math.pi:
         bad = 0
     elif len(yaw) > 2:
         turn = np.abs((np.diff(yaw) + math.pi) % (2 * math.pi) - math.pi)
         rate = turn / np.diff(t)
-        if np.quantile(rate, 0.9) > SPIN and np.max(np.abs(yaw)) > 2 * math.pi:
+        if np.quantile(rate, 0.9) > bounds.rate and np.max(np.abs(yaw)) > 2 * math.pi:
             bad = int(np.argmax(np.abs(yaw)))
     if bad >= 0:
         raise LogError(

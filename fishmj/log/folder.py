@@ -13,9 +13,10 @@ from uuid import uuid4
 
 import numpy as np
 
-from fishmj.errors import LogError, StoreError
+from fishmj.errors import FishmjError, LogError, StoreError
 from fishmj.log import check, toml
 from fishmj.log.archive import read_archive, row_place, write_archive
+from fishmj.log.plausible import of_meta
 from fishmj.log.schema import SCHEMA, TABLES
 from fishmj.log.text import read_csv, read_text, write_csv
 from fishmj.log.trial import Table, Trial
@@ -51,6 +52,7 @@ def read_trial(path: str | Path) -> Trial:
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
     meta, notes = read_meta(path / META_FILE, required=True)
+    bounds = of_meta(meta, str(path / META_FILE))
     tables: dict[str, Table] = {}
     for file in sorted(path.iterdir()):
         if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
@@ -61,12 +63,31 @@ def read_trial(path: str | Path) -> Trial:
         if file.stem in tables:
             raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
         table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-        notes += check.check_table(file.stem, table, place)
+        notes += check.check_table(file.stem, table, place, bounds)
         tables[file.stem] = table
     if not tables:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
+
+
+def faults(path: Path) -> list[str]:
+    """Every table of a trial folder that does not read, one line each; empty where all do, or where it is no folder."""
+    out: list[str] = []
+    try:
+        meta, _ = read_meta(path / META_FILE, required=True)
+        bounds = of_meta(meta, str(path / META_FILE))
+        files = sorted(path.iterdir())
+    except (FishmjError, OSError) as error:
+        return [str(error)] if path.is_dir() else []
+    for file in files:
+        if file.suffix in (".csv", ".npz") and file.stem in TABLES:
+            try:
+                table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
+                check.check_table(file.stem, table, place, bounds)
+            except FishmjError as error:
+                out.append(str(error))
+    return out
 
 
 def write_trial(
@@ -83,10 +104,11 @@ def write_trial(
         LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.
     """
     folder = Path(folder)
-    meta_text = _checked_meta(folder, trial.meta)
+    meta_text = checked_meta(folder, trial.meta)
+    bounds = of_meta(trial.meta, str(folder / META_FILE))
     tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
     for name, table in tables.items():
-        check.check_table(name, table, row_place(folder / name))
+        check.check_table(name, table, row_place(folder / name), bounds)
     if not tables:
         raise LogError(f"{folder}: a trial needs at least one table of {', '.join(TABLES)}")
     if form not in ("auto", "csv", "npz"):
@@ -127,7 +149,12 @@ def _swap(temporary: Path, folder: Path) -> None:
     sync_folder(folder.parent)
 
 
-def _checked_meta(folder: Path, meta: dict) -> str:
+def checked_meta(folder: Path, meta: dict) -> str:
+    """The text of a trial's meta.toml.
+
+    Raises:
+        LogError: the origin is missing, a value is impossible or has no TOML form.
+    """
     meta = toml.nested({"schema": SCHEMA, **meta})
     if "origin" not in meta:
         raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')
@@ -172,6 +199,7 @@ def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes
             notes.append(f"{path.name}: column {column!r} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
         raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
+    bounds = of_meta(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
-        notes += check.check_table(name, table, place)
+        notes += check.check_table(name, table, place, bounds)
     return Trial(meta, tables, name=path.parent.name, notes=(*notes, *check.check_counts(tables)))

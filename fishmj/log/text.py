@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.log.limits import regular
 from fishmj.log.trial import Table
 from fishmj.store import write_text
 
@@ -15,7 +16,8 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infin
 
 
 def read_text(path: Path) -> str:
-    """The file as text, or a `LogError` for a byte order mark, another encoding, or an empty file."""
+    """The file as text, or a `LogError` for a pipe, a byte order mark, another encoding, or an empty file."""
+    regular(path, empty=True)
     try:
         raw = path.read_bytes()
     except OSError as error:

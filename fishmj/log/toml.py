@@ -25,6 +25,11 @@ def dumps(table: dict) -> str:
     return "\n".join(_block(table, ())).strip() + "\n"
 
 
+def inline(value) -> str:
+    """One value on one line: `{column = "x", unit = "mm"}`."""
+    return _value(value, ("value",))
+
+
 def nested(meta: dict) -> dict:
     """Dotted keys unfolded: {"flow.speed": 0.2} -> {"flow": {"speed": 0.2}}; existing tables are merged into."""
     out: dict = {}

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from fishmj.log import check
+from fishmj.log.plausible import of_meta
 from fishmj.log.trial import Table, Trial
 
 Place = Callable[[int, str], str]
@@ -16,9 +17,9 @@ def trial_of(name: str, meta: dict, tables: Mapping[str, tuple[Table, Place]], n
     Raises:
         LogError: a table breaks the schema; the message begins with the place in the source file.
     """
-    found = list(notes)
+    found, bounds = list(notes), of_meta(meta, name)
     for table, (columns, place) in tables.items():
-        found += check.check_table(table, columns, place)
+        found += check.check_table(table, columns, place, bounds)
     kept = {table: columns for table, (columns, _) in tables.items()}
     return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *check.check_counts(kept)]))
 

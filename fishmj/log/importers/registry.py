@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from fishmj.errors import LogError, UnknownName
-from fishmj.log.importers import flat_csv, mcap, servo_xl330, tail_fish, tendon_fish_markers, usv_coastdown
+from fishmj.errors import FishmjError, LogError, UnknownName
+from fishmj.log.importers import flat_csv, mcap, rosbag2, servo_xl330, tail_fish, tendon_fish_markers, usv_coastdown
 from fishmj.log.trial import Trial
 
 
@@ -22,7 +22,8 @@ class Importer:
 FORMATS: dict[str, Importer] = {
     made.name: made
     for made in (
-        Importer("mcap", "MCAP recording with JSON messages (extra: logs)", mcap.sniff, mcap.read),
+        Importer("mcap", "MCAP recording, JSON or ROS 2 messages (extra: logs)", mcap.sniff, mcap.read),
+        Importer("rosbag2", "ROS 2 bag, SQLite or MCAP (extra: logs)", rosbag2.sniff, rosbag2.read),
         Importer("servo_xl330", "XL330 servo on a pendulum, JSON of Rhoban's bam", servo_xl330.sniff, servo_xl330.read),
         Importer("tail_fish", "tail-actuated fish of Mamakoukas et al., STATES*.txt", tail_fish.sniff, tail_fish.read),
         Importer(
@@ -32,6 +33,29 @@ FORMATS: dict[str, Importer] = {
         Importer("flat_csv", "our flat samples.csv on a common clock", flat_csv.sniff, flat_csv.read),
     )
 }
+MESSAGES = ("mcap", "rosbag2")  # formats that take a topic mapping
+PUBLISHED = tuple(name for name in FORMATS if name not in (*MESSAGES, "flat_csv"))  # one laboratory's layout each
+
+
+def published(path: Path) -> str:
+    """Which published data set's layout a file or folder has; "" for none, so that it is read by its columns."""
+    try:
+        return next((name for name in PUBLISHED if FORMATS[name].sniff(path)), "")
+    except OSError:
+        return ""
+
+
+def each(path: Path, name: str) -> tuple[dict[str, Trial], dict[str, str]]:
+    """Trials of a folder in one format, its files read one by one: what reads, and why the others do not."""
+    trials: dict[str, Trial] = {}
+    bad: dict[str, str] = {}
+    for file in sorted(p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")):
+        try:
+            if FORMATS[name].sniff(file):
+                trials = FORMATS[name].read(file) | trials  # the first of two files of one trial stays
+        except FishmjError as error:
+            bad[str(file)] = str(error)
+    return trials, bad
 
 
 def sniff(path: str | Path) -> str:
@@ -58,7 +82,7 @@ def read(path: str | Path, format: str | None = None, *, topics: str | Path | No
 
     Args:
         format: one of `FORMATS`; found out when None.
-        topics: for "mcap": the TOML that says which topic is which table.
+        topics: for "mcap" and "rosbag2": the TOML that says which topic is which table.
 
     Raises:
         LogError: nothing there, unknown format, or a breach of it at file:line:column with the fix.
@@ -68,11 +92,11 @@ def read(path: str | Path, format: str | None = None, *, topics: str | Path | No
     name = format or sniff(path)
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
-    if topics and name != "mcap":
-        raise LogError(f"{path}: a topic mapping is for MCAP recordings only, this is {name}; leave it out")
+    if topics and name not in MESSAGES:
+        raise LogError(f"{path}: a topic mapping is for MCAP and rosbag2 recordings only, this is {name}; leave it out")
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
-    trials = mcap.read(path, topics) if name == "mcap" else FORMATS[name].read(path)
+    trials = FORMATS[name].read(path, topics) if name in MESSAGES else FORMATS[name].read(path)
     if not trials:
         raise LogError(f"{path}: nothing in format {name} ({FORMATS[name].about}) found there")
     return trials

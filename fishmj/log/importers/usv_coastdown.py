@@ -35,7 +35,7 @@ _ROW = re.compile(rb"[^;\n]+(;[^;\n]+){5}((;[^;\n]+){6})?\r?\n")
 
 
 def sniff(path: Path) -> bool:
-    """A csv file (or a folder with some) whose first row has 6 or 12 numbers between semicolons."""
+    """A csv file (or a folder with some) whose first row has 6 or 12 numbers between semicolons, the last a unix time in ms."""
     return any(_looks_right(file) for file in _files(path))
 
 
@@ -48,7 +48,8 @@ def _looks_right(path: Path) -> bool:
         return False
     with open(path, "rb") as file:
         line = file.readline(4000)
-    return bool(_ROW.fullmatch(line)) and not re.search(rb"[a-df-zA-DF-Z]", line)
+    stamp = re.fullmatch(rb"\s*\d{12,14}(\.\d*)?\s*", line.rsplit(b";", 1)[-1])  # unix time [ms]
+    return bool(_ROW.fullmatch(line) and stamp) and not re.search(rb"[a-df-zA-DF-Z]", line)
 
 
 def read(path: Path) -> dict[str, Trial]:

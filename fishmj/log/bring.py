@@ -1,0 +1,474 @@
+"""`fishmj log import`: recordings come in, whatever a laboratory calls its columns."""
+
+import re
+import shutil
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+from fishmj import console
+from fishmj.errors import FishmjError, LogError, UsageError
+from fishmj.log import about, importers, measurements, plausible
+from fishmj.log.dataset import write_dataset
+from fishmj.log.folder import checked_meta, read_trial
+from fishmj.log.importers import gather, guess, registry
+from fishmj.log.importers.column_map import ColumnMap, read_map, written
+from fishmj.log.importers.convert import convert
+from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
+from fishmj.log.importers.sheet import DATE
+from fishmj.log.limits import quoted
+from fishmj.log.trial import Trial
+from fishmj.store import Manifest, write_text
+from fishmj.store.manifest import MANIFEST
+
+ABOUT = """\
+Recordings -> a data set of trial folders with a manifest. Sources are never changed.
+
+Without a map the columns are guessed from their names and values; the guess is shown and must be confirmed, on a
+terminal by y, elsewhere by --yes. What is unclear is never taken: decide it with --set, or with a map.
+
+Files of one folder are one trial when no two have the same columns (commands, camera, battery), and a trial each when
+all have the same; a folder in a folder is looked at by itself; an MCAP file or rosbag2 is a trial; trial folders of our
+own format are copied. Where that cannot tell, say --one-trial or --trial-each."""
+EXAMPLE = """\
+examples:
+  fishmj log import commands.csv camera.csv battery.csv --out data/monday --robot swift --yes
+  fishmj log import lab/ --out data/lab --set servo1=cmd.c1:deg --set cam_u=pose.x:px*0.0012
+  fishmj log import lab/ --write-map MAP.toml        then edit it, and
+  fishmj log import lab/ --out data/lab --columns MAP.toml"""
+TABLE = "table"  # the format of what is read by its columns
+SHOWN = 3  # first values of a column
+SOON = 5.0  # s before progress shows
+LONGEST = 1000  # characters of a message
+
+
+@dataclass
+class Found:
+    """What came in: trials to write, one at a time, and what did not come in."""
+
+    format: str
+    trials: list[tuple[str, Callable[[], Trial]]] = field(default_factory=list)  # (name, function that gives the trial)
+    skipped: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    guesses: list[tuple[Sequence[Kind], list[Guess]]] = field(default_factory=list)
+    maps: list[ColumnMap] = field(default_factory=list)
+    page: dict = field(default_factory=dict)
+
+
+def add(verbs) -> None:
+    """Register the verb."""
+    from argparse import RawDescriptionHelpFormatter
+
+    sub = verbs.add_parser(
+        "import",
+        help="recordings -> a data set of trial folders with a manifest",
+        description=ABOUT,
+        epilog=EXAMPLE,
+        formatter_class=RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    sub.add_argument(
+        "source", type=Path, nargs="+", help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders"
+    )
+    sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
+    sub.add_argument("--columns", type=Path, metavar="MAP.toml", help="which column is which (docs/logs.md); default: guessed")
+    sub.add_argument(
+        "--write-map",
+        type=console.out_file,
+        metavar="MAP.toml",
+        help="write the guess as a map to edit; with no --out nothing else is done",
+    )
+    sub.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="COLUMN=TABLE.COLUMN:UNIT",
+        help="decide one column, or COLUMN=skip; may be repeated; default: none",
+    )
+    sub.add_argument(
+        "--topics", type=Path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed"
+    )
+    sub.add_argument("--format", choices=sorted([*importers.FORMATS, TABLE]), help="default: found out; table: by its columns")
+    sub.add_argument("--robot", help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said")
+    sub.add_argument("--excitation", help="name of the experiment, such as steps_1; default: not said")
+    sub.add_argument("--start", type=about.start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
+    sub.add_argument("--medium", choices=("water", "air"), help="default: not said")
+    sub.add_argument("--origin", choices=("measured", "synthetic"), help="default: measured")
+    sub.add_argument("--licence", help="of the data, such as CC-BY-4.0; default: not said")
+    sub.add_argument(
+        "--plausible",
+        type=about.bounds,
+        metavar="NAME=NUMBER",
+        help="relax a bound on magnitude, such as reach=5000 (m); default: data/calib/plausible.toml",
+    )
+    rule = sub.add_mutually_exclusive_group()
+    rule.add_argument("--one-trial", action="store_true", help="the files of one folder are one trial; default: by their columns")
+    rule.add_argument("--trial-each", action="store_true", help="every file is a trial; default: by their columns")
+    bad = sub.add_mutually_exclusive_group()
+    bad.add_argument("--strict", action="store_true", help="any bad file ends the import with exit 2; default: --skip-bad")
+    bad.add_argument(
+        "--skip-bad",
+        action="store_true",
+        help="bad files are left out and listed; exit 2 only when nothing came in (the default)",
+    )
+    sub.add_argument("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
+    sub.add_argument("--json", action="store_true", help="print one JSON object last")
+    sub.set_defaults(call=run)
+
+
+def run(args: Namespace) -> int:
+    """Import, write, and say what came in and what did not."""
+    with plausible.relaxing(args.plausible or {}):
+        try:
+            return _run(args)
+        except LogError as error:  # names from files stand in it
+            raise LogError(_line(str(error))) from error
+
+
+def _run(args: Namespace) -> int:
+    if args.out is None and args.write_map is None:
+        raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")
+    if args.out is not None and args.out.exists():
+        raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
+    meta = about.of_options(args)
+    found = _found(args)
+    if args.strict and found.skipped:
+        raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + _line("; ".join(list(found.skipped.values())[:3])))
+    _show(found)
+    if args.write_map is not None:
+        _write_map(args, found)
+        if args.out is None:
+            if args.json:
+                console.emit_json({"map": args.write_map, "guess": _rows(found)})
+            return console.OK
+    if found.guesses:
+        _agreed(args, found)
+    rows, notes, told = _write(args, found, meta)
+    for where, message in found.skipped.items():
+        console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
+    left = f", {len(found.skipped)} left out" if found.skipped else ""
+    console.say(
+        console.table(rows), "", *map(_line, found.notes), f"{len(rows)} trials ({found.format}) written to {args.out}{left}"
+    )
+    if args.json:
+        console.emit_json(
+            {
+                **{"format": found.format, "out": str(args.out), "meta": told, "trials": rows},
+                **{"notes": notes, "skipped": found.skipped, "guess": _rows(found)},
+            }
+        )
+    return console.OK
+
+
+# ------------------------------------------------------------------------------------------------------------ what there is
+def _found(args: Namespace) -> Found:
+    known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
+    if known and known != TABLE:
+        return _in_format(args.source, known, args)
+    shelf = gather.Shelf(topics=args.topics is not None)
+    together = True if args.one_trial else False if args.trial_each else None
+    found = Found(TABLE)
+    items, passed = gather.plan(args.source, shelf, together=together)
+    found.notes += [*passed, *_changed(args.source)]
+    found.page = _page(args.source)
+    mapped = [item for item in items if not item.own and len(item.files) == 1 and shelf.mapped(item.files[0])]
+    if mapped:
+        found.format = registry.sniff(mapped[0].files[0])
+    elif args.topics is not None:
+        raise LogError(
+            f"{args.source[0]}: --topics is for MCAP and rosbag2 recordings, and there is none; leave it out, or see --columns"
+        )
+    for item in mapped:
+        found.trials.append((item.name, partial(_mapped, item, args.topics)))
+    items = [item for item in items if item not in mapped]
+    for item in items:
+        if item.own:
+            found.trials.append((item.name, partial(read_trial, item.files[0])))
+    foreign = [item for item in items if not item.own and item.files]
+    if args.columns:
+        wanted = read_map(args.columns)
+        found.maps.append(wanted)
+        for item in foreign:
+            found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
+    elif foreign:
+        _guessed(foreign, shelf, args, found)
+    if found.trials and not foreign and not mapped:
+        found.format = "fishmj.log/1"
+    found.skipped |= shelf.skipped
+    if not found.trials and not any(guess.unclear(gs) for _, gs in found.guesses):
+        _nothing(args, found)
+    return found
+
+
+def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: Found) -> None:
+    """One guess for every layout of files."""
+    said = guess.overrides(args.set)
+    for group in gather.layouts(items, shelf).values():
+        kinds = guess.kinds(sheet for item in group for file in item.files for sheet in shelf.sheets(file))
+        here = {name: value for name, value in said.items() if any(name in kind.columns for kind in kinds)}
+        made = guess.guess(kinds, here)
+        where = ", ".join(item.name for item in group[:3]) + (", .." if len(group) > 3 else "")
+        try:
+            wanted = guess.map_of(made, kinds, {}, where)
+        except LogError as error:
+            if guess.unclear(made):
+                found.guesses.append((kinds, made))
+            else:
+                found.skipped |= {str(item.files[0]): str(error) for item in group}
+            continue
+        found.guesses.append((kinds, made))
+        found.maps.append(wanted)
+        for item in group:
+            found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
+    if unknown := [name for name in said if not any(name in kind.columns for kinds, _ in found.guesses for kind in kinds)]:
+        guess.guess(
+            [kind for kinds, _ in found.guesses for kind in kinds], {name: said[name] for name in unknown}
+        )  # names the nearest
+
+
+def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
+    """Recordings in the layout of one published data set."""
+    if args.columns or args.set:
+        raise LogError(
+            f"{sources[0]}: is in format {name}, which needs no map; leave --columns and --set out, or say --format {TABLE}"
+        )
+    found = Found(name)
+    for source in sources:
+        if outside := gather.leading_outside(source):
+            raise LogError(f"{outside[0]}: a link that leads outside {source}; put the file itself there")
+        try:
+            trials = importers.read(source, name, topics=args.topics)
+        except LogError as error:
+            if not source.is_dir():
+                raise
+            trials, bad = registry.each(source, name)
+            if not trials:
+                raise error
+            found.skipped |= bad
+        found.trials += [(key, partial(replace, trial)) for key, trial in trials.items()]
+    named = gather.renamed([gather.Item(key, ()) for key, _ in found.trials])
+    found.trials = [(item.name, load) for item, (_, load) in zip(named, found.trials, strict=True)]
+    return found
+
+
+def _line(message: str) -> str:
+    """A message as one line that a terminal can show."""
+    clean = "".join(c if c.isprintable() else " " for c in message)
+    return clean if len(clean) <= LONGEST else clean[: LONGEST - 3] + "..."
+
+
+def _mapped(item: gather.Item, topics: Path | None) -> Trial:
+    """A recording by its mapping of topics."""
+    return replace(next(iter(importers.read(item.files[0], topics=topics).values())), name=item.name)
+
+
+def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial:
+    sheets = [sheet for file in item.files for sheet in shelf.sheets(file)]
+    clock = {table: f"{entry.t.column} of the file" for table, entry in wanted.tables.items()}
+    meta = {"source": ", ".join(file.name for file in item.files)[:200], "clock": clock, **wanted.meta}
+    made = convert(item.name, sheets, wanted, meta)
+    return replace(made, meta={**made.meta, "clock": {table: clock[table] for table in made.tables}})
+
+
+def _page(sources: Sequence[Path]) -> dict:
+    """What was weighed, where it lies beside the trials."""
+    for source in sources:
+        if source.is_dir() and (source / measurements.FILE).is_file():
+            return measurements.read(source)
+    return {}
+
+
+def _changed(sources: Sequence[Path]) -> list[str]:
+    """What is no longer as the manifest of a data set says."""
+    out = []
+    for source in sources:
+        if source.is_dir() and (source / MANIFEST).is_file():
+            try:
+                changes = Manifest.read(source).check(source)
+            except FishmjError as error:
+                out.append(str(error))
+            else:
+                out += [f"{source}: {change}" for change in changes[:3]] + (
+                    [f"and {len(changes) - 3} more"] if len(changes) > 3 else []
+                )
+    return out
+
+
+def _nothing(args: Namespace, found: Found) -> None:
+    why = "; ".join(list(found.skipped.values())[:3])
+    more = f"; and {len(found.skipped) - 3} more" if len(found.skipped) > 3 else ""
+    if why:
+        raise LogError(_line(why) + more)
+    formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
+    raise LogError(
+        f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial "
+        f"folders, or one of {formats}"
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------- the guess
+def _show(found: Found) -> None:
+    for kinds, made in found.guesses:
+        rows = [_as_row(kinds, g) for g in made]
+        console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
+
+
+def _rows(found: Found) -> list[dict]:
+    return [_as_row(kinds, g) for kinds, made in found.guesses for g in made]
+
+
+def _as_row(kinds: Sequence[Kind], g: Guess) -> dict:
+    sheet = kinds[g.kind].sheets[0]
+    values = sheet.columns[g.column]
+    first = values[values == values][:SHOWN]
+    becomes = f"UNCLEAR: {guess.choices(g)}" if g.state == UNCLEAR else "left out" if g.state == LEFT else g.place
+    more = f" (and {len(kinds[g.kind].sheets) - 1} more)" if len(kinds[g.kind].sheets) > 1 else ""
+    unit = g.unit + (f"*{g.scale:g}" if g.scale != 1 else "")
+    return {
+        **{"file": quoted(sheet.name)[1:-1] + more, "column": quoted(g.column)[1:-1], "becomes": becomes},
+        **{"unit": unit if g.state != LEFT else "", "first values": ", ".join(_shown(v, g.unit) for v in first), "why": g.why},
+    }
+
+
+def _shown(value: float, unit: str) -> str:
+    if unit == DATE and abs(value) < 1e11:
+        return f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
+    return f"{value:.6g}"
+
+
+def _write_map(args: Namespace, found: Found) -> None:
+    if not found.maps:
+        raise LogError(
+            f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set "
+            f"{_first_unclear(found)}"
+        )
+    if len(found.maps) > 1:
+        raise LogError(
+            f"{args.source[0]}: {len(found.maps)} layouts of files, one map cannot describe them; import them one after the other"
+        )
+    doubts = [(kinds, g) for kinds, made in found.guesses for g in guess.unclear(made)]
+    text = written(found.maps[0])
+    for kinds, g in doubts:
+        name = quoted(kinds[g.kind].sheets[0].name)[1:-1]
+        text += f"# unclear: {name}: {quoted(g.column)[1:-1]} may be {guess.choices(g)} ({g.why})\n"
+    write_text(args.write_map, text)
+    console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
+
+
+def _first_unclear(found: Found) -> str:
+    g = next((g for _, made in found.guesses for g in guess.unclear(made)), None)
+    return f"{quoted(g.column)[1:-1]}={guess.choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
+
+
+def _agreed(args: Namespace, found: Found) -> None:
+    """Nothing unclear is left, and the user agrees."""
+    doubts = [g for _, made in found.guesses for g in guess.unclear(made)]
+    if doubts:
+        told = "; ".join(
+            f"{quoted(g.column)[1:-1]}: {g.why}, --set {quoted(g.column)[1:-1]}={guess.choices(g)}" for g in doubts[:4]
+        )
+        more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
+        raise LogError(
+            f"{args.source[0]}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "
+            "MAP.toml, mend it, --columns MAP.toml"
+        )
+    if args.yes or all(_certain(g) for _, made in found.guesses for g in made):
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise LogError(
+            f"{args.source[0]}: the columns above are guessed; take them with --yes, or write them to a file with "
+            "--write-map MAP.toml, "
+            "mend it, and import with --columns MAP.toml"
+        )
+    console.say("Take these columns? [y/N]")
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise LogError(
+            f"{args.source[0]}: nothing imported; write the guess with --write-map MAP.toml, mend it, and import "
+            "with --columns MAP.toml"
+        )
+
+
+def _certain(g: Guess) -> bool:
+    """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
+    own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (
+        not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s")
+    )
+    return g.said or own
+
+
+# --------------------------------------------------------------------------------------------------------------- writing
+def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[str, list[str]], dict]:
+    """Write the trials that convert; what does not is remembered in `found.skipped`. Rows, notes, the manifest's meta."""
+    rows: list[dict] = []
+    notes: dict[str, list[str]] = {}
+    told: dict[str, str] = {}  # filled before the manifest, which comes last
+    said: dict[str, set[str]] = {"licence": set(), "source": set()}
+
+    def trials() -> Iterator[tuple[str, Trial]]:
+        with console.Progress(len(found.trials), "import", unit="trials") as bar:
+            for i, (name, load) in enumerate(found.trials):
+                try:
+                    trial = with_notes(_with_meta(load(), meta, name))
+                    checked_meta(args.out / name, trial.meta)
+                    rows.append(_row(name, trial))
+                except FishmjError as error:
+                    if args.strict:
+                        raise
+                    found.skipped[name] = str(error)
+                    continue
+                notes[name] = list(trial.notes)
+                for key, values in said.items():
+                    values |= {str(value)} if (value := trial.value(key)) else set()
+                yield name, trial
+                if bar.elapsed > SOON:
+                    bar.update(i + 1)
+        told.update({"format": found.format} | {key: "; ".join(sorted(values))[:500] for key, values in said.items() if values})
+
+    try:
+        write_dataset(args.out, _any(trials(), args, found), meta=told, page=found.page or None)
+    except BaseException:
+        shutil.rmtree(args.out, ignore_errors=True)  # it did not exist before
+        raise
+    return rows, notes, told
+
+
+def _any(trials: Iterator[tuple[str, Trial]], args: Namespace, found: Found) -> Iterator[tuple[str, Trial]]:
+    """The trials, or the reasons where there is none."""
+    first = next(trials, None)
+    if first is None:
+        _nothing(args, found)
+        return
+    yield first
+    yield from trials
+
+
+def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
+    """What was said on the command line goes before what the file says."""
+    said = {key: value for key, value in meta.items() if key not in ("source",)}
+    if (bounds := said.get(plausible.KEY)) and isinstance(trial.meta.get(plausible.KEY), dict):
+        said[plausible.KEY] = {**trial.meta[plausible.KEY], **bounds}
+    whole = {"origin": "measured", **trial.meta, **said}
+    notes = list(trial.notes)
+    joints = said.get("joints")
+    has = max((len([c for c in columns if c[0] in "cj" and c[1:].isdecimal()]) for columns in trial.tables.values()), default=0)
+    if joints and has and has != joints:
+        notes.append(f"the robot {said.get('robot')} has {joints} joints, the columns tell of {has}")
+    return replace(trial, meta=whole, name=name, notes=tuple(_line(note) for note in notes))
+
+
+def with_notes(trial: Trial) -> Trial:
+    """The reader's remarks moved into the meta data, so that they travel with the trial."""
+    said = trial.meta.get("notes")
+    before = said if isinstance(said, list) else [said] if said else []
+    fresh = [note for note in trial.notes if note not in before and "meta.toml: missing" not in note]
+    return replace(trial, meta={**trial.meta, "notes": [*before, *fresh]}) if fresh else trial
+
+
+def _row(name: str, trial: Trial) -> dict:
+    start, end = trial.span
+    tables = ", ".join(f"{table} {len(columns['t'])}" for table, columns in trial.tables.items())
+    return {"trial": name, "tables (rows)": tables, "seconds": round(end - start, 3), "notes": len(trial.notes)}

@@ -1,0 +1,180 @@
+"""Sheets and a map become a checked trial: SI units, seconds, nothing resampled; what was left out is noted."""
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.log.importers.assemble import Place, renamed, trial_of
+from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap
+from fishmj.log.importers.rows import STRAY
+from fishmj.log.importers.sheet import DATE, Sheet
+from fishmj.log.limits import quoted
+from fishmj.log.trial import Table, Trial
+
+EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
+DAY = 86_400.0  # s; clocks further apart than this are different clocks
+SPARSE = 0.5  # share of rows that must hold numbers when the file was not written at several rates
+
+
+def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -> Trial:
+    """One trial of the tables that the map names and these sheets hold.
+
+    Raises:
+        LogError: no table found, a column is absent or in two files, or the values break the schema, with file, line and column.
+    """
+    found: dict[str, tuple[Table, Place]] = {}
+    absolute: dict[str, bool] = {}
+    notes = [note for sheet in sheets for note in sheet.notes]
+    missing = []
+    for table, entry in wanted.tables.items():
+        sheet = _sheet(table, entry, sheets)
+        if sheet is None:
+            missing.append(table)
+            continue
+        columns, place, told, absolute[table] = _table(table, sheet, entry)
+        found[table] = (columns, place)
+        notes += told
+    if not found:
+        raise LogError(_absent(wanted, sheets))
+    notes += [f"{table}: no file with the columns of [tables.{table}]; left out" for table in missing]
+    notes += _zero({t: found[t][0] for t, is_absolute in absolute.items() if is_absolute})
+    used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
+    for sheet in sheets:
+        if rest := [column for column in sheet.columns if column not in used]:
+            more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
+            notes.append(f"{sheet.name}: not read: {', '.join(quoted(c)[1:-1] for c in rest[:8])}{more}")
+    return trial_of(name, meta, found, notes)
+
+
+def _sources(entry: TableMap) -> list[str]:
+    columns = [c.column for c in entry.columns.values() if c.column is not None]
+    return [entry.t.column, *([entry.t.nanoseconds] if entry.t.nanoseconds else []), *columns]
+
+
+def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet | None:
+    """The one sheet that holds all columns of a table."""
+    wanted = set(_sources(entry))
+    fitting = [sheet for sheet in sheets if wanted <= set(sheet.columns) and (entry.file is None or _fits(sheet, entry.file))]
+    if len(fitting) > 1:
+        names = ", ".join(quoted(sheet.name) for sheet in fitting[:4])
+        raise LogError(
+            f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say "
+            'which with file = "pattern", '
+            "or import each file as a trial of its own with --trial-each"
+        )
+    return fitting[0] if fitting else None
+
+
+def _fits(sheet: Sheet, pattern: str) -> bool:
+    return fnmatchcase(sheet.name.lower(), pattern.lower()) or fnmatchcase(sheet.path.name.lower(), pattern.lower())
+
+
+def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
+    """Which column is missing, and the nearest there is."""
+    has = [column for sheet in sheets for column in sheet.columns]
+    table, entry = next(iter(wanted.tables.items()))
+    lacking = [column for column in _sources(entry) if column not in has]
+    text = [sheet for sheet in sheets for column in lacking if column in sheet.text]
+    where = sheets[0].where if sheets else "nothing"
+    if not lacking:
+        return (
+            f"{where}: [tables.{table}]: no one file holds all of {', '.join(map(quoted, _sources(entry)))} (file = "
+            f"{quoted(entry.file or '*')})"
+        )
+    near = get_close_matches(lacking[0], has, 1, 0.5)
+    hint = f"; did you mean {quoted(near[0])}?" if near else ""
+    told = "; it holds text" if text else ""
+    return (
+        f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has "
+        f"{', '.join(quoted(c)[1:-1] for c in has[:12])}"
+    )
+
+
+def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
+    """(columns in SI, their places, notes, whether the stamps count from 1970)."""
+    t, absolute, notes = _seconds(table, sheet, entry.t)
+    out: Table = {"t": t}
+    names = {"t": entry.t.column}
+    for column, source in entry.columns.items():
+        if source.column is None:
+            out[column] = np.full(len(sheet), source.constant)
+        else:
+            out[column] = (sheet.columns[source.column] - source.zero) * source.factor
+            names[column] = source.column
+            if np.isnan(out[column]).all():
+                what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
+                raise LogError(
+                    f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
+                    "leave it out of the map"
+                )
+    keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)
+    if not keep.any():
+        raise LogError(
+            f"{sheet.where}: [tables.{table}]: no row has a number in all of "
+            f"{', '.join(map(quoted, names.values()))}; map them to tables of their own"
+        )
+    if not keep.all():
+        notes.append(f"{table}: {int((~keep).sum())} of {len(keep)} rows of {sheet.name} left out, blank in one of its columns")
+    rows = np.flatnonzero(keep)
+    t = t[rows]
+    order, told = _rising(table, sheet, t, rows, entry.t.column)
+    rows = rows[order]
+    notes += told
+    columns = {column: values[rows] for column, values in out.items()}
+    place = renamed(lambda row, column: sheet.place(int(rows[row]) if 0 <= row < len(rows) else -1, column), names)
+    return columns, place, notes, absolute
+
+
+def _seconds(table: str, sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool, list[str]]:
+    """Stamps in s, whether they count from 1970, notes."""
+    raw = sheet.columns[stamp.column]
+    dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
+    t = raw * (1.0 if dated else stamp.factor)
+    if stamp.nanoseconds:
+        t = t + 1e-9 * sheet.columns[stamp.nanoseconds]
+    finite = t[np.isfinite(t)]
+    if not len(finite):
+        raise LogError(f"{sheet.place(0, stamp.column)}: column {quoted(stamp.column)} of time stamps holds no number")
+    absolute = dated or abs(float(finite[0])) > EPOCH
+    return t, absolute, []
+
+
+def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: str) -> tuple[np.ndarray, list[str]]:
+    """The rows whose stamps rise; single strays and repeats are left out with a note, more is an error."""
+    if len(t) < 2 or (np.diff(t) > 0).all():
+        return np.arange(len(t)), []
+    ceiling = np.minimum.accumulate(t[::-1])[::-1]
+    floor = np.maximum.accumulate(t)
+    ahead = np.r_[t[:-1] >= ceiling[1:], False]  # later than a row that follows
+    behind = np.r_[False, t[1:] <= floor[:-1]]
+    stray = ahead if ahead.sum() < behind.sum() else behind
+    first = int(np.flatnonzero(behind)[0])
+    step = "stands still" if t[first] == t[first - 1] else "goes back"
+    told = f"{sheet.place(int(rows[first]), column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
+    repeats = int(np.sum(np.diff(t) == 0))
+    if repeats == int(behind.sum()) and repeats <= 0.5 * len(t):  # stamps coarser than the rate, or rows sent twice
+        return np.flatnonzero(~behind), [f"{table}: {told}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
+    if stray.sum() > max(1, STRAY * len(t)) or len(t) - stray.sum() < 2:
+        raise LogError(
+            f"{told}; {int(stray.sum())} of {len(t)} rows are out of order. "
+            "Sort the rows by time, split the file where the clock was set, or name another column of time"
+        )
+    return np.flatnonzero(~stray), [f"{table}: {told}; {int(stray.sum())} such row(s) left out"]
+
+
+def _zero(tables: dict[str, Table]) -> list[str]:
+    """Stamps that count from 1970 are moved to the earliest of them; a clock more than a day away gets its own zero."""
+    if not tables:
+        return []
+    starts = {name: float(table["t"][0]) for name, table in tables.items()}
+    near = {name: start for name, start in starts.items() if max(starts.values()) - start < DAY}
+    zero, notes = min(near.values()), []
+    for name, table in tables.items():
+        own = zero if name in near else starts[name]
+        if name not in near:
+            notes.append(f"{name}: its clock is {(zero - own) / DAY:.1f} days away from the others; it starts at its own zero")
+        table["t"] = table["t"] - own
+    return [f"{', '.join(near)}: stamps are a date or count from 1970; t = 0 is {zero:.6f} s after 1970", *notes]

@@ -1,0 +1,271 @@
+"""Which files make which trial.
+
+- A folder in our own format (meta.toml and tables) is one trial, and is copied.
+- Text tables, Parquet and .npz that lie in one folder are one trial when no two of them have the same columns (commands,
+  camera, battery), and a trial each when all of them have the same. Between the two the user says: one trial, or a trial each.
+- A message recording (MCAP, rosbag2) is a trial.
+- A folder in a folder is looked at by itself; hidden files and links that lead outside are passed over.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fishmj import console, names
+from fishmj.errors import FishmjError, LogError
+from fishmj.log.folder import FLAT_FILE, META_FILE
+from fishmj.log.importers import columnar, delimited, guess, mcap, messages, rosbag2
+from fishmj.log.importers.sheet import Sheet
+from fishmj.log.importers.topics import by_name
+from fishmj.log.limits import most_bytes, quoted
+from fishmj.log.schema import TABLES
+
+SOON = 5.0  # s before progress shows
+DEEP = 12  # folders in folders
+MANY = 100_000  # files
+TABLE_FILES = (*delimited.SUFFIXES, *columnar.PARQUET, *columnar.NPZ)
+
+
+@dataclass(frozen=True)
+class Item:
+    """One trial to be: a folder of ours, or foreign files."""
+
+    name: str
+    files: tuple[Path, ...]
+    own: bool = False
+
+
+@dataclass
+class Shelf:
+    """Reads every file once, and keeps what it read as far as memory allows."""
+
+    topics: bool = False  # a mapping of topics was given: recordings need no sheets
+    skipped: dict[str, str] = field(default_factory=dict)  # file -> why it was not read
+    _kept: dict[Path, list[Sheet]] = field(default_factory=dict)
+    _mapped: dict[Path, bool] = field(default_factory=dict)
+    _size: float = 0.0
+
+    def sheets(self, path: Path) -> list[Sheet]:
+        """The sheets of one file.
+
+        Raises:
+            FishmjError: it cannot be read.
+        """
+        if path in self._kept:
+            return self._kept[path]
+        found = read_sheets(path)
+        self._size += sum(8.0 * len(sheet) * len(sheet.columns) for sheet in found)
+        if self._size < most_bytes() / 2:
+            self._kept[path] = found
+        return found
+
+    def mapped(self, path: Path) -> bool:
+        """Whether it is a recording with a mapping: given, beside it, or by topics that are named like tables."""
+        if not is_recording(path):
+            return False
+        if self.topics or (path.is_file() and path.with_suffix(".toml").is_file()):
+            return True
+        if path not in self._mapped:
+            found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
+            self._mapped[path] = bool(by_name({t for t, channel in found.items() if channel.encoding == "json"}).tables)
+        return self._mapped[path]
+
+    def readable(self, files: Sequence[Path]) -> list[Path]:
+        """Those that can be read; the others are remembered with the reason."""
+        out = []
+        bar = console.Progress(len(files), "read", unit="files")
+        for i, file in enumerate(files):
+            if bar.elapsed > SOON:
+                bar.update(i)
+            try:
+                if not self.mapped(file):
+                    self.sheets(file)
+            except FishmjError as error:
+                self.skipped[str(file)] = str(error)
+            else:
+                out.append(file)
+        return out
+
+
+def read_sheets(path: Path) -> list[Sheet]:
+    """The sheets of one foreign file: one of a table, one a topic of a recording."""
+    if is_recording(path):
+        return messages.sheets(path, rosbag2.channels(path) if rosbag2.sniff(path) else mcap.channels(path))
+    suffix = path.suffix.lower()
+    if suffix in columnar.PARQUET:
+        return [columnar.read_parquet(path)]
+    if suffix in columnar.NPZ:
+        return [columnar.read_table(path)]
+    if suffix in delimited.SUFFIXES or not suffix:
+        return [delimited.read(path)]
+    raise LogError(
+        f"{path}: files of type {quoted(suffix)} are not read; export it as CSV. Known: "
+        f"{', '.join((*TABLE_FILES, '.mcap', '.db3'))}"
+    )
+
+
+def is_recording(path: Path) -> bool:
+    """Whether it holds messages and no table."""
+    return path.suffix.lower() in (mcap.SUFFIX, rosbag2.SUFFIX) or (path.is_dir() and rosbag2.sniff(path))
+
+
+def is_own(folder: Path) -> bool:
+    """A trial folder of ours."""
+    if not (folder / META_FILE).is_file():
+        return False
+    return (folder / FLAT_FILE).is_file() or any(
+        (folder / f"{table}{end}").is_file() for table in TABLES for end in (".csv", ".npz")
+    )
+
+
+def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None) -> tuple[list[Item], list[str]]:
+    """The trials that files and folders hold, and what was passed over.
+
+    Args:
+        together: the files of one folder are one trial (True), a trial each (False), or by the rule (None).
+    Raises:
+        LogError: a source is absent, or the rule cannot tell.
+    """
+    items: list[Item] = []
+    notes: list[str] = []
+    for source in sources:
+        if not source.exists():
+            raise LogError(f"{source}: no such file or folder")
+    loose = [source for source in sources if not source.is_dir()]
+    if loose:
+        items += _heap(loose, shelf, together, name="" if len(loose) > 1 else loose[0].stem, top=True)
+    for source in sources:
+        if source.is_dir():
+            items += _walk(source, source.resolve(), shelf, together, notes, "", 0)
+    return renamed(items), notes
+
+
+def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int) -> list[Item]:
+    here = f"{prefix}_{folder.name}".strip("_") if depth else folder.resolve().name
+    whole = is_own(folder) or rosbag2.sniff(folder)
+    if whole and (outside := leading_outside(folder)):
+        notes.append(f"{folder}: passed over: {outside[0].name} is a link that leads outside")
+        return []
+    if is_own(folder):
+        return [Item(here, (folder,), own=True)]
+    if whole:
+        return [Item(here, tuple(shelf.readable([folder])))]
+    if depth > DEEP:
+        raise LogError(f"{folder}: folders in folders, {DEEP} deep; name the folder that holds the trials")
+    files, folders, other = [], [], []
+    for entry in _inside(folder, root, notes):
+        if entry.is_dir():
+            folders.append(entry)
+        elif entry.suffix.lower() in TABLE_FILES or is_recording(entry):
+            files.append(entry)
+        elif entry.name not in ("manifest.json", "measurements.toml"):
+            other.append(entry.name)
+    if other and not depth:
+        notes.append(
+            f"{folder}: passed over: {', '.join(quoted(name)[1:-1] for name in other[:6])}{' ..' if len(other) > 6 else ''}"
+        )
+    items = _heap(files, shelf, together, name=here, top=not depth) if files else []
+    for sub in folders:
+        items += _walk(sub, root, shelf, together, notes, "" if not depth else here, depth + 1)
+    return items
+
+
+def leading_outside(folder: Path) -> list[Path]:
+    """Links in a folder that lead out of it."""
+    if not folder.is_dir():
+        return []
+    root = folder.resolve()
+    return [entry for entry in sorted(folder.rglob("*")) if entry.is_symlink() and not _within(entry, root)]
+
+
+def _within(link: Path, root: Path) -> bool:
+    try:
+        return link.resolve(strict=True).is_relative_to(root)
+    except (OSError, RuntimeError):
+        return False
+
+
+def _inside(folder: Path, root: Path, notes: list[str]) -> Iterator[Path]:
+    """Entries of a folder in order of name, without hidden ones and links that lead outside."""
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise LogError(f"{folder}: cannot be read: {error.strerror or error}") from error
+    if len(entries) > MANY:
+        raise LogError(f"{folder}: {len(entries)} entries; at most {MANY} are looked at. Name the folder that holds the trials")
+    for entry in entries:
+        if entry.name.startswith("."):
+            continue
+        if entry.is_symlink():
+            inside = _within(entry, root)
+            if not inside or entry.is_dir():
+                notes.append(f"{entry}: a link that leads {'to a folder' if inside else 'outside'}; passed over")
+                continue
+        yield entry
+
+
+def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: str, top: bool) -> list[Item]:
+    """The trials of the files of one folder."""
+    good = shelf.readable(files)
+    if not good:
+        return []
+    recordings = [file for file in good if is_recording(file)]
+    tables = [file for file in good if not is_recording(file)]
+    if together and recordings:
+        return [Item(name or good[0].parent.resolve().name, tuple(good))]
+    out = [Item(_joined("" if top else name, file.stem), (file,)) for file in recordings]
+    if not tables:
+        return out
+    if len(tables) == 1 and not (together and len(files) > 1):
+        return [*out, Item(name if not top and len(files) == 1 else _joined("" if top else name, tables[0].stem), (tables[0],))]
+    different = len(guess.kinds(sheet for file in tables for sheet in shelf.sheets(file)))
+    if together if together is not None else _is_one(tables, different):
+        return [*out, Item(name or _common(tables), tuple(tables))]
+    return [*out, *(Item(_joined("" if top else name, file.stem), (file,)) for file in tables)]
+
+
+def _is_one(tables: Sequence[Path], different: int) -> bool:
+    """The rule: all columns different, one trial; all the same, a trial each."""
+    if different == len(tables):
+        return True
+    if different == 1:
+        return False
+    raise LogError(
+        f"{tables[0].parent}: {len(tables)} files with {different} sets of columns "
+        f"({', '.join(quoted(p.name)[1:-1] for p in tables[:4])}, ..): "
+        "are they one trial or many? Say --one-trial or --trial-each, or put the files of each trial into a folder of its own"
+    )
+
+
+def _common(files: Sequence[Path]) -> str:
+    return files[0].parent.resolve().name or "trial"
+
+
+def _joined(prefix: str, name: str) -> str:
+    return f"{prefix}_{name}" if prefix else name
+
+
+def renamed(items: Sequence[Item]) -> list[Item]:
+    """Names that may stand in a path, none of them twice."""
+    taken: set[str] = set()
+    out = []
+    for item in items:
+        base = names.nearest(item.name) or "trial"
+        name, n = base, 1
+        while name.lower() in taken:
+            n += 1
+            name = f"{base[:58]}_{n}"
+        taken.add(name.lower())
+        out.append(Item(name, item.files, item.own))
+    return out
+
+
+def layouts(items: Sequence[Item], shelf: Shelf) -> dict[tuple, list[Item]]:
+    """Foreign items by the kinds of files they consist of."""
+    out: dict[tuple, list[Item]] = {}
+    for item in items:
+        if item.own or not item.files:
+            continue
+        made = guess.kinds(sheet for file in item.files for sheet in shelf.sheets(file))
+        out.setdefault(tuple(sorted(repr(guess.flavour(kind.sheets[0])) for kind in made)), []).append(item)
+    return out

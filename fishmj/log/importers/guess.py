@@ -1,0 +1,478 @@
+"""A map guessed from names and values. What two readings fit is said to be unclear and left to the user, never taken."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from glob import escape
+
+import numpy as np
+
+from fishmj.errors import LogError, UnknownName
+from fishmj.log.importers import header, values
+from fishmj.log.importers.column_map import ColumnMap, is_column, measured, of_dict
+from fishmj.log.importers.roles import Role, role
+from fishmj.log.importers.sheet import DATE, Sheet
+from fishmj.log.importers.units import SI, measures, of_kind, unit_of
+from fishmj.log.limits import quoted
+from fishmj.log.schema import TABLES, table_spec
+
+TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
+NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
+_NUMBER = re.compile(r"\d+")
+ROWS = 200_000  # of one file that the statistics look at
+NEEDS = {
+    "pose": ("x", "y", "yaw"),
+    "velocity": ("surge",),
+    "imu": ("ax", "ay"),
+    "power": ("V",),
+    "target": ("x", "y"),
+    "gait": ("amplitude", "bias"),
+}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What one column of one kind of file is taken for."""
+
+    kind: int
+    column: str
+    state: str = LEFT
+    places: tuple[str, ...] = ()  # "cmd.c1"; "t" for stamps; several where it is unclear which
+    unit: str = ""
+    scale: float = 1.0
+    why: str = ""
+    said: bool = False  # by the user
+
+    @property
+    def place(self) -> str:
+        return self.places[0] if self.places else ""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Files with the same columns, told apart by what their names say."""
+
+    sheets: tuple[Sheet, ...]
+    pattern: str  # of their names
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return tuple(self.sheets[0].columns)
+
+    def values(self, column: str) -> np.ndarray:
+        """Of all files one after the other."""
+        return np.concatenate([sheet.columns[column][:ROWS] for sheet in self.sheets[:16]])
+
+
+def context(sheet: Sheet) -> frozenset[str]:
+    """What the name of a file or topic says."""
+    return frozenset(header.words(re.sub(r"\.[A-Za-z0-9]{1,8}\Z", "", sheet.name)))
+
+
+def flavour(sheet: Sheet) -> tuple:
+    """Sheets of one flavour are of one kind: the same columns, and names that say the same of them."""
+    said = context(sheet)
+    topic = sheet.name if sheet.name != sheet.path.name else ""
+    return tuple(sheet.columns), topic, bool(said & header.COMMAND), bool(said & header.MEASURED)
+
+
+def kinds(sheets: Iterable[Sheet]) -> list[Kind]:
+    """Sheets sorted into kinds."""
+    groups: dict[tuple, list[Sheet]] = {}
+    for sheet in sheets:
+        groups.setdefault(flavour(sheet), []).append(sheet)
+    return [
+        Kind(tuple(group), _pattern(group, [s for g in groups.values() if g is not group for s in g]))
+        for group in groups.values()
+    ]
+
+
+def _pattern(group: Sequence[Sheet], others: Sequence[Sheet]) -> str:
+    """A pattern that the names of a group fit and no other's does."""
+    if len({sheet.name for sheet in group}) == 1:
+        return escape(group[0].name)
+    shared = set.intersection(*(set(context(sheet)) for sheet in group)) - set.union(set(), *(set(context(o)) for o in others))
+    return f"*{max(shared, key=len)}*" if shared else ""
+
+
+def guess(found: Sequence[Kind], said: dict[str, tuple[str, str, float]] | None = None) -> list[Guess]:
+    """One guess a column of every kind, in the order of the files.
+
+    Args:
+        said: column -> (place or "skip", unit, scale), by the user (`overrides`).
+    """
+    said = dict(said or {})
+    out: list[Guess] = []
+    for k, kind in enumerate(found):
+        out += _roles(k, kind, said)
+    if unknown := [name for name in said if name not in {g.column for g in out}]:
+        raise UnknownName("column in --set", quoted(unknown[0])[1:-1], {quoted(g.column)[1:-1] for g in out})
+    out = _commanded_or_measured(out)
+    out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
+    out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
+    out = _points(_once(out, found))
+    return _complete(out, found)
+
+
+def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
+    """`servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` -> column: (place, unit, scale).
+
+    Raises:
+        LogError: no such table, column or unit, with the nearest.
+    """
+    out = {}
+    for text in texts:
+        column, mark, target = text.rpartition("=")
+        place, _, rest = target.partition(":")
+        unit, _, factor = rest.partition("*")
+        where = f"--set {quoted(text)}"
+        if not mark or not column.strip():
+            raise LogError(f"{where}: expected COLUMN=TABLE.COLUMN:UNIT, for example servo1=cmd.c1:deg, or COLUMN=skip")
+        if place not in ("t", "skip"):
+            table, _, ours = place.partition(".")
+            if table not in TABLES:
+                raise UnknownName(f"table in {where}:", table[:40], TABLES)
+            if ours == "t":
+                place = "t"
+            elif not is_column(table_spec(table), ours):
+                raise LogError(f"{where}: table {table!r} has no column {quoted(ours)}; expected {table_spec(table).describe()}")
+        if unit and unit != DATE and not unit_of(unit):
+            raise LogError(f"{where}: unit {quoted(unit)} is not known")
+        try:
+            scale = float(factor) if factor else 1.0
+        except ValueError:
+            scale = 0.0
+        if not 0 < scale < 1e12:
+            raise LogError(f"{where}: scale {quoted(factor)}; expected a positive number, such as px*0.0012")
+        out[column.strip()] = (place, DATE if unit == DATE else unit_of(unit), scale)
+    return out
+
+
+def _roles(k: int, kind: Kind, said: dict) -> list[Guess]:
+    out = []
+    for column in kind.columns:
+        name = header.parse(column)
+        if column in said:
+            place, unit, scale = said[column]
+            state = LEFT if place == "skip" else TAKEN
+            out.append(
+                Guess(
+                    k, column, state, () if place == "skip" else (place,), unit or name.unit, scale, "said with --set", said=True
+                )
+            )
+            continue
+        told = kind.sheets[0].units.get(column, "")
+        name = replace(name, unit=told) if told and told != DATE else name
+        found = role(name, set(context(kind.sheets[0])))
+        if told == DATE:
+            found = Role(("t",), "dates or times of day")
+        if found.places and not np.isfinite(kind.values(column)).any():
+            found = Role(why="holds no number")
+        places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
+        state = LEFT if not places else TAKEN if len(places) == 1 else UNCLEAR
+        out.append(Guess(k, column, state, places, told or name.unit, why=found.why))
+    return out
+
+
+def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
+    """Angles that may be either: measured where others are commanded; else a servo's are commanded, and a joint's unclear."""
+    commanded = any(g.state == TAKEN and g.place.startswith("cmd.c") for g in guesses)
+    measured_ = any(g.state == TAKEN and g.place.startswith("joint.j") for g in guesses)
+    servo = {g.column for g in guesses if header.parse(g.column).has(header.SERVO)}
+    out = []
+    for g in guesses:
+        if g.state == UNCLEAR and len(g.places) == 2 and g.places[0].startswith("cmd.c"):
+            if commanded != measured_:
+                i, why = (
+                    (1, "an angle beside commanded ones: measured")
+                    if commanded
+                    else (0, "an angle beside measured ones: commanded")
+                )
+                g = replace(g, state=TAKEN, places=(g.places[i],), why=why)
+            elif g.column in servo and not any(
+                o.column not in servo and o.state == UNCLEAR and o.places[:1] == g.places[:1] for o in guesses
+            ):
+                g = replace(g, state=TAKEN, places=(g.places[0],), why="a servo's angle, none called measured: commanded")
+        out.append(g)
+    return out
+
+
+def _from_one(guesses: list[Guess]) -> list[Guess]:
+    """Numbers that count from 0 are moved up by one, a family at a time."""
+    families: dict[str, list[int]] = {}
+    for i, g in enumerate(guesses):
+        if not g.said and g.place and (found := _NUMBER.search(g.place)):
+            families.setdefault(_NUMBER.sub("#", g.place).rstrip("xy"), []).append(i)
+            if int(found[0]) > 999:
+                guesses[i] = replace(g, state=LEFT, places=(), why="its number is beyond any joint's")
+    for mine in families.values():
+        if any(_NUMBER.search(guesses[i].place)[0] == "0" for i in mine if guesses[i].place):  # type: ignore[index]
+            for i in mine:
+                g = guesses[i]
+                moved = tuple(_NUMBER.sub(lambda m: str(int(m[0]) + 1), place) for place in g.places)
+                guesses[i] = replace(g, places=moved, why=g.why + "; counted from 0")
+    return guesses
+
+
+def _numbered(guesses: list[Guess]) -> list[Guess]:
+    """Numbers from 1 without holes; a single column without a number is the first."""
+    out = _from_one(list(guesses))
+    for template in ("cmd.c", "joint.j", "joint.w", "joint.temp", "joint.load", "cmd.on"):
+        mine = [
+            i
+            for i, g in enumerate(out)
+            if g.state == TAKEN and not g.said and re.fullmatch(re.escape(template) + r"(#|\d+)", g.place)
+        ]
+        bare = [i for i in mine if out[i].place.endswith("#")]
+        if len(bare) == 1 and len(mine) == 1:
+            out[bare[0]] = replace(out[bare[0]], places=(template + "1",), why=out[bare[0]].why + "; the only one")
+        elif bare:
+            for n, i in enumerate(bare, start=1):
+                out[i] = replace(
+                    out[i], state=UNCLEAR, places=(f"{template}{n}",), why="which joint is it, counted from the nose?"
+                )
+        numbers = [int(out[i].place.removeprefix(template)) for i in mine if i not in bare]
+        if (
+            numbers
+            and template in ("cmd.c", "joint.j")
+            and sorted(numbers) != list(range(1, len(numbers) + 1))
+            and len(set(numbers)) == len(numbers)
+        ):
+            for i in (i for i in mine if i not in bare):
+                out[i] = replace(
+                    out[i], state=UNCLEAR, why=f"numbers {', '.join(map(str, sorted(numbers)))} have holes: which joint is it?"
+                )
+    if any(g.place.endswith("#") for g in out):
+        out = [
+            replace(g, state=LEFT, places=(), why="needs a number") if g.place.endswith("#") and g.state == TAKEN else g
+            for g in out
+        ]
+    return [replace(g, places=tuple(p.replace("#", "1") for p in g.places)) for g in out]
+
+
+def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
+    """A unit for every column that has a place: said by its name or file, else by the values of its family."""
+    out = []
+    known: dict[tuple[str, str], tuple[str, str]] = {}  # by family: its values are looked at once
+    for g in guesses:
+        if g.state == LEFT:
+            out.append(g)
+            continue
+        table, _, column = g.place.partition(".")
+        what = "time" if g.place == "t" else measured(table, column)
+        if g.unit and g.unit != DATE and measures(g.unit) != what:
+            if g.said:
+                raise LogError(
+                    f"--set {quoted(g.column)}: {g.unit} measures {measures(g.unit)}; {g.place} is in {SI.get(what) or 'no unit'}"
+                )
+            out.append(replace(g, state=UNCLEAR, why=f"{g.unit} is no unit of {g.place}"))
+            continue
+        if g.said and (g.unit or g.scale != 1.0):
+            out.append(g)
+        elif g.unit:
+            doubt = values.against(g.unit, what, kind.values(g.column)) if g.unit != DATE else ""
+            if g.unit == "px":
+                doubt = "px: say the metres of a pixel, and y's direction, in a map"
+            out.append(replace(g, state=UNCLEAR, why=doubt) if doubt else g)
+        elif not what:
+            out.append(g)
+        else:
+            family = (_family(g.place), what if what != "length" else "")
+            if family not in known:
+                known[family] = _by_value(kind, guesses, g, what)
+            unit, why = known[family]
+            if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
+                unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
+            if (
+                what == "angle"
+                and unit == "rad"
+                and any(o.unit == "deg" for o in guesses)
+                and not why.startswith(("wraps", "all zero"))
+            ):
+                unit, why = "", f"{why}: rad, or deg as other columns of the file?"
+            state = UNCLEAR if not unit else g.state
+            out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
+    return out
+
+
+def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
+    family = _family(g.place)
+    mine = [o for o in guesses if o.state != LEFT and not o.unit and _family(o.place) == family]
+    if what == "time":
+        return values.time_unit(kind.sheets[0].columns[g.column])
+    if what == "angle" and g.place.endswith("yaw"):
+        return values.heading_unit(kind.values(g.column))
+    if what == "length":
+        axes = [
+            o
+            for o in guesses
+            if o.state != LEFT
+            and o.place.partition(".")[0] == g.place.partition(".")[0]
+            and measured(*o.place.split(".")) == "length"
+        ]
+        spoken = {o.unit for o in axes if o.unit}
+        if len(spoken) == 1:
+            return spoken.pop(), "as its other axis"
+        return values.length_unit([s.columns[o.column] for o in axes for s in kind.sheets[:16]])
+    if what == "acceleration":
+        middle = float(np.nanmedian(np.abs(kind.values(g.column))))
+        return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
+    if what in values.BY_VALUE:
+        return values.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
+    return SI.get(what, ""), "no unit said"
+
+
+def _family(place: str) -> str:
+    """Columns that share a unit: joints of one kind; x and y; stamps, heading and supply each by itself."""
+    return re.sub(r"\d+(?=[xy]?\Z)", "", place)
+
+
+def _split_stamp(guesses: list[Guess], stamps: list[int], kind: Kind) -> tuple[int, int] | None:
+    """The columns of seconds and of the nanoseconds within them, as ROS exports stamps."""
+    whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
+    if (guesses[whole].unit, guesses[part].unit) != ("s", "ns") or guesses[part].said:
+        return None
+    low, high = (float(f(kind.values(guesses[part].column))) for f in (np.nanmin, np.nanmax))
+    return (whole, part) if 0 <= low and high < 1e9 else None
+
+
+def _once(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
+    """Two columns for one place are both unclear, but a stamp a file is enough: said with its unit, or a date."""
+    out = list(guesses)
+    for k in {g.kind for g in out}:
+        stamps = [i for i, g in enumerate(out) if g.kind == k and g.place == "t" and g.state != LEFT]
+        if len(stamps) == 2 and (pair := _split_stamp(out, stamps, found[k])):
+            out[pair[1]] = replace(out[pair[1]], places=(NANOSECONDS,), why="added to the seconds beside it")
+            stamps = [pair[0]]
+        if len(stamps) > 1:
+            rank = [(not out[i].said, out[i].state != TAKEN, header.parse(out[i].column).unit == "", i) for i in stamps]
+            best = min(rank)
+            tied = [r[-1] for r in rank if r[:-1] == best[:-1]]
+            for i in stamps:
+                if len(tied) > 1 and i in tied:
+                    out[i] = replace(out[i], state=UNCLEAR, why=f"{len(tied)} columns of time: which stamps the row?")
+                elif i != best[-1]:
+                    out[i] = replace(out[i], state=LEFT, places=(), why="another column of time is taken")
+    places: dict[str, list[int]] = {}
+    for i, g in enumerate(out):
+        if g.place and g.place not in ("t", NANOSECONDS) and g.state == TAKEN:
+            places.setdefault(g.place, []).append(i)
+    for place, mine in places.items():
+        said = [i for i in mine if out[i].said]
+        for i in mine if len(mine) > 1 else []:
+            if said and i not in said:
+                out[i] = replace(out[i], state=LEFT, places=(), why=f"another column was said to be {place}")
+            elif not said or len(said) > 1:
+                others = ", ".join(quoted(out[o].column) for o in mine if o != i)
+                out[i] = replace(out[i], state=UNCLEAR, why=f"{place} is also {others}: which?")
+    return out
+
+
+def _points(guesses: list[Guess]) -> list[Guess]:
+    """A place without a heading is a point on the body, no pose."""
+    kinds_ = {g.kind for g in guesses if g.place in ("pose.x", "pose.y") and g.state != LEFT}
+    if not kinds_ or any(g.place == "pose.yaw" and g.state != LEFT for g in guesses):
+        return guesses
+    if any(g.place.startswith("markers.") for g in guesses):
+        return guesses
+    swap = {"pose.x": "markers.p1x", "pose.y": "markers.p1y"}
+    return [
+        replace(g, places=(swap[g.place],), why=g.why + "; no heading, so a point and no pose")
+        if g.place in swap and not g.said
+        else g
+        for g in guesses
+    ]
+
+
+def _complete(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
+    """Tables that lack a column they need are left out, and so is everything of a file without stamps."""
+    out = list(guesses)
+    for k in range(len(found)):
+        mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place not in ("t", NANOSECONDS)]
+        if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
+            out = [
+                replace(g, state=LEFT, places=(), why="the file has no column of time") if i in mine and not g.said else g
+                for i, g in enumerate(out)
+            ]
+            continue
+        for table in {out[i].place.partition(".")[0] for i in mine}:
+            have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.place.startswith(f"{table}.")}
+            need = NEEDS.get(table) or tuple(t.replace("#", "1") for t in table_spec(table).numbered)
+            lacking = [column for column in need if column not in have]
+            if lacking:
+                why = f"table {table} also needs {', '.join(lacking)}"
+                out = [
+                    replace(g, state=LEFT, places=(), why=why)
+                    if i in mine and g.place.startswith(f"{table}.") and not g.said
+                    else g
+                    for i, g in enumerate(out)
+                ]
+    first: dict[str, int] = {}
+    for i, g in enumerate(out):
+        table = g.place.partition(".")[0] if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
+        if table and first.setdefault(table, g.kind) != g.kind:
+            why = f"table {table} lies in another file already; a table of ours is one file with one clock"
+            out[i] = replace(g, state=UNCLEAR if g.said else LEFT, places=g.places if g.said else (), why=why)
+    return out
+
+
+def unclear(guesses: Iterable[Guess]) -> list[Guess]:
+    """Those that the user must decide."""
+    return [g for g in guesses if g.state == UNCLEAR]
+
+
+def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: str) -> ColumnMap:
+    """The map that the guesses make, unclear ones left out.
+
+    Raises:
+        LogError: nothing is left.
+    """
+    tables: dict[str, dict] = {}
+    for k in range(len(found)):
+        mine = [g for g in guesses if g.kind == k and g.state == TAKEN]
+        stamp = next((g for g in mine if g.place == "t"), None)
+        if stamp is None:
+            continue
+        t = (
+            {"column": stamp.column}
+            | ({"unit": stamp.unit} if stamp.unit else {})
+            | ({"scale": stamp.scale} if stamp.scale != 1 else {})
+        )
+        for g in mine:
+            if g is stamp:
+                continue
+            if g.place == NANOSECONDS:
+                t["nanoseconds"] = g.column
+                continue
+            table, _, column = g.place.partition(".")
+            entry = tables.setdefault(table, {"t": t, "columns": {}, "kind": k})
+            source = {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
+            entry["columns"][column] = source
+    for entry in tables.values():
+        k = entry.pop("kind")
+        used = {entry["t"]["column"], *(c["column"] for c in entry["columns"].values())}
+        if any(used <= set(other.columns) for i, other in enumerate(found) if i != k) and found[k].pattern:
+            entry["file"] = found[k].pattern
+    if not tables:
+        raise LogError(_nothing(guesses, where))
+    return of_dict({"tables": tables, "meta": meta}, where)
+
+
+def _nothing(guesses: Sequence[Guess], where: str) -> str:
+    if all(g.place != "t" for g in guesses):
+        names = ", ".join(quoted(g.column)[1:-1] for g in guesses[:8])
+        return (
+            f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = '
+            f'{{ column = "frame", scale = 0.01 }}'
+        )
+    told = "; ".join(f"{quoted(g.column)[1:-1]}: {g.why}" for g in guesses if g.place != "t")[:300]
+    return f"{where}: no column was recognised ({told}); write a map (docs/logs.md) and import with --columns MAP.toml"
+
+
+def choices(g: Guess) -> str:
+    """What --set could say of an unclear column."""
+    table, _, column = g.place.partition(".")
+    what = "time" if g.place == "t" else measured(table, column)
+    units = [u for u in of_kind(what) if u not in ("rev", "mrad", "min", "rpm", "g")] if not g.unit else [g.unit]
+    options = [f"{place}:{unit}" if unit else place for place in g.places for unit in units or [""]]
+    return " or ".join(f"{o}*SCALE" if o.endswith(":px") else o for o in options)

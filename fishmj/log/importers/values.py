@@ -1,0 +1,140 @@
+"""In which unit numbers are, where no name says it: by size, by spread from the first row, by the step of the stamps.
+
+Each verdict is (unit or "" where the values allow two, why). A bound between two units has a grey zone around it, never a line.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from fishmj.log.importers.convert import EPOCH
+
+TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
+RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
+COUNTS = 400.0
+TANK = 8.0  # m of spread of a position: below it is m
+TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
+FLUTTER = 30.0  # a spread beyond is cm, mm or px
+
+
+def time_unit(t: np.ndarray) -> tuple[str, str]:
+    """Of time stamps, in the order of the file."""
+    t = t[np.isfinite(t)]
+    if len(t) < 2:
+        return "", "fewer than two stamps"
+    for scale, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")):
+        if 1e9 * scale < t[0] < 4e9 * scale:
+            return unit, f"{unit} since 1970"
+    step = np.diff(t)
+    step = step[step > 0]
+    middle = float(np.median(step)) if len(step) else 0.0
+    if not middle:
+        return "", "it never rises"
+    for low, high, unit in ((5e-4, 0.4, "s"), (2.0, 400.0, "ms"), (2e3, 4e5, "us"), (2e6, 4e8, "ns")):
+        if low <= middle <= high:
+            return unit, f"steps of {middle:.4g}"
+    allowed = [
+        unit for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if 1e-4 * scale <= middle <= 100 * scale
+    ]
+    return "", f"steps of {middle:.4g} may be {' or '.join(allowed) or 'none of s, ms, us, ns'}"
+
+
+def angle_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of joint angles (all of one family together)."""
+    most = _most(values)
+    told = f"up to {most:.3g}"
+    if most == 0:
+        return "rad", "all zero"
+    if most < TINY_ANGLE:
+        return "", f"{told}: rad or deg?"
+    if most <= RAD:
+        return "rad", told
+    if most <= DEG:
+        return "", f"{told}: rad or deg?"
+    return ("deg", told) if most <= COUNTS else ("", f"{told}: a servo's counts? Say the scale in a map")
+
+
+def heading_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of a heading, wrapped or not."""
+    values = values[np.isfinite(values)]
+    most = _most(values)
+    jump = float(np.max(np.abs(np.diff(values)), initial=0.0))
+    if 5.5 < jump <= 6.4 and most <= 6.4:
+        return "rad", f"wraps by {jump:.3g}"
+    if 300 < jump <= 361:
+        return "deg", f"wraps by {jump:.3g}"
+    if most == 0:
+        return "rad", "all zero"
+    if most <= 3.2:
+        turn = float(np.quantile(np.abs(np.diff(values)), 0.9)) if len(values) > 1 else 0.0
+        return ("", f"turns by {turn:.2g} between rows: rad or deg?") if turn > TURN else ("rad", f"up to {most:.3g}")
+    return ("deg", f"up to {most:.4g}") if most > 40 else ("", f"up to {most:.3g}: rad or deg?")
+
+
+def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
+    """Of positions (x and y together); the first row's place does not count."""
+    spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
+    told = f"spread {spread:.3g}"
+    if spread <= TANK:
+        return "m", told
+    return "", f"{told}: m or cm?" if spread <= FLUTTER else f"{told}: mm, cm, px or m?"
+
+
+def rate_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of angular rates."""
+    most = _most(values)
+    return (
+        ("rad/s", f"up to {most:.3g}")
+        if most <= 12
+        else ("deg/s", f"up to {most:.4g}")
+        if most > 40
+        else ("", f"up to {most:.3g}: rad/s or deg/s?")
+    )
+
+
+def voltage_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of a supply."""
+    middle = _middle(values)
+    if 2 <= middle <= 100:
+        return "V", f"about {middle:.3g}"
+    return ("mV", f"about {middle:.5g}") if 2000 <= middle <= 1e5 else ("", f"about {middle:.3g}: V or mV?")
+
+
+def current_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of a supply."""
+    most = _most(values)
+    return (
+        ("A", f"up to {most:.3g}")
+        if most <= 15
+        else ("mA", f"up to {most:.5g}")
+        if most > 120
+        else ("", f"up to {most:.3g}: A or mA?")
+    )
+
+
+def against(unit: str, what: str, values: np.ndarray) -> str:
+    """Why the unit that a name says cannot be; "" where it can."""
+    most = _most(values)
+    if unit == "rad" and what == "angle" and most > 2 * math.pi:
+        return f"the name says rad, but {most:.4g} rad is more than a turn"
+    if unit == "s" and what == "time":
+        finite = values[np.isfinite(values)]
+        step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
+        if step > 5 and abs(finite[0]) < EPOCH:
+            return f"the name says s, but the steps are {step:.4g}"
+    return ""
+
+
+def _most(values: np.ndarray) -> float:
+    """The largest size; of spikes that fewer than one cell in a thousand has, none."""
+    values = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(values, 0.999)) if len(values) > 2000 else float(values.max(initial=0.0))
+
+
+def _middle(values: np.ndarray) -> float:
+    values = np.abs(values[np.isfinite(values)])
+    return float(np.median(values)) if len(values) else 0.0
+
+
+BY_VALUE = {"angle": angle_unit, "rate": rate_unit, "voltage": voltage_unit, "current": current_unit}

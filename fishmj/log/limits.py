@@ -1,0 +1,59 @@
+"""What a foreign file may cost: its kind, its size unpacked, and how much of it a message may repeat."""
+
+import os
+import stat
+from pathlib import Path
+
+from fishmj.errors import ConfigError, LogError
+
+VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
+DEFAULT_GB = 2.0
+LINE = 1 << 20  # characters of one line of text
+COLUMNS = 4096
+
+
+def most_bytes() -> int:
+    """How many bytes one recording may take up, on disk or unpacked."""
+    said = os.environ.get(VARIABLE, "")
+    try:
+        gb = float(said) if said else DEFAULT_GB
+    except ValueError:
+        gb = 0.0
+    if not 0 < gb < 1e6:
+        raise ConfigError(f"{VARIABLE} = {quoted(said)}: expected gigabytes, for example 8")
+    return int(gb * 1e9)
+
+
+def check_size(path: Path, size: float, what: str = "is") -> None:
+    """Refuse `size` bytes beyond the limit."""
+    if size > most_bytes():
+        raise LogError(
+            f"{path}: {what} {size / 1e9:.3g} GB, the limit is {most_bytes() / 1e9:g} GB; if you trust the file "
+            f"set {VARIABLE}={int(size / 1e9) + 1}"
+        )
+
+
+def regular(path: Path, *, empty: bool = False) -> int:
+    """Size of a plain file [bytes].
+
+    Args:
+        empty: an empty file will do.
+    Raises:
+        LogError: there is none, it is a pipe, a device or a folder, it is empty, or it is beyond the limit.
+    """
+    try:
+        found = path.stat()
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise LogError(f"{path}: is no plain file (a pipe, a device or a folder); save the recording to a file first")
+    if not found.st_size and not empty:
+        raise LogError(f"{path}: the file is empty; record it again or remove it")
+    check_size(path, found.st_size)
+    return found.st_size
+
+
+def quoted(text: object, most: int = 40) -> str:
+    """`text` in quotes for a message: control characters out, shortened."""
+    clean = "".join(c if c.isprintable() else "?" for c in str(text)[: most + 1])
+    return repr(clean if len(clean) <= most else clean[: most - 2] + "..")
