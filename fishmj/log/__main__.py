@@ -1,7 +1,8 @@
-"""`python -m fishmj.log`: bring recordings in, and check data sets.
+"""`python -m fishmj.log`: bring recordings in, check data sets, hand them to other programs.
 
 python -m fishmj.log import SRC --out DATASET [--format F] [--topics MAP.toml]
 python -m fishmj.log check DATASET
+python -m fishmj.log export DATA_OR_TRIAL --to mcap|csv|parquet --out PATH
 """
 
 import sys
@@ -11,16 +12,18 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import LogError
-from fishmj.log import importers
+from fishmj.log import export_command, importers
 from fishmj.log.dataset import read_dataset, write_dataset
 from fishmj.log.folder import META_FILE, read_trial
 from fishmj.log.timebase import audit
 from fishmj.log.trial import Trial
+from fishmj.mjcf.solids import solids
+from fishmj.replay.scene import named_robot
 from fishmj.store.manifest import MANIFEST
 
 
 def main(argv: list[str]) -> int:
-    parser = console.parser("log", "Bring recordings in, and check data sets.", json=False)
+    parser = console.parser("log", "Bring recordings in, check data sets, hand them to other programs.", json=False)
     verbs = parser.add_subparsers(dest="verb", required=True)
     bring = verbs.add_parser(
         "import", help="foreign recordings -> a data set of trial folders with a manifest", allow_abbrev=False
@@ -31,9 +34,12 @@ def main(argv: list[str]) -> int:
     bring.add_argument("--topics", type=Path, help="MCAP: the TOML that says which topic is which table")
     look = verbs.add_parser("check", help="read a data set or a trial, audit its clocks", allow_abbrev=False)
     look.add_argument("data", type=Path, help="data set, trial folder or samples.csv")
-    for sub in (bring, look):
+    send = export_command.options(verbs)
+    for sub in (bring, look, send):
         sub.add_argument("--json", action="store_true", help="print one JSON object last")
     args = parser.parse_args(argv)
+    if args.verb == "export":
+        return export_command.send(args, lambda trial: () if (robot := named_robot(trial)) is None else solids(robot))
     return bring_in(args) if args.verb == "import" else inspect(args)
 
 

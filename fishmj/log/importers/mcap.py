@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
+from fishmj.log.export import carried
 from fishmj.log.importers.assemble import trial_of
 from fishmj.log.importers.topics import UNITS, Field, Topic, Topics, by_name, read_topics
 from fishmj.log.trial import Table, Trial
@@ -38,6 +39,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """
     beside = path.with_suffix(".toml")
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
+    unsaid = wanted is None
     found = _messages(path, wanted)
     if wanted is None:
         wanted = by_name(set(found))
@@ -50,14 +52,15 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {_listed(found)}")
         stamps[name], columns[name] = _columns(path, entry, found[entry.topic])
-    times, notes = _seconds(stamps)
+    own = carried(path) if unsaid else None
+    times, notes = (_as_written(stamps), []) if own is not None else _seconds(stamps)
     tables = {}
     for name, entry in wanted.tables.items():
         order = np.argsort(times[name], kind="stable")
         table = {"t": times[name][order], **{column: values[order] for column, values in columns[name].items()}}
         tables[name] = (table, _place(path, entry.topic, order))
     clocks = {name: str(entry.clock) for name, entry in wanted.tables.items()}
-    meta = {"clock": clocks, "source": path.name, **wanted.meta}
+    meta = {"clock": clocks, "source": path.name, **wanted.meta} if own is None else own
     return {path.stem: trial_of(path.stem, meta, tables, notes)}
 
 
@@ -189,6 +192,11 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
             notes.append(f"{name}: its clock is {(zero - own) / 1e9:.0f} s away from the others; it starts at its own zero")
         out[name] = np.array([value - own for value in values], dtype=float) * 1e-9
     return out, notes
+
+
+def _as_written(stamps: dict[str, list[int]]) -> dict[str, np.ndarray]:
+    """Stamps in s on the clock that they are told on: a file of `log export` holds its trial's own."""
+    return {name: np.array(values, dtype=float) / 1e9 for name, values in stamps.items()}
 
 
 def _listed(found: dict) -> str:
