@@ -26,7 +26,7 @@ def test_a_judged_trial_can_be_read_back(tmp_path, engine):
     trial = read_trial(folder)
     assert folder.name == "dob_u0.2_los045_r0"
     assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"
-    assert trial.table("pose")["x"] == pytest.approx(r.pose[0, 1:, 0], abs=2e-3)
+    assert trial.table("truth")["x"] == pytest.approx(r.pose[0, 1:, 0], abs=2e-3)
     assert stacked(trial.table("cmd"), "c#") == pytest.approx(r.command[0], abs=2e-3)
     flow = trials.flows()[0]
     centre = np.append(r.pose[0, 100, :2], 0.0)
