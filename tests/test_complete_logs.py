@@ -1,4 +1,4 @@
-"""Logs of `play`, `evaluate --log`, `Sim` and the flow solver are complete trials: what a robot would have logged, and the truth."""
+"""Logs of `play`, `evaluate --log`, `Sim` and the flow solver are complete trials: what a robot would log, and the truth."""
 
 import math
 from dataclasses import replace
