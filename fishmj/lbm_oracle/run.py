@@ -312,8 +312,8 @@ class Run:
             "versions": {"fishmj": __version__} | {name: version(name) for name in ("mujoco", "numpy", "warp-lang")},
             "source": "fishmj.lbm_oracle",
             "licence": "Apache-2.0",
-            "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r and n"
-            " are the raw exchange",
+            "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r"
+            " and n are the raw exchange",
         }
 
 
