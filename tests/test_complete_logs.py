@@ -1,6 +1,7 @@
 """Logs of `play`, `evaluate --log`, `Sim` and the flow solver are complete trials: what a robot would log, and the truth."""
 
 import math
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from fishmj.calibrate import logs as calibrate_logs
 from fishmj.engines.added import with_effects
 from fishmj.evaluate import logs
 from fishmj.flow import Flow
+from fishmj.gap import find
 from fishmj.gap.records import record_of
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
@@ -68,6 +70,7 @@ def test_two_live_swims_are_a_data_set_that_search_and_calibration_read(folder):
         assert np.isfinite(record.joint.sigma).all() and record.placed is not None
         assert record.flow == pytest.approx((-0.2, 0.0)) and record.medium == "water"
         assert np.ptp(record.commands) > 0.2
+    assert find.missing(Namespace(data=data, model="fish")) is None
     records = calibrate_logs.read(data).records(0.004)
     assert len(records) == 2 and [calibrate_logs.angles(r).values.shape for r in records] == [(200, 3)] * 2
 
@@ -157,8 +160,9 @@ def result(body):
 
 
 def test_a_judged_trial_is_complete(result, tmp_path):
-    for folder in logs.write_logs(result, tmp_path):
-        trial = log.read_trial(folder)
+    logs.write_logs(result, tmp_path)
+    assert find.missing(Namespace(data=tmp_path, model="fish")) is None, "gap find takes the folder as it is"
+    for trial in log.read_dataset(tmp_path):
         assert set(trial.tables) == TABLES | {"action"} and missing(trial) <= UNTOLD
         assert trial.value("sigma.x") == 0.005 and trial.value("start") == pytest.approx(trial.value("start"))
         record = record_of(trial, 0.004)

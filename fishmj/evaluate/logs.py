@@ -14,6 +14,7 @@ from fishmj.flow import sample, stack
 from fishmj.hydro_fit.chain import chain_of
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
+from fishmj.store import Manifest
 from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
 
 BLOCK = 200  # ticks whose flow is looked up at once
@@ -99,8 +100,10 @@ def name_of(r: Result, i: int) -> str:
 
 
 def write_logs(r: Result, folder: Path) -> list[Path]:
-    """Every trial as a folder under `folder`."""
-    return [write_trial(folder / name_of(r, i), trial_of(r, i), overwrite=True) for i in range(len(r.trials))]
+    """Every trial as a folder under `folder`, which with its manifest is a data set."""
+    written = [write_trial(folder / name_of(r, i), trial_of(r, i), overwrite=True) for i in range(len(r.trials))]
+    Manifest.of(folder, {"source": "fishmj.evaluate", "licence": "Apache-2.0"}).write(folder)
+    return written
 
 
 def ended(r: Result, i: int) -> int:
