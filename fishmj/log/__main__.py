@@ -12,13 +12,12 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import LogError
-from fishmj.log import export_command, importers
+from fishmj.log import importers
 from fishmj.log.dataset import read_dataset, write_dataset
 from fishmj.log.folder import META_FILE, read_trial
 from fishmj.log.timebase import audit
 from fishmj.log.trial import Trial
-from fishmj.mjcf.solids import solids
-from fishmj.replay.scene import named_robot
+from fishmj.replay import export_command
 from fishmj.store.manifest import MANIFEST
 
 
@@ -34,12 +33,12 @@ def main(argv: list[str]) -> int:
     bring.add_argument("--topics", type=Path, help="MCAP: the TOML that says which topic is which table")
     look = verbs.add_parser("check", help="read a data set or a trial, audit its clocks", allow_abbrev=False)
     look.add_argument("data", type=Path, help="data set, trial folder or samples.csv")
-    send = export_command.options(verbs)
-    for sub in (bring, look, send):
+    export_command.add(verbs)
+    for sub in (bring, look):
         sub.add_argument("--json", action="store_true", help="print one JSON object last")
     args = parser.parse_args(argv)
     if args.verb == "export":
-        return export_command.send(args, lambda trial: () if (robot := named_robot(trial)) is None else solids(robot))
+        return args.call(args)
     return bring_in(args) if args.verb == "import" else inspect(args)
 
 

@@ -123,20 +123,30 @@ def check_place(source: Path, out: Path, *, folder: bool, force: bool) -> None:
 
 
 def carried(path: Path) -> dict | None:
-    """The meta data that an MCAP file of `export` carries; None in any other file."""
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    """The meta data that an MCAP file of `export` carries; None in any other file, and without the library."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import SeekingReader
+    except ImportError:
+        return None
 
     damage = (McapError, OSError, ValueError, RecursionError, EOFError, KeyError, TypeError, RuntimeError, struct.error)
     try:
         with open(path, "rb") as file:
-            for attachment in make_reader(file).iter_attachments():
+            reader = SeekingReader(file, record_size_limit=path.stat().st_size)  # a damaged length cannot ask for all memory
+            for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
                 if attachment.name == META_FILE:
                     meta = tomllib.loads(attachment.data.decode("utf-8"))
+                    check.check_meta(meta, str(path))
                     return meta if meta.get("schema") == SCHEMA else None
     except (*damage, MemoryError, OverflowError, IndexError, AttributeError):  # whoever reads the messages says what is damaged
         return None
     return None
+
+
+def as_written(stamps: dict[str, list[int]]) -> dict[str, np.ndarray]:
+    """Stamps [ns] of the messages of such a file in s, on the trial's own clock."""
+    return {name: np.array(values, dtype=float) / 1e9 for name, values in stamps.items()}
 
 
 # -------------------------------------------------------------------------------------------------------------------- source

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.export import carried
+from fishmj.log.export import as_written, carried
 from fishmj.log.importers.assemble import trial_of
 from fishmj.log.importers.topics import UNITS, Field, Topic, Topics, by_name, read_topics
 from fishmj.log.trial import Table, Trial
@@ -39,7 +39,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """
     beside = path.with_suffix(".toml")
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
-    unsaid = wanted is None
+    own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = _messages(path, wanted)
     if wanted is None:
         wanted = by_name(set(found))
@@ -52,8 +52,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {_listed(found)}")
         stamps[name], columns[name] = _columns(path, entry, found[entry.topic])
-    own = carried(path) if unsaid else None
-    times, notes = (_as_written(stamps), []) if own is not None else _seconds(stamps)
+    times, notes = _seconds(stamps) if own is None else (as_written(stamps), [])
     tables = {}
     for name, entry in wanted.tables.items():
         order = np.argsort(times[name], kind="stable")
@@ -192,11 +191,6 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
             notes.append(f"{name}: its clock is {(zero - own) / 1e9:.0f} s away from the others; it starts at its own zero")
         out[name] = np.array([value - own for value in values], dtype=float) * 1e-9
     return out, notes
-
-
-def _as_written(stamps: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    """Stamps in s on the clock that they are told on: a file of `log export` holds its trial's own."""
-    return {name: np.array(values, dtype=float) / 1e9 for name, values in stamps.items()}
 
 
 def _listed(found: dict) -> str:
