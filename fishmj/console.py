@@ -8,6 +8,7 @@ import argparse
 import json
 import math
 import os
+import re
 import sys
 import time
 import traceback
@@ -50,7 +51,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
 
 def _fail(argv: Sequence[str], message: str, kind: str, code: int, many: DescriptionError | None = None) -> int:
     for line in many.shown if many else (message,):
-        print(f"fishmj: {line}", file=sys.stderr)
+        print(f"fishmj: {printable(line)}", file=sys.stderr)
     if "--json" in argv:
         emit_json({"error": message, "kind": kind, "exit": code} | ({"errors": list(many.errors)} if many else {}))
     return code
@@ -150,15 +151,23 @@ def _writable(path: Path, folder: Path) -> None:
         raise argparse.ArgumentTypeError(f"{path}: {there} cannot be written by this user; choose another place")
 
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    """`text` without what commands a terminal or turns the direction of writing: text of a file is shown, never obeyed."""
+    return _CONTROL.sub("", text)
+
+
 def say(*lines: str) -> None:
-    """Print lines for a human, at once."""
+    """Print lines for a human, at once; control characters are left out."""
     for line in lines:
-        print(line, flush=True)
+        print(printable(line), flush=True)
 
 
 def warn(message: str) -> None:
     """Print one line on stderr that does not stop the command."""
-    print(f"fishmj: {message}", file=sys.stderr, flush=True)
+    print(f"fishmj: {printable(message)}", file=sys.stderr, flush=True)
 
 
 def emit_json(value: Any) -> None:
@@ -202,7 +211,7 @@ def _is_number(value: Any) -> bool:
 def _cell(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else " ".join(printable(str(value)).split("\n")).replace("|", "\\|")
 
 
 def duration(seconds: float) -> str:
@@ -277,7 +286,7 @@ class Progress:
         if done < self.total and now - self._shown < self._every:
             return
         self._shown = now
-        line = self.line(**fields)
+        line = printable(self.line(**fields))
         if self._live:
             print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
             self._width = len(line)

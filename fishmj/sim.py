@@ -73,6 +73,7 @@ class Sim:
             if name not in known:
                 raise UnknownName(kind, name, known)
         self.robot, self.water_name, self.root = mjcf.load_robot(robot), water, root
+        self.start = tuple(float(value) for value in pose)
         if fitted:
             self.robot, water = in_water(self.robot, water), "structured"
         self.flow, self.rescue_folder = flow or Flow(), rescue_folder

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from fishmj import console, engines, evaluate
+from fishmj import console, engines, evaluate, pages
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import logs, metrics, report
+from fishmj.evaluate import logs, metrics
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.description import load_robot
 
@@ -26,7 +26,7 @@ def test_a_judged_trial_can_be_read_back(tmp_path, engine):
     trial = read_trial(folder)
     assert folder.name == "dob_u0.2_los045_r0"
     assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"
-    assert trial.table("pose")["x"] == pytest.approx(r.pose[0, 1:, 0], abs=2e-3)
+    assert trial.table("truth")["x"] == pytest.approx(r.pose[0, 1:, 0], abs=2e-3)
     assert stacked(trial.table("cmd"), "c#") == pytest.approx(r.command[0], abs=2e-3)
     flow = trials.flows()[0]
     centre = np.append(r.pose[0, 100, :2], 0.0)
@@ -61,7 +61,7 @@ def test_the_command_prints_tables_and_one_json_object_last(capsys, tmp_path):
     assert {d["key"] for d in last["paired"]} == set(metrics.UNITS)
     assert "gust" not in out and "default turbulence 5 %" in out
     page = (tmp_path / "o" / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 4 and "http" not in page
+    assert page.count("data:image/png;base64,") == 4 and "://" not in page
     rows = (tmp_path / "o" / "trials.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + 4
     assert json.loads((tmp_path / "o" / "results.json").read_text(encoding="utf-8")) == last
@@ -80,6 +80,6 @@ def test_pictures_show_something(tmp_path, engine):
 
 
 def test_markdown_tables_become_html():
-    assert report.as_html("| a | b |\n|---|--:|\n| x<y | 1 |") == (
+    assert pages.as_html("| a | b |\n|---|--:|\n| x<y | 1 |") == (
         "<table><thead><tr><th>a</th><th>b</th></tr></thead><tbody><tr><td>x&lt;y</td><td>1</td></tr></tbody></table>"
     )

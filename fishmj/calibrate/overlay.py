@@ -1,18 +1,16 @@
 """The paper's overlay: desired, simulated and measured joint angles, one panel for each signal and medium."""
 
-import base64
-import html
 from pathlib import Path
 
 import numpy as np
 
-from fishmj import console
+from fishmj import console, pages
 from fishmj.calibrate.logs import MEDIA, SIGNALS, angles
 from fishmj.calibrate.servo import Found
 from fishmj.errors import MissingExtra
 from fishmj.evaluate.report import STYLE as PAGE
-from fishmj.evaluate.report import as_html
 from fishmj.gap.records import Record, Sensor
+from fishmj.pages import as_html, document, escaped
 from fishmj.store import write_text
 
 DESIRED, SIMULATED, MEASURED = "#5B5B5B", "#D55E00", "#0072B2"  # Okabe and Ito 2008
@@ -90,14 +88,10 @@ def report(
     folder: Path, title: str, tables: dict[str, list[dict]], picture: Path | None, notes: list[str], words: str = WORDS
 ) -> Path:
     """One self-contained page: tables, and the picture where there is one, with `words` below it."""
-    parts = [f"<h1>{html.escape(title)}</h1>", *(f'<p class="quiet">{html.escape(note)}</p>' for note in notes)]
+    parts = [f"<h1>{escaped(title)}</h1>", *(f'<p class="quiet">{escaped(note)}</p>' for note in notes)]
     for name, rows in tables.items():
         if rows:
-            parts += [f"<h2>{html.escape(name)}</h2>", as_html(console.table(rows))]
+            parts += [f"<h2>{escaped(name)}</h2>", as_html(console.table(rows))]
     if picture is not None:
-        data = base64.b64encode(picture.read_bytes()).decode()
-        image = f'<img alt="{words}" src="data:image/png;base64,{data}">'
-        parts.append(f"<figure>{image}<figcaption>{words}</figcaption></figure>")
-    head = f'<meta charset="utf-8"><title>{html.escape(title)}</title><style>{PAGE}</style>'
-    text = f'<!doctype html><html lang="en"><head>{head}</head><body>\n' + "\n".join(parts) + "\n</body></html>\n"
-    return write_text(folder / "report.html", text)
+        parts.append(f"<figure>{pages.picture(picture.read_bytes(), words)}<figcaption>{escaped(words)}</figcaption></figure>")
+    return write_text(folder / "report.html", document(title, "\n".join(parts), PAGE))

@@ -26,8 +26,8 @@ from fishmj.lbm_oracle.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run import Run
 from fishmj.lbm_oracle.stage import Edge, Stage
 from fishmj.lbm_oracle.tanks import Tanks
+from fishmj.mjcf.centres import link_centres
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.model import reference_qpos
 
 DOUBT = 1.5  # s before water fails that are not kept: a held fish's water left the measured speeds 1.3 s before it failed
@@ -195,20 +195,11 @@ def side_by_side(
 
 def flow_at_links(segment: Segment, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Undisturbed flow at the links' centres, (T, N, 2) m/s, for states q (T, 3 + J) at times t (T,) s of the run."""
-    geometry = geometry_of(robot)
-    x, y, heading = q[:, 0], q[:, 1], q[:, 2]
-    centres = []
-    for i in range(geometry.n_links):
-        if i:
-            back = geometry.joint[i - 1]
-            x, y = x + back * np.cos(heading), y + back * np.sin(heading)
-            heading = heading + q[:, 2 + i]
-        mid = geometry.span[i].mean()
-        centres.append(np.stack([x + mid * np.cos(heading), y + mid * np.sin(heading), 0 * x], -1))
-    points = np.stack(centres, 1)
+    points = link_centres(robot, q)
     if segment.flow.rms == 0.0:
         return np.broadcast_to(segment.flow.mean[:2], points.shape[:2] + (2,)).copy()
-    return np.stack([segment.flow.at(where, float(when))[:, :2] for where, when in zip(points, t, strict=True)])
+    deep = np.concatenate([points, np.zeros((*points.shape[:2], 1))], -1)
+    return np.stack([segment.flow.at(where, float(when))[:, :2] for where, when in zip(deep, t, strict=True)])
 
 
 def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:

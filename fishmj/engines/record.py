@@ -11,6 +11,7 @@ from fishmj import __version__
 from fishmj.engines.solo import reported
 from fishmj.errors import LogError, SimDiverged
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
 
 SANE_SPEED, SANE_SPIN = 20.0, 30.0  # m/s and rad/s: beyond them a log is refused, so rescued rows stop there
@@ -59,22 +60,30 @@ def meta_of(sim) -> dict:
     """Meta data of a simulated trial."""
     flow, listed = sim.flow, [fitted.name for fitted in sim.robot.effects]
     sensors = (
-        f"joint, pose and power through the sensors of the effects {', '.join(listed)}" if listed else "joint and pose are exact"
+        f"joint, pose and power through the sensors of the effects {', '.join(listed)}, which may add to latency"
+        if listed
+        else "joint and pose are exact"
     )
     return {
         "schema": SCHEMA,
         "origin": "synthetic",
-        "robot": sim.robot.name,
+        **identity(sim.robot),
         "medium": "air" if sim.water_name == "none" else "water",
         "flow": {**asdict(flow), "known": True},
         "water": sim.water_name,
         "root": sim.root,
+        "controller": "open loop",
+        "excitation": "",
+        "replicate_of": "",
+        "start": list(sim.start),
+        "push": [0.0, 0.0, 0.0],
+        "latency": {"pose": 0.0, "command": sim.delay * sim.robot.timing.physics_dt},
         "seed": flow.seed,
         "clock": {name: "simulation" for name in ("cmd", "joint", "pose", "power", "truth", "flow")},
         "versions": {"fishmj": __version__, "mujoco": version("mujoco"), "numpy": version("numpy")},
         "source": "fishmj.sim",
         "licence": "Apache-2.0",
-        "notes": f"simulated; {sensors}, without sensor noise",
+        "notes": f"simulated; {sensors}, without sensor noise or camera latency",
     }
 
 

@@ -14,6 +14,7 @@ from fishmj.calib import constant
 from fishmj.errors import MissingExtra
 from fishmj.evaluate.metrics import beat_mean, figures
 from fishmj.evaluate.result import Result
+from fishmj.pages import drawn
 from fishmj.units import wrap
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B", "#8C564B")
@@ -37,7 +38,7 @@ STYLE: Any = {
 
 def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
     """Draw everything into `folder`: (file, caption)."""
-    drawn = (
+    panels = (
         ("distance.png", distance, "Distance to the target: median and the middle half of the trials, by flow speed."),
         ("radar.png", radar, "Means over repeats, by direction of the target; upstream is up."),
         ("heading.png", headings, "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
@@ -49,7 +50,7 @@ def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
         raise MissingExtra("matplotlib", "dev", "evaluate --plots") from error
     matplotlib.use("Agg")
     with matplotlib.rc_context(STYLE):
-        return [(draw(results, folder / name), caption) for name, draw, caption in drawn]
+        return [(draw(results, folder / name), caption) for name, draw, caption in panels]
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float], **options):
@@ -78,7 +79,7 @@ def legend(figure, results: list[Result], **options) -> None:
     """One legend for the whole figure, under the panels."""
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], color=c, linestyle=d, linewidth=2.2, label=r.controller) for r, c, d in looks(results)]
+    handles = [Line2D([], [], color=c, linestyle=d, linewidth=2.2, label=drawn(r.controller)) for r, c, d in looks(results)]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False, **options)
 
 
@@ -171,7 +172,7 @@ def headings(results: list[Result], path: Path) -> Path:
             some = sign * np.cos(r.trials.los) > 1e-6
             values = heading[some][inside[some]]
             axis = polar(axes[row, column])
-            axis.set_title(f"{r.controller}, {title}", pad=14)
+            axis.set_title(f"{drawn(r.controller)}, {title}", pad=14)
             if not len(values):
                 axis.text(0, 0, "no trial\nstayed in\nthe tank", ha="center", va="center", color="#777777")
                 axis.set_yticks([])
@@ -181,7 +182,7 @@ def headings(results: list[Result], path: Path) -> Path:
             axis.set_yticks(np.sqrt([0.1, 0.4, 0.9]), labels=["10 %", "40 %", "90 %"])
             axis.set_ylim(0, 1)
             spread = np.degrees(np.sqrt(max(-2 * np.log(max(abs(np.mean(np.exp(1j * values))), 1e-9)), 0)))
-            axis.set_title(f"{r.controller}, {title}\nspread {spread:.0f}°", pad=14)
+            axis.set_title(f"{drawn(r.controller)}, {title}\nspread {spread:.0f}°", pad=14)
     return save(figure, path)
 
 
@@ -205,7 +206,7 @@ def tracks(results: list[Result], path: Path) -> Path:
             axis.plot(0, 0, "+", color=INK, markersize=9, zorder=4)
             axis.annotate("", (1.75, 1.2), (1.75, 1.8), arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.6})
             axis.text(1.66, 1.5, "flow", ha="right", va="center", color="#0072B2", fontsize=9)
-            axis.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", title=f"{r.controller}, {speed:g} m/s")
+            axis.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", title=f"{drawn(r.controller)}, {speed:g} m/s")
         axes[row, 0].set_ylabel("upstream of the target [m]")
     for axis in axes[-1]:
         axis.set_xlabel("to the right, facing upstream [m]")

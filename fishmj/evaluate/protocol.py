@@ -32,7 +32,7 @@ class Trial(NamedTuple):
     seed: tuple[int, ...]  # (seed, box, speed in 0.1 mm/s, los in 0.01 deg, repeat)
 
     def draw(self, stream: int) -> np.random.Generator:
-        """A fresh generator of one of this trial's streams: 0 fish, 1 flow, 2 heading, 3 sensor noise."""
+        """A fresh generator of one of this trial's streams: 0 fish, 1 flow, 2 heading, 3 sensor noise, 4 noise of its log."""
         return np.random.default_rng([*self.seed, stream])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from fishmj.errors import MissingExtra
 from fishmj.evaluate.plots import COLOURS, FAINT, INK, STYLE, canvas, save
 from fishmj.evaluate.rank import GAP
+from fishmj.pages import drawn
 
 TICKS = [digit * 10.0**power for power in (-2, -1, 0, 1) for digit in (1, 2, 5)]  # m
 WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while holding"}
@@ -28,7 +29,7 @@ def picture(found: dict, path: Path, title: str) -> Path:
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(1, 1, (6.4, 6.0))
         _draw(axes[0, 0], found)
-        axes[0, 0].set_title(title, fontsize=9, fontweight="normal", loc="left", color=INK)
+        axes[0, 0].set_title(drawn(title), fontsize=9, fontweight="normal", loc="left", color=INK)
         return save(figure, path)
 
 
@@ -46,7 +47,7 @@ def _draw(ax, found: dict) -> None:
         error = [[[a[0] - a[1]], [a[2] - a[0]]] for a in (x, y)]
         face = colour if row["ranked"] else "white"
         ax.errorbar(x[0], y[0], xerr=error[0], yerr=error[1], fmt="o", ms=6, mfc=face, mec=colour, color=colour, lw=1.2)
-        name = row["controller"] if row["ranked"] else f"{row['controller']} (not ranked)"
+        name = drawn(row["controller"]) + ("" if row["ranked"] else " (not ranked)")
         side = {"xytext": (7, -12)} if x[0] ** 2 < low * high else {"xytext": (-7, 6), "ha": "right"}
         ax.annotate(name, (x[0], y[0]), textcoords="offset points", color=colour, fontsize=9, **side)
     ax.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal")

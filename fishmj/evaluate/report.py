@@ -1,8 +1,6 @@
 """Files of a judgement: results.json, trials.csv, pictures, trial folders, and one self-contained report.html."""
 
-import base64
 import csv
-import html
 import io
 import json
 from pathlib import Path
@@ -13,6 +11,7 @@ from fishmj import console
 from fishmj.evaluate import metrics, tables
 from fishmj.evaluate.logs import write_logs
 from fishmj.evaluate.result import Result
+from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_text
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1320px;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
@@ -22,6 +21,7 @@ th,td{padding:.28rem .55rem;border-bottom:1px solid #e4e7ec;text-align:right;whi
 th{background:#f5f7fa;font-weight:600}
 th:first-child,td:first-child{text-align:left}img{max-width:100%;height:auto;display:block;margin:.5rem 0}
 figure{margin:1.2rem 0}figcaption{color:#5a6270}dt{font-weight:600}dd{margin:0 0 .4rem 1.2rem}"""
+FORMULA = tuple("=+-@\t\r")  # what a spreadsheet takes for the start of one
 MEANING = {
     "arrival": "share of trials that enter 0.1 m within 30 s",
     "approach": "time of first entry, median over the n trials that arrive",
@@ -59,7 +59,8 @@ def trials_csv(results: list[Result]) -> str:
         found, seeds = metrics.figures(r), [f.seed for f in r.trials.flows()]
         for i, t in enumerate(r.trials.items):
             left = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
-            row = [r.controller, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left]
+            name = f"'{r.controller}" if r.controller[:1] in FORMULA else r.controller  # as spreadsheets mark text
+            row = [name, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left]
             out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in metrics.UNITS)])
     return text.getvalue()
 
@@ -68,32 +69,21 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]]) -> s
     """The report as one HTML text without outside references."""
     summaries = found["results"]
     parts = [
-        f"<h1>Station holding: {html.escape(', '.join(s['controller'] for s in summaries))}</h1>",
-        f'<p class="quiet">{html.escape(found["condition"])}</p>',
+        f"<h1>Station holding: {escaped(', '.join(s['controller'] for s in summaries))}</h1>",
+        f'<p class="quiet">{escaped(found["condition"])}</p>',
         "<h2>All trials</h2><p class='quiet'>value (95 % bootstrap interval over trials)</p>",
         as_html(tables.overall(summaries)),
         as_html(tables.overall(summaries, ("arrival", *tables.REST))),
     ]
     for other in results[1:]:
-        parts.append(f"<h2>{html.escape(other.controller)} minus {html.escape(results[0].controller)}, paired by trial</h2>")
+        parts.append(f"<h2>{escaped(other.controller)} minus {escaped(results[0].controller)}, paired by trial</h2>")
         parts.append(as_html(tables.paired(results[0], other)))
     for path, caption in shown:
-        data = base64.b64encode(path.read_bytes()).decode()
-        text = html.escape(caption)
-        parts.append(f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>')
+        shown_as = picture(path.read_bytes(), caption)
+        parts.append(f"<figure>{shown_as}<figcaption>{escaped(caption)}</figcaption></figure>")
     for s in summaries:
-        parts.append(f"<h2>{html.escape(s['controller'])} by condition</h2>")
+        parts.append(f"<h2>{escaped(s['controller'])} by condition</h2>")
         parts += [as_html(tables.by_condition(s, which)) for which in ("by_speed", "by_los")]
     parts.append("<h2>What the figures mean</h2><dl>")
-    parts += [f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in MEANING.items()]
-    body = "\n".join([*parts, "</dl>"])
-    head = f'<meta charset="utf-8"><title>fishmj evaluate</title><style>{STYLE}</style>'
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>\n{body}\n</body></html>\n'
-
-
-def as_html(table: str) -> str:
-    """A Markdown table of `console.table` as HTML."""
-    rows = [[c.strip() for c in line.strip("|").split("|")] for line in table.splitlines()]
-    cells = lambda row, tag: "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in row)  # noqa: E731
-    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows[2:])
-    return f"<table><thead><tr>{cells(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"
+    parts += [f"<dt>{escaped(k)}</dt><dd>{escaped(v)}</dd>" for k, v in MEANING.items()]
+    return document("fishmj evaluate", "\n".join([*parts, "</dl>"]), STYLE)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.hydro_fit.check import STATED
+from fishmj.pages import drawn
 from fishmj.store import write_bytes, write_json, write_text
 
 SHOWN = {  # figure -> (heading, factor, format)
@@ -103,7 +104,7 @@ def picture(rows: Sequence[dict]) -> bytes:
         axis.tick_params(labelsize=8)
         axis.grid(lw=0.3)
         axis.set_title(f"{heading} [{text.rpartition(' ')[2]}]", fontsize=9)
-    axes[0, 0].set_yticks(range(len(waters)), [some[0]["title"] for some in waters.values()], fontsize=8)
+    axes[0, 0].set_yticks(range(len(waters)), [drawn(some[0]["title"]) for some in waters.values()], fontsize=8)
     axes[0, 0].set_ylim(len(waters) - 0.5, -0.5)
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=110)

@@ -1,7 +1,5 @@
 """The report of a fitted water: one HTML page without outside references, and the same figures as JSON."""
 
-import base64
-import html
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from fishmj.hydro_fit import check, figures, regimes
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
+from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_json, write_text
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;color:#222}
@@ -39,21 +38,16 @@ def write(
     write_json(
         folder / "report.json", told | {"coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
     )
-    parts = [f"<h1>Water {html.escape(model.name)}: against the flow solver</h1>"]
-    parts.append(f'<p class="quiet">{html.escape(about(model, records))}</p>')
+    parts = [f"<h1>Water {escaped(model.name)}: against the flow solver</h1>"]
+    parts.append(f'<p class="quiet">{escaped(about(model, records))}</p>')
     tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
     tables += [("Swimming straight", grid), ("Turning", turns), ("Coefficients", coefficients(model))]
     for title, rows in tables:
         if rows:
-            parts += [f"<h2>{html.escape(title)}</h2>", as_html(console.table(rows))]
+            parts += [f"<h2>{escaped(title)}</h2>", as_html(console.table(rows))]
     for title, png in pictures:
-        data = base64.b64encode(png).decode()
-        parts.append(f'<h2>{html.escape(title)}</h2><img alt="{html.escape(title)}" src="data:image/png;base64,{data}">')
-    head = f'<meta charset="utf-8"><title>fishmj hydro_fit</title><style>{STYLE}</style>'
-    body = "\n".join(parts)
-    return write_text(
-        folder / "report.html", f'<!doctype html><html lang="en"><head>{head}</head><body>\n{body}\n</body></html>\n'
-    )
+        parts.append(f"<h2>{escaped(title)}</h2>{picture(png, title)}")
+    return write_text(folder / "report.html", document("fishmj hydro_fit", "\n".join(parts), STYLE))
 
 
 def about(model: HydroModel, records: Sequence[Record]) -> str:
@@ -135,11 +129,3 @@ def coefficients(model: HydroModel) -> list[dict]:
     for stage, found in model.found.items():
         rows += [{"stage": stage} | {key: row[key] for key in keys} for row in found["parameters"].values()]
     return rows
-
-
-def as_html(table: str) -> str:
-    """A table of `console.table` as HTML."""
-    rows = [[c.strip() for c in line.strip("|").split("|")] for line in table.splitlines()]
-    cells = lambda row, tag: "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in row)  # noqa: E731
-    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows[2:])
-    return f"<table><thead><tr>{cells(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"

@@ -27,6 +27,8 @@ from fishmj.lbm_oracle.substep import FACTORS, Checkpoint, checkpoint, finer, ha
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.bus import arrived, on_the_bus
+from fishmj.mjcf.centres import link_centres
+from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
@@ -81,6 +83,8 @@ class Run:
         self.ticks = 0
         self.commands = [self.angles()]  # on the bus; number 0 was there before t = 0
         self.start = self.coupled.time
+        self.first = np.concatenate([self.pose[:3], self.commands[0]])  # (3 + J,) m, rad, when the run began
+        self.pushed = self.pose[3:]
         self.rows: list[tuple] = []
         self.stopped = ""  # why the run ended early
         self.watch = Watch()
@@ -257,11 +261,29 @@ class Run:
             "pose": {"t": t, "x": pose[:, 0], "y": pose[:, 1], "yaw": pose[:, 2]},
             "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": (power + servo.idle_power) / servo.voltage},
             "truth": {"t": t, **truth, **numbered("j#", joint), **numbered("k#", rate)},
+            "flow": {"t": began, **self._flow(began, pose, joint)},
             "wrench": {"t": t, **_wrench(whole, "f#x", "f#y", "m#"), **_wrench(raw, "r#x", "r#y", "n#")},
         }
         if self.prescribed:  # what the servos would have drawn is not known
             del tables["power"]
         return Trial(self.meta(tables), tables)
+
+    def _body_frame(self, rates: np.ndarray) -> list[float]:
+        """Rates of the reference point (3,) in the tank frame as surge, sway [m/s] and yaw rate [rad/s]."""
+        c, s = np.cos(self.first[2]), np.sin(self.first[2])
+        return [float(c * rates[0] + s * rates[1]), float(c * rates[1] - s * rates[0]), float(rates[2])]
+
+    def _flow(self, began, pose, joint) -> dict:
+        """Undisturbed flow at the links' centres at the start of each tick, as columns."""
+        flow = self.coupled.fluid.flow
+        q = np.concatenate([self.first[None], np.concatenate([pose[:, :3], joint], 1)[:-1]])
+        at = link_centres(self.robot, q)
+        if flow.rms == 0.0:
+            u = np.broadcast_to(flow.mean[:2], at.shape)
+        else:
+            deep = np.concatenate([at, np.zeros((*at.shape[:2], 1))], -1)
+            u = np.stack([flow.at(x, float(self.start + t))[:, :2] for x, t in zip(deep, began, strict=True)])
+        return {**numbered("u#x", u[..., 0]), **numbered("u#y", u[..., 1])}
 
     def meta(self, tables) -> dict:
         """What a reader must know about the run."""
@@ -272,11 +294,16 @@ class Run:
         return {
             "schema": SCHEMA,
             "origin": "synthetic",
-            "robot": self.robot.name,
+            **identity(self.robot),
             "medium": "water",
             "flow": {"speed": flow.speed, "direction": flow.direction, "turbulence": flow.turbulence}
             | {"intensity": flow.intensity, "seed": flow.seed, "known": True},
             "excitation": "prescribed joints" if self.prescribed else "servos",
+            "replicate_of": "",
+            "controller": "open loop",
+            "start": self.first[:3].tolist(),
+            "push": self._body_frame(self.pushed),
+            "latency": {"pose": 0.0, "command": self.delay * self.coupled.body.dt},
             "water": "lbm",
             "oracle": {**water, "device": str(fluid.device), "tethered": self.tethered}
             | {"refined_ticks": self.refined, "stopped": self.stopped},
@@ -285,7 +312,8 @@ class Run:
             "versions": {"fishmj": __version__} | {name: version(name) for name in ("mujoco", "numpy", "warp-lang")},
             "source": "fishmj.lbm_oracle",
             "licence": "Apache-2.0",
-            "notes": "simulated; joint and pose are exact. wrench: means over a tick; r and n are the raw exchange",
+            "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r"
+            " and n are the raw exchange",
         }
 
 

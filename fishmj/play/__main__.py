@@ -10,12 +10,14 @@ import sys
 import time
 from collections.abc import Callable
 from itertools import cycle
+from pathlib import Path
 
 import numpy as np
 
 from fishmj import console, controllers, engines
 from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
+from fishmj.log.folder import META_FILE
 from fishmj.play.keyboard import Keyboard, press
 from fishmj.play.pond import Pond
 
@@ -86,6 +88,14 @@ def show_status(text: str) -> None:
     sys.stderr.flush()
 
 
+def trial_folder(text: str) -> Path:
+    """Where a trial may be written: a new folder, or one that holds a trial already; else refused before the swim."""
+    path = console.out_folder(text)
+    if path.is_dir() and not (path / META_FILE).is_file():
+        raise argparse.ArgumentTypeError(f"{path}: exists and is no trial (no {META_FILE}); choose another name")
+    return path
+
+
 def main(argv: list[str] | None = None) -> int:
     """The verb `play`. Returns the exit code."""
     parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.")
@@ -99,7 +109,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--turbulence", default="default", choices=PRESETS, help="default: %(default)s")
     parser.add_argument("--intensity", type=float, default=0.05, help="of the turbulence (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of turbulence and sensor noise (default: %(default)s)")
-    parser.add_argument("--save", metavar="FOLDER", help="write the swim as a trial folder at the end")
+    parser.add_argument("--save", type=trial_folder, metavar="FOLDER", help="write the swim as a trial folder at the end")
     parser.add_argument("--headless-seconds", type=float, metavar="S", help="swim S simulated seconds without keys, then stop")
     args = parser.parse_args(argv)
     direction = float(np.radians(args.direction))
@@ -114,11 +124,12 @@ def main(argv: list[str] | None = None) -> int:
             swim(pond, view, keys, args.headless_seconds, (lambda text: None) if alone else show_status)
         except KeyboardInterrupt:
             pass  # the usual way to stop; what was swum is still saved
-    if args.save:
-        console.say(f"wrote {write_trial(args.save, pond.trial(), overwrite=True)}")
+    saved = str(write_trial(args.save, pond.trial(), overwrite=True)) if args.save else None
+    if saved:
+        console.say(f"wrote {saved}")
     if args.json:
         gap = float(np.hypot(*(pond.target - pond.q[:2])))
-        console.emit_json({"seconds": pond.time, "controller": pond.controller.name, "distance": gap, "saved": args.save})
+        console.emit_json({"seconds": pond.time, "controller": pond.controller.name, "distance": gap, "saved": saved})
     return 0
 
 

@@ -1,20 +1,24 @@
 """One fish, one controller, and a current and target that may change while it swims."""
 
+from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import controllers, engines
+from fishmj import __version__, controllers, engines
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow, sample
 from fishmj.hydro_fit import chain
-from fishmj.log import Trial, numbered
+from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.identity import identity
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.units import wrap
 
 FASTEST = 0.5  # m/s
+SENSED = 4  # stream of random numbers of what is logged, beside that of the observations
 
 
 class Chunk(NamedTuple):
@@ -27,7 +31,10 @@ class Chunk(NamedTuple):
     power: np.ndarray  # (T,) W with idle
     command: np.ndarray  # (T, N - 1) rad
     target: np.ndarray  # (2,) m
-    obs: np.ndarray  # (11,)
+    obs: np.ndarray  # (5 + 2 J,)
+    action: np.ndarray | None  # (J,) of a policy
+    controller: str
+    current: tuple[float, float]  # m/s, rad: the mean, as it was set
 
 
 class Pond:
@@ -44,6 +51,7 @@ class Pond:
         self.robot = load_robot(robot)
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.engine = engines.make(engine, self.robot) if isinstance(engine, str) else engine
+        self.engine_name = type(self.engine).__module__.rpartition(".")[2]
         self._chain = chain.chain_of(self.robot)
         self._params, self._sensors = engines.nominal_params(self.robot, 1), Sensors(self.robot)
         late = float(self._sensors.added.late(np, self._params.effects[0], "pose"))
@@ -61,6 +69,7 @@ class Pond:
         """Back to the start: at rest 0.7 m from the target, heading upstream. What was recorded is dropped."""
         start = np.array([[-0.7, 0.0, wrap(np, np.pi + self.flow.direction)]])
         self.target, self.count = np.array([0.7, 0.0]), 0
+        self._start = start[0]
         self._state = engines.at_rest(self.robot, start)
         self._history = np.repeat(start[:, None], task.history_length(self.robot), 1)
         self._joint = np.zeros((1, self.robot.n_joints))
@@ -114,43 +123,95 @@ class Pond:
             command=command[0],
             target=self.target.copy(),
             obs=obs[0],
+            action=None if (action := getattr(self.controller, "action", None)) is None else np.array(action, float)[0],
+            controller=self.controller.name,
+            current=(self.flow.speed, self.flow.direction),
         )
         self.count += 1
         self.chunks.append(chunk)
         return chunk
 
     def trial(self) -> Trial:
-        """Everything since the start, in the log's schema."""
+        """Everything since the start, in the log's schema: what a robot in a tank would have logged, and the truth."""
         if not self.chunks:
             raise ConfigError("play: nothing recorded yet; swim for a moment before saving")
         t, q, v, flow, power, command = (np.concatenate([getattr(c, name) for c in self.chunks]) for name in Chunk._fields[:6])
-        slow = t[:: self._ticks] - self.robot.timing.bus_dt
+        begun = t - self.robot.timing.bus_dt
+        slow = begun[:: self._ticks]
         target, obs = (np.array([getattr(c, name) for c in self.chunks]) for name in ("target", "obs"))
-        volts = self.robot.servo.voltage
+        volts, robot = self.robot.servo.voltage, self.robot
+        pose, joint, rate = q[:, :3], q[:, 3:], v[:, 3:]
+        names = ("x", "y", "yaw", "vx", "vy", "wz")
         tables = {
+            "cmd": {"t": begun, **numbered("c#", command)},
+            **sensed(
+                robot,
+                t,
+                pose,
+                joint,
+                rate,
+                start=self._start,
+                camera=int(self._camera[0]),
+                effects=np.asarray(self._params.effects[0], float),
+                random=np.random.default_rng([self.flow.seed, SENSED]),
+                strength=self.noise,
+            ),
+            "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
             "truth": {
                 "t": t,
-                **dict(zip(("x", "y", "yaw", "vx", "vy", "wz"), (*q[:, :3].T, *v[:, :3].T), strict=True)),
-                **numbered("j#", q[:, 3:]),
-                **numbered("k#", v[:, 3:]),
+                **dict(zip(names, (*pose.T, *v[:, :3].T), strict=True)),
+                **numbered("j#", joint),
+                **numbered("k#", rate),
             },
-            "cmd": {"t": t - self.robot.timing.bus_dt, **numbered("c#", command)},
-            "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
             "target": {"t": slow, "x": target[:, 0], "y": target[:, 1]},
             "obs": {"t": slow, **numbered("o#", obs)},
             "flow": {"t": t, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
         }
-        meta = {
+        steered = [
+            i for i, c in enumerate(self.chunks) if c.action is not None
+        ]  # a policy answers, a classical controller does not
+        if steered:
+            tables["action"] = {"t": slow[steered], **numbered("a#", np.array([self.chunks[i].action for i in steered]))}
+        return Trial(self._meta(tables), tables)
+
+    def _meta(self, tables: dict) -> dict:
+        """What a reader must know about the swim."""
+        brains = list(dict.fromkeys(c.controller for c in self.chunks))
+        steady = len({c.current for c in self.chunks}) == 1
+        notes = [NOTE]
+        if not steady:
+            notes.append(
+                "the current was changed by hand: flow.speed and flow.direction are the last ones set, the table flow is exact"
+            )
+        if len(brains) > 1:
+            notes.append(f"steered by {', '.join(brains)}, one after the other")
+        return {
+            "schema": SCHEMA,
             "origin": "synthetic",
-            "robot": self.robot.name,
-            "controller": self.controller.name,
-            "flow": {**vars(self.flow), "known": False},
-            "water": "structured",
+            **identity(self.robot),
+            "medium": "water",
+            "flow": {**vars(self.flow), "known": steady},
+            "water": str(self.robot.water.get("model", "structured")),
+            "root": "planar",
+            "engine": self.engine_name,
+            "controller": brains[-1],
+            "policy_sha256": str(getattr(self.controller, "sha256", "")),
+            "excitation": "live" if len({(*c.target,) for c in self.chunks}) > 1 or not steady else "station holding",
+            "replicate_of": "",
+            "start": [float(value) for value in self._start],
+            "push": [0.0, 0.0, 0.0],
+            "sigma": sigmas(self.robot.n_joints, self.noise),
+            "clock": clocks(tables),
+            "latency": {
+                "pose": float(self._camera[0]) * self.robot.timing.bus_dt,
+                "command": float(np.asarray(self._params.delay)[0]) * self.robot.timing.physics_dt,
+            },
             "seed": self.flow.seed,
+            "versions": {"fishmj": __version__, "numpy": np.__version__, "mujoco": version("mujoco")},
             "source": "fishmj.play",
-            "notes": "steered by hand; flow.speed and flow.direction are the last ones set, the table flow has the truth",
+            "licence": "Apache-2.0",
+            "notes": notes if len(notes) > 1 else notes[0],
         }
-        return Trial(meta, tables)
 
 
 def _centres(ch: chain.Chain, q: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj.console import printable
 from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
@@ -12,6 +13,7 @@ from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 from fishmj.replay.wake import Wake, colours, read_wake
 
 WATER, LINE, METRE, INK = (150, 112, 36), (176, 140, 66), (206, 180, 122), (250, 244, 236)  # BGR
+WORDS = 120  # characters of a line
 CHART = 120  # px, height of the distance strip
 FINE = 3  # fish are drawn this many times larger, then averaged down
 SUN = np.array([-0.35, 0.3, 0.89])
@@ -232,19 +234,19 @@ class TopView:
         self._text(image, f"{time:.1f} / {self.duration:.1f} s", (w - 130, top + h - 6), 0.45)
 
     def _words(self, image, time: float) -> None:
-        lines = [self.title] if self.title else []
+        lines = [self.title[:WORDS]] if self.title else []
         for t in self.tracks:
             i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
             measured = [(t.distance[i], "m off", 2), (t.speed[i], "m/s", 2), (t.power[i], "W", 1)]
             figures = [f"{value:.{digits}f} {unit}" for value, unit, digits in measured if np.isfinite(value)]
-            lines.append(f"{t.label} ({t.origin})  " + ", ".join(figures))
+            lines.append(f"{t.label[:WORDS]} ({t.origin[:WORDS]})  " + ", ".join(figures))
         box = image[6 : 16 + 22 * len(lines), 6 : 16 + max(9 * len(line) for line in lines)]
         box[:] = (box * 0.3 + np.array([24, 16, 5])).astype(np.uint8)
         for k, line in enumerate(lines):
             self._text(image, line, (14, 26 + 22 * k), 0.55, self.colours[k - len(lines)] if k >= bool(self.title) else INK)
 
     def _text(self, image, text: str, at, height: float, colour=INK) -> None:
-        plain = text.encode("ascii", "replace").decode()  # OpenCV's built-in font has ASCII only
+        plain = printable(text)[:WORDS].encode("ascii", "replace").decode()  # OpenCV's built-in font has ASCII only
         self.cv2.putText(image, plain, at, self.cv2.FONT_HERSHEY_SIMPLEX, height, colour, 1, self.cv2.LINE_AA)
 
 

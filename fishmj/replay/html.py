@@ -5,20 +5,20 @@ controls still switch them; the player moves the skin, as `fishmj.mjcf.skin.pose
 """
 
 import base64
-import json
 import re
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
+from fishmj import pages
 from fishmj.errors import ConfigError, LogError, MissingExtra
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, skin
 from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 from fishmj.replay.wake import page_data, read_wake
-from fishmj.store import plain, write_text
+from fishmj.store import write_text
 
 _PAGE = Path(__file__).parent / "page"
 SCRIPTS = ("scene.js", "fish.js", "wake.js", "chart.js", "player.js")
@@ -66,16 +66,17 @@ def write_html(
 
 def page(title: str, data: dict) -> str:
     """The whole document as text."""
-    text = (_PAGE / "page.html").read_text(encoding="utf-8")
-    scripts = "\n".join((_PAGE / name).read_text(encoding="utf-8") for name in SCRIPTS)
-    parts = {
-        "@TITLE@": title.replace("&", "&amp;").replace("<", "&lt;"),
-        "@STYLE@": (_PAGE / "style.css").read_text(encoding="utf-8"),
-        "@VIEWER@": viewer_bundle(),
-        "@DATA@": json.dumps(plain(data)).replace("<", "\\u003c"),
-        "@PLAYER@": scripts,
-    }
-    return "".join(parts.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", text))
+    read = lambda name: _lines((_PAGE / name).read_text(encoding="utf-8"))  # noqa: E731
+    text, ours = read("page.html"), {"@STYLE@": read("style.css"), "@VIEWER@": _lines(viewer_bundle())}
+    ours["@PLAYER@"] = "\n".join(read(name) for name in SCRIPTS)
+    fill = lambda part, given: "".join(given.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", part))  # noqa: E731
+    scripts = [fill(found, ours) for found in re.findall(r"<script>(.*?)</script>", text, re.DOTALL)]
+    return fill(text, {**ours, "@POLICY@": pages.policy(scripts), "@TITLE@": pages.escaped(title), "@DATA@": pages.data(data)})
+
+
+def _lines(text: str) -> str:
+    """With the line ends that a browser sees, so that the sums of the page's policy are those of its scripts."""
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def viewer_bundle() -> str:

@@ -45,6 +45,11 @@ def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
     """`robot` if given, else the shipped description that the trial's meta names, else the default fish."""
     if robot is not None:
         return load_robot(robot)
+    return named_robot(trial) or load_robot("fish")
+
+
+def named_robot(trial: Trial) -> Robot | None:
+    """The shipped description that the trial's meta names; None where there is none. A log's text is never a path."""
     wanted = trial.value("robot")
     for name in shipped():
         if name == "paper":
@@ -55,7 +60,7 @@ def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
             continue
         if wanted in (name, candidate.name):
             return candidate
-    return load_robot("fish")
+    return None
 
 
 def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import ConfigError
+from fishmj.pages import drawn
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe & Ito, colour-blind safe
 
@@ -44,7 +45,7 @@ def draw(groups: dict[str, list[dict]], out: Path) -> Path:
         for ax, key in zip(axes, ("reward", "late_distance"), strict=True):
             lines = np.array([np.interp(grid, r["step"], smooth(r[key])) for r in runs])
             ax.fill_between(grid, lines.min(0), lines.max(0), color=colour, alpha=0.25, lw=0)
-            ax.plot(grid, lines.mean(0), color=colour, lw=1.8, label=f"{label} (n = {len(runs)})")
+            ax.plot(grid, lines.mean(0), color=colour, lw=1.8, label=f"{drawn(label)} (n = {len(runs)})")
     for ax, title in zip(axes, ("reward per control step", "distance to the target after 15 s [m]"), strict=True):
         ax.set(xscale="log", xlabel="control steps of 0.2 s", title=title)
         ax.grid(alpha=0.3)

@@ -7,6 +7,7 @@ from itertools import count
 from typing import Any
 
 from fishmj.errors import MissingExtra
+from fishmj.pages import escaped
 
 INK, QUIET, FAINT, BAND = "#1F2933", "#5B6570", "#D9DEE5", "#E6EAF0"
 MEASURED, BEFORE, AFTER, ACCENT = "#1F2933", "#D55E00", "#0072B2", "#009E73"
@@ -79,4 +80,4 @@ def svg(figure, label: str) -> str:
     text = re.sub(r'(<svg[^>]*?) width="[\d.]+pt"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) height="[\d.]+pt"', r"\1", text, count=1)
     text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
-    return text.replace("<svg", f'<svg role="img" aria-label="{label}" style="width:100%;max-width:{wide}px"', 1).strip()
+    return text.replace("<svg", f'<svg role="img" aria-label="{escaped(label)}" style="width:100%;max-width:{wide}px"', 1).strip()

@@ -1,7 +1,6 @@
 """The page, from top to bottom: the answer first, then what it stands on."""
 
 import re
-from html import escape
 
 import numpy as np
 
@@ -14,6 +13,8 @@ from fishmj.gap.report.style import ANSWERS, SHEET
 from fishmj.gap.report.traces import traces
 from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, level, meaning, next_step, quantity, title
 from fishmj.gap.verdict import Named
+from fishmj.pages import document
+from fishmj.pages import escaped as escape
 
 
 def html(m: Material) -> str:
@@ -33,10 +34,9 @@ def html(m: Material) -> str:
             invisible(m),
             records(m),
         ]
-    tone = f"<style>{SHEET}:root{{--tone:{ANSWERS[v.answer]}}}</style>"
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(headline(v))}</title>{tone}'
+    tone = f"{SHEET}:root{{--tone:{ANSWERS[v.answer]}}}"
     body = "\n".join(part for part in parts if part)
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>\n{body}\n{footer(m)}</main></body></html>\n'
+    return document(headline(v), f"{body}\n{footer(m)}</main>", tone)
 
 
 def answer(m: Material) -> str:
@@ -86,7 +86,7 @@ def gap(m: Material) -> str:
     """Before and after."""
     channels = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
     pair = lambda both: f"{level(both[0])} → {level(both[1])}" if m.comparison.changed else level(both[0])  # noqa: E731
-    heads = "".join(f'<th class="n">{p.name}</th>' for p in m.parts)
+    heads = "".join(f'<th class="n">{escape(p.name)}</th>' for p in m.parts)
     whole = "".join(f'<td class="n"><b>{pair((p.before, p.after))}</b></td>' for p in m.parts)
     rows = [f'<tr><td class="name">all</td>{whole}</tr>']
     for k in channels:

@@ -8,6 +8,7 @@ import numpy as np
 from fishmj.gap.features import Block
 from fishmj.gap.localise import Comparison
 from fishmj.gap.report.drawing import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
+from fishmj.pages import drawn
 
 HALF = 1.645  # of a 90 % band
 ZOOM = {"joint": 4.0, "heading": 8.0}  # s shown: a beat must be seen
@@ -72,9 +73,8 @@ def traces(c: Comparison, use: list[str]) -> str:
         lower.axhline(0, color=QUIET, linewidth=0.6)
         which = f"joint {b.column + 1}" if b.channel == "joint" else "xy"[b.column] if b.channel == "position" else b.channel
         upper.set_title(f"{which} [{unit}]", pad=20)
-        upper.text(
-            0, 1.04, f"{record.excitation or record.name}, {use[b.record]}", transform=upper.transAxes, color=QUIET, fontsize=9.2
-        )
+        about = f"{drawn(record.excitation or record.name)}, {use[b.record]}"
+        upper.text(0, 1.04, about, transform=upper.transAxes, color=QUIET, fontsize=9.2)
         lower.set_xlabel("time [s]")
         lower.set_xlim(start, stop)
         if column == 0:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fishmj.errors import LogError, MissingExtra
+from fishmj.log.export import carried
 from fishmj.log.importers import messages
 from fishmj.log.importers.messages import Channel, Found
 from fishmj.log.importers.topics import by_name, read_topics
@@ -38,6 +39,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """
     beside = path.with_suffix(".toml")
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
+    own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
     if wanted is None:
         wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json"})
@@ -45,7 +47,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
             raise LogError(
                 f"{path}: no topic is named like a table; it has {messages.listed(found)}. Say which is which in {beside.name}"
             )
-    return messages.mapped(path, found, wanted)
+    return messages.mapped(path, found, wanted, own)
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:

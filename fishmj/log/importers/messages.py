@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
+from fishmj.log.export import as_written
 from fishmj.log.importers import header
 from fishmj.log.importers.assemble import trial_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
@@ -45,8 +46,11 @@ Found = dict[str, Channel]
 
 
 # ---------------------------------------------------------------------------------------------------- with a mapping
-def mapped(path: Path, found: Found, wanted: Topics) -> dict[str, Trial]:
+def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None) -> dict[str, Trial]:
     """One trial, named after the file.
+
+    Args:
+        own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
 
     Raises:
         LogError: a topic, field or value is not as the mapping says; file:topic[message]:field.
@@ -56,14 +60,14 @@ def mapped(path: Path, found: Found, wanted: Topics) -> dict[str, Trial]:
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {listed(found)}")
         stamps[name], columns[name] = _columns(path, entry, found[entry.topic])
-    times, notes = _seconds(stamps)
+    times, notes = _seconds(stamps) if own is None else (as_written(stamps), [])
     tables = {}
     for name, entry in wanted.tables.items():
         order = np.argsort(times[name], kind="stable")
         table = {"t": times[name][order], **{column: values[order] for column, values in columns[name].items()}}
         tables[name] = (table, _place(path, entry.topic, order))
     clocks = {name: str(entry.clock) for name, entry in wanted.tables.items()}
-    meta = {"clock": clocks, "source": path.name, **wanted.meta}
+    meta = {"clock": clocks, "source": path.name, **wanted.meta} if own is None else own
     return {path.stem: trial_of(path.stem, meta, tables, notes)}
 
 

@@ -1,0 +1,375 @@
+"""Trials for other programs: MCAP for Foxglove, Parquet for data frames, CSV for everything else.
+
+    export("runs/trial_07", "mcap", "trial_07.mcap")     one file
+    export("data/calm", "parquet", "calm_parquet")       one folder a trial; of MCAP, one file a trial
+
+Numbers and stamps go out as they are: nothing is resampled. What is written appears in one step, all of it or nothing.
+"""
+
+import heapq
+import json
+import os
+import re
+import shutil
+import struct
+import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+
+from fishmj import __version__, names
+from fishmj.errors import LogError, MissingExtra, StoreError
+from fishmj.log import check, foxglove, measurements, toml
+from fishmj.log.archive import row_place
+from fishmj.log.bundle import read_bundle
+from fishmj.log.columns import unit
+from fishmj.log.dataset import read_dataset
+from fishmj.log.folder import META_FILE, read_trial, write_trial
+from fishmj.log.foxglove import Json, Solid
+from fishmj.log.schema import SCHEMA, TABLES, table_spec
+from fishmj.log.trial import Trial, stacked
+from fishmj.store import sync_folder, write_text
+from fishmj.store.manifest import MANIFEST, Manifest
+
+FORMS = ("mcap", "csv", "parquet")
+NEEDS = {"mcap": "mcap", "parquet": "pyarrow"}
+METADATA = "fishmj.log"  # name of the metadata record in an MCAP file
+Entry = tuple[int, int, str, Json]  # log time ns, row, topic, message
+Shape = Callable[[Trial], tuple[Solid, ...]]
+Done = Callable[[float, int], None]
+OFTEN = 5000  # messages between two reports of progress
+
+
+def export(
+    source: "str | Path",
+    to: str,
+    out: "str | Path",
+    *,
+    tables: Iterable[str] | None = None,
+    force: bool = False,
+    shape: Shape = lambda trial: (),
+    done: Done = lambda count, total: None,
+) -> list[dict]:
+    """Write a trial, a data set or a bundle in another form.
+
+    Args:
+        to: "mcap", "csv" or "parquet". out: for one trial the file (mcap) or the folder; for a data set the folder.
+        tables: only these; all by default. force: replace what an export wrote before.
+        shape: the links of a trial's robot as ellipsoids, () where it is not known; mcap only.
+        done: called with the number of trials written so far, parts of one included, and of all.
+
+    Returns:
+        One row a trial: trial, path, tables, rows, bytes, absent (tables asked for that it lacks).
+
+    Raises:
+        LogError: no such trial, none of the tables, a name that cannot stand in a path. UnknownName: no such table.
+        MissingExtra: mcap or pyarrow is not installed. StoreError: `out` exists, or the disk refuses.
+    """
+    source, out, wanted = Path(source), Path(out), _wanted(tables)
+    if to not in FORMS:
+        raise LogError(f"export: form {to!r}; expected one of {', '.join(FORMS)}")
+    if to in NEEDS and find_spec(NEEDS[to]) is None:
+        raise MissingExtra(NEEDS[to], "logs", f"log export --to {to}")
+    many = _is_many(source)
+    check_place(source, out, folder=many or to != "mcap", force=force)
+    temporary = out.with_name(f".{out.name}.{uuid4().hex[:8]}.tmp")
+    try:
+        if not many:
+            trial = read_trial(source)
+            temporary.parent.mkdir(parents=True, exist_ok=True)
+            rows = [_one(trial, to, temporary, wanted, shape, lambda part: done(part, 1))]
+            done(1, 1)
+        else:
+            trials, total, meta = _many(source)
+            temporary.mkdir(parents=True)
+            rows = []
+            for trial in trials:
+                path = temporary / (f"{trial.name}.mcap" if to == "mcap" else trial.name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                rows.append(_one(trial, to, path, wanted, shape, lambda part: done(len(rows) + part, total)))  # noqa: B023
+                done(len(rows), total)
+            if source.is_dir() and (page := measurements.read(source)):
+                measurements.write(temporary, page)
+            Manifest.of(temporary, meta).write(temporary)
+        _place(temporary, out)
+    except OSError as error:
+        raise error if isinstance(error, StoreError) else StoreError(f"{out}: could not be written: {error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+    return [{**row, "path": str(out / Path(row["path"]).relative_to(temporary))} for row in rows]
+
+
+def check_place(source: Path, out: Path, *, folder: bool, force: bool) -> None:
+    """Raises StoreError where `out` must not be written: it exists, is no export of ours, or holds the source."""
+    here, there = source.resolve(), out.resolve()
+    if here == there or there in here.parents or here in there.parents:
+        raise StoreError(f"{out}: lies in, or holds, what is exported ({source}); choose another place")
+    if not out.exists():
+        return
+    if not force:
+        raise StoreError(f"{out}: exists; choose another name, or pass --force to replace it")
+    if folder != out.is_dir():
+        raise StoreError(f"{out}: is a {'file' if folder else 'folder'}, and a {'folder' if folder else 'file'} would replace it")
+    if folder and not ((out / META_FILE).is_file() or (out / MANIFEST).is_file()):
+        raise StoreError(f"{out}: holds neither {META_FILE} nor {MANIFEST}, so no export wrote it; not replaced. Choose another")
+
+
+def carried(path: Path) -> dict | None:
+    """The meta data that an MCAP file of `export` carries; None in any other file, and without the library."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import SeekingReader
+    except ImportError:
+        return None
+
+    damage = (McapError, OSError, ValueError, RecursionError, EOFError, KeyError, TypeError, RuntimeError, struct.error)
+    try:
+        with open(path, "rb") as file:
+            reader = SeekingReader(file, record_size_limit=path.stat().st_size)  # a damaged length cannot ask for all memory
+            for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
+                if attachment.name == META_FILE:
+                    meta = tomllib.loads(attachment.data.decode("utf-8"))
+                    check.check_meta(meta, str(path))
+                    return meta if meta.get("schema") == SCHEMA else None
+    except (*damage, MemoryError, OverflowError, IndexError, AttributeError):  # whoever reads the messages says what is damaged
+        return None
+    return None
+
+
+def as_written(stamps: dict[str, list[int]]) -> dict[str, np.ndarray]:
+    """Stamps [ns] of the messages of such a file in s, on the trial's own clock."""
+    return {name: np.array(values, dtype=float) / 1e9 for name, values in stamps.items()}
+
+
+# -------------------------------------------------------------------------------------------------------------------- source
+def _wanted(tables: Iterable[str] | None) -> tuple[str, ...]:
+    asked = tuple(dict.fromkeys(TABLES if tables is None else tables))
+    for name in asked:
+        table_spec(name)
+    if not asked:
+        raise LogError(f"export: no table is asked for; expected some of {', '.join(TABLES)}")
+    return asked
+
+
+def _is_many(source: Path) -> bool:
+    if source.suffix == ".npz" and source.is_file():
+        return True
+    return source.is_dir() and (source / MANIFEST).is_file() and not (source / META_FILE).is_file()
+
+
+def _many(source: Path) -> tuple[Iterator[Trial], int, dict]:
+    """Trials one at a time under names that can stand in a path, their number, and what the manifest says."""
+    if source.suffix == ".npz":
+        found = read_bundle(source)
+        return (_named(trial, trial.name, source) for trial in found), len(found), {"source": source.name}
+    data = read_dataset(source)
+    return (_named(data[name], name, source) for name in data.names), len(data), data.meta
+
+
+def _named(trial: Trial, name: str, source: Path) -> Trial:
+    for part in name.split("/") or [""]:
+        names.checked(part, "trial", str(source))
+    return replace(trial, name=name)
+
+
+def _one(trial: Trial, to: str, path: Path, wanted: tuple[str, ...], shape: Shape, tell: Callable[[float], None]) -> dict:
+    """Write one trial to `path` and tell what it is; `tell` hears which part of it is done."""
+    kept = {name: trial.tables[name] for name in trial.tables if name in wanted}
+    absent = [] if wanted == tuple(TABLES) else [name for name in wanted if name not in trial.tables]
+    if not kept:
+        raise LogError(f"trial {trial.name}: has none of {', '.join(wanted)}; it has {', '.join(trial.tables)}")
+    for name, table in kept.items():  # a bundle was not checked when it was read
+        check.check_table(name, table, row_place(f"{trial.name}/{name}"))
+    one = replace(trial, tables=kept)
+    if to == "mcap":
+        _mcap(one, path, shape(trial), tell)
+    elif to == "parquet":
+        _parquet(one, path)
+    else:
+        write_trial(path, replace(one, tables={n: _plain_names(t) for n, t in kept.items()}), form="csv")
+    rows = {name: len(table["t"]) for name, table in kept.items()}
+    files = [p for p in path.rglob("*") if p.is_file()] if path.is_dir() else [path]
+    size = sum(p.stat().st_size for p in files)
+    return {"trial": trial.name, "path": str(path), "tables": rows, "rows": sum(rows.values()), "bytes": size, "absent": absent}
+
+
+def _plain_names(table: dict) -> dict:
+    """Column names that no spreadsheet takes for a formula and no reader for two columns; ours already are."""
+    out: dict[str, Any] = {}
+    for name, values in table.items():
+        safe = re.sub(r"[^A-Za-z0-9_. /^\[\]()-]", "_", name)
+        safe = f"_{safe}" if safe[:1] in tuple("=+-@") else safe
+        while safe in out:
+            safe += "_"
+        out[safe] = values
+    return out
+
+
+def _place(temporary: Path, out: Path) -> None:
+    """One rename; what stood there before is put back when it fails."""
+    old = out.with_name(f".{out.name}.{uuid4().hex[:8]}.old.tmp")
+    if out.is_dir():
+        os.rename(out, old)
+    try:
+        os.replace(temporary, out)
+    except OSError:
+        if old.exists():
+            os.rename(old, out)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    sync_folder(out.parent)
+
+
+def _meta_text(trial: Trial) -> str:
+    return toml.dumps(toml.nested({"schema": SCHEMA, **trial.meta}))
+
+
+# ------------------------------------------------------------------------------------------------------------------- parquet
+def _parquet(trial: Trial, folder: Path) -> None:
+    """One file a table; each field's metadata says its unit, the file's metadata what table it is. meta.toml beside them."""
+    import pyarrow
+    from pyarrow import parquet
+
+    folder.mkdir(parents=True)
+    for name, table in trial.tables.items():
+        fields = [pyarrow.field(c, pyarrow.float64(), metadata={"unit": unit(name, c)}) for c in table]
+        about = {"fishmj.schema": SCHEMA, "fishmj.table": name, "fishmj.about": TABLES[name].about}
+        columns = [pyarrow.array(np.asarray(values, float)) for values in table.values()]
+        parquet.write_table(pyarrow.table(columns, schema=pyarrow.schema(fields, metadata=about)), folder / f"{name}.parquet")
+    write_text(folder / META_FILE, _meta_text(trial))
+
+
+# ---------------------------------------------------------------------------------------------------------------------- mcap
+def _mcap(trial: Trial, path: Path, solids: tuple[Solid, ...], tell: Callable[[float], None]) -> None:
+    """Every table as its own topic, and what the 3D panel needs; the meta data as attachment and as metadata record."""
+    from mcap.writer import Writer
+
+    text, zero = _meta_text(trial), _zero(trial)
+    rows = {name: len(table["t"]) for name, table in trial.tables.items()}
+    total = sum(rows.values()) + sum(2 * rows.get(name, 0) for name in ("pose", "truth"))  # about: frames and poses beside them
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="", library=f"fishmj {__version__}")
+        schemas = {
+            name: writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+            for name, schema in _schemas(trial).items()
+        }
+        channels: dict[str, int] = {}
+        in_order = heapq.merge(*_streams(trial, solids, zero), key=lambda entry: entry[0])
+        for count, (at, row, topic, message) in enumerate(in_order):
+            if not count % OFTEN:
+                tell(min(count / total, 1.0))
+            if topic not in channels:
+                schema = schemas.get(_KIND.get(topic, f"fishmj.{topic[1:]}"))
+                channels[topic] = writer.register_channel(topic, "json", schema or 0)
+            data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+            writer.add_message(channels[topic], log_time=at, publish_time=at, data=data, sequence=row)
+        first, _ = trial.span
+        writer.add_attachment(_ns(first, zero), _ns(first, zero), META_FILE, "application/toml", text.encode())
+        writer.add_metadata(METADATA, {"trial": trial.name, "start [s]": repr(zero), **_flat(trial.meta)})
+        writer.finish()
+        file.flush()
+        os.fsync(file.fileno())
+
+
+_KIND = {
+    "/pose_in_tank": "foxglove.PoseInFrame",
+    "/truth_in_tank": "foxglove.PoseInFrame",
+    "/tf": "foxglove.FrameTransform",
+    "/tf_links": "foxglove.FrameTransforms",
+    "/scene_fish": "foxglove.SceneUpdate",
+    "/scene_target": "foxglove.SceneUpdate",
+}
+
+
+def _schemas(trial: Trial) -> dict[str, Json]:
+    """Foxglove's own, and one a table with the unit of every column in its description."""
+    out = dict(foxglove.SCHEMAS)
+    for name, table in trial.tables.items():
+        columns = {c: {"type": "number", "description": f"[{u}]" if (u := unit(name, c)) else ""} for c in table}
+        about = {"title": f"fishmj.{name}", "description": TABLES[name].about, "type": "object"}
+        out[f"fishmj.{name}"] = {**about, "properties": columns, "required": list(columns)}
+    return out
+
+
+def _streams(trial: Trial, solids: tuple[Solid, ...], zero: float) -> list[Iterator[Entry]]:
+    """What goes into the file, each stream in the order of its stamps."""
+    tables, out = trial.tables, [_rows(name, table, zero) for name, table in trial.tables.items()]
+    seen = next((tables[name] for name in ("pose", "truth") if name in tables), None)
+    for name in ("pose", "truth"):
+        if name in tables:
+            out.append(_poses(f"/{name}_in_tank", tables[name], zero, lambda at, *p: foxglove.pose(at, *p)))
+    if seen is not None:
+        tank, fish = foxglove.TANK, foxglove.FISH
+        out.append(_poses("/tf", seen, zero, lambda at, *p: foxglove.frame(at, tank, fish, *p)))
+        bends = next(((tables[n], c) for n, c in (("joint", "j#"), ("truth", "j#"), ("cmd", "c#")) if n in tables), None)
+        angles = None if bends is None else stacked(*bends)
+        fits = angles is not None and angles.shape[1] == len(solids) - 1
+        first = _ns(min(float(seen["t"][0]), *([float(bends[0]["t"][0])] if bends else [])), zero) if fits else 0
+        first = first if fits else _ns(float(seen["t"][0]), zero)
+        out.append(iter([(first, 0, "/scene_fish", foxglove.body(first, solids if fits else ()))]))
+        if fits and bends is not None and angles is not None:
+            out.append(_bent(bends[0]["t"], angles, solids, zero))
+    if (still := trial.value("target")) is not None and "target" not in tables and seen is not None:
+        at = np.asarray(still, dtype=object).ravel()
+        if len(at) >= 2 and all(isinstance(v, int | float) for v in at[:2]):
+            first = _ns(float(seen["t"][0]), zero)
+            out.append(iter([(first, 0, "/scene_target", foxglove.target(first, float(at[0]), float(at[1])))]))
+    if "target" in tables:
+        out.append(_targets(tables["target"], zero))
+    return out
+
+
+def _rows(name: str, table: dict, zero: float) -> Iterator[Entry]:
+    columns, values = list(table), np.stack([np.asarray(v, float) for v in table.values()], 1)
+    for row, line in enumerate(values.tolist()):
+        message = dict(zip(columns, line, strict=True))
+        yield _ns(message["t"], zero), row, f"/{name}", message
+
+
+def _poses(topic: str, table: dict, zero: float, made: Callable[..., Json]) -> Iterator[Entry]:
+    for row, (t, x, y, yaw) in enumerate(
+        zip(*(np.asarray(table[c], float).tolist() for c in ("t", "x", "y", "yaw")), strict=True)
+    ):
+        at = _ns(t, zero)
+        yield at, row, topic, made(at, x, y, yaw)
+
+
+def _bent(stamps, angles: np.ndarray, solids: tuple[Solid, ...], zero: float) -> Iterator[Entry]:
+    for row, (t, bend) in enumerate(zip(np.asarray(stamps, float).tolist(), angles.tolist(), strict=True)):
+        at = _ns(t, zero)
+        yield at, row, "/tf_links", foxglove.links(at, solids, bend)
+
+
+def _targets(table: dict, zero: float) -> Iterator[Entry]:
+    for row, (t, x, y) in enumerate(zip(*(np.asarray(table[c], float).tolist() for c in ("t", "x", "y")), strict=True)):
+        at = _ns(t, zero)
+        yield at, row, "/scene_target", foxglove.target(at, x, y)
+
+
+def _zero(trial: Trial) -> float:
+    """What is subtracted from stamps to make log times, s: MCAP knows none before 0. The messages' own `t` stays."""
+    return min(0.0, trial.span[0])
+
+
+def _ns(t: float, zero: float) -> int:
+    return round((t - zero) * 1e9)
+
+
+def _flat(meta: dict, before: str = "") -> dict[str, str]:
+    """Dotted keys and text values: all that a metadata record holds."""
+    out: dict[str, str] = {}
+    for key, value in meta.items():
+        if isinstance(value, dict):
+            out |= _flat(value, f"{before}{key}.")
+        elif value is not None:
+            out[f"{before}{key}"] = value if isinstance(value, str) else str(value)
+    return out

@@ -1,0 +1,234 @@
+"""Logs of `play`, `evaluate --log`, `Sim` and the flow solver are complete trials: what a robot would log, and the truth."""
+
+import math
+from argparse import Namespace
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj import console, engines, evaluate, log
+from fishmj.calib import constant
+from fishmj.calibrate import logs as calibrate_logs
+from fishmj.engines.added import with_effects
+from fishmj.evaluate import logs
+from fishmj.flow import Flow
+from fishmj.gap import find
+from fishmj.gap.records import record_of
+from fishmj.log import stacked
+from fishmj.mjcf import load_robot
+from fishmj.mjcf.centres import link_centres
+from fishmj.mjcf.identity import robot_sha256
+from fishmj.play import Pond
+from fishmj.play import __main__ as play
+from fishmj.sim import Sim
+from fishmj.tasks.recorded import sensed, sigmas
+
+ROBOT = load_robot("fish")
+TABLES = {"cmd", "joint", "pose", "power", "truth", "flow", "target", "obs"}
+UNTOLD = {"replicate_of", "commit", "target", "sigma"}  # what a complete simulated trial may leave open
+
+
+@pytest.fixture(scope="module")
+def body():
+    return engines.make("compiled", ROBOT)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two headless swims by the command, as a data set."""
+    root = tmp_path_factory.mktemp("swims")
+    for name, seed in (("a", "1"), ("b", "2"), ("again", "1")):
+        argv = [
+            "--controller",
+            "dob",
+            "--engine",
+            "compiled",
+            "--headless-seconds",
+            "4",
+            "--seed",
+            seed,
+            "--save",
+            str(root / name),
+        ]
+        assert console.run(play.main, argv) == 0
+    return root
+
+
+def missing(trial) -> set[str]:
+    said = [note for note in trial.notes if "missing" in note]
+    return {key for note in said for key in note.split("missing ")[1].split(", ")}
+
+
+def test_two_live_swims_are_a_data_set_that_search_and_calibration_read(folder):
+    trials = {name: log.read_trial(folder / name) for name in "ab"}
+    data = log.write_dataset(folder / "set", trials)
+    for trial in log.read_dataset(data):
+        assert set(trial.tables) == TABLES and missing(trial) <= UNTOLD
+        record = record_of(trial, 0.004)
+        assert record.joint.values.shape == (200, 3) and record.pose.values.shape == (200, 3) and record.power is not None
+        assert np.isfinite(record.joint.sigma).all() and record.placed is not None
+        assert record.flow == pytest.approx((-0.2, 0.0)) and record.medium == "water"
+        assert np.ptp(record.commands) > 0.2
+    assert find.missing(Namespace(data=data, model="fish")) is None
+    records = calibrate_logs.read(data).records(0.004)
+    assert len(records) == 2 and [calibrate_logs.angles(r).values.shape for r in records] == [(200, 3)] * 2
+
+
+def test_a_live_swim_is_the_same_log_for_the_same_seed(folder):
+    one, again, other = (log.read_trial(folder / name) for name in ("a", "again", "b"))
+    assert one.meta == again.meta
+    for table, columns in one.tables.items():
+        assert all(np.array_equal(columns[c], again.tables[table][c]) for c in columns), table
+    assert not np.array_equal(one.tables["joint"]["j1"], other.tables["joint"]["j1"])
+
+
+def test_what_a_log_states_of_its_sensors_is_what_they_did(body):
+    pond = Pond("dob", flow=Flow(speed=0.1, direction=math.pi, seed=3), engine=body)
+    for _ in range(100):
+        pond.step()
+    trial = pond.trial()
+    truth, pose, joint = (trial.tables[name] for name in ("truth", "pose", "joint"))
+    late = trial.value("latency.pose")
+    assert late == pytest.approx(ROBOT.timing.camera_latency, abs=ROBOT.timing.bus_dt / 2 + 1e-9)
+    for column in ("x", "y", "yaw"):
+        off = pose[column] - np.interp(pose["t"] - late, truth["t"], truth[column])
+        assert np.std(off[5:]) == pytest.approx(trial.value(f"sigma.{column}"), rel=0.1) and abs(off[5:].mean()) < 1e-3, column
+    off = stacked(joint, "j#") - stacked(truth, "j#")
+    assert np.std(off) == pytest.approx(trial.value("sigma.j1"), rel=0.1)
+    assert trial.value("sigma.x") == constant("noise", "position") and "camera latency" in trial.value("notes")
+
+
+def test_without_noise_the_tracker_shows_the_truth_late(body):
+    pond = Pond("dob", flow=Flow(speed=0.1), engine=body, noise=0.0)
+    for _ in range(5):
+        pond.step()
+    trial, k = pond.trial(), int(pond._camera[0])
+    assert np.array_equal(trial.tables["pose"]["x"][k:], trial.tables["truth"]["x"][:-k])
+    assert np.array_equal(trial.tables["pose"]["x"][:k], np.full(k, -0.7)), "before the first frame: where it was put"
+    assert np.array_equal(stacked(trial.tables["joint"], "w#"), stacked(trial.tables["truth"], "k#"))
+    assert trial.value("start")[:2] == [-0.7, 0.0]
+
+
+def test_the_sensors_of_the_description_are_in_the_log():
+    t, still, pose = 0.02 * np.arange(1, 6), np.zeros((5, 3)), np.tile([1.0, 0.0, 0.0], (5, 1))
+    quiet = {"start": pose[0], "camera": 1, "random": np.random.default_rng(0), "strength": 0.0}
+    tall = with_effects(ROBOT, ["camera_scale"])
+    seen = sensed(tall, t, pose, still, still, effects=np.array([0.1]), **quiet)
+    assert seen["pose"]["x"] == pytest.approx(1.1)
+    late, ramp = with_effects(ROBOT, ["joint_sensor_delay"]), np.outer(t, [1.0, 0.0, 0.0])
+    seen = sensed(late, t, pose, ramp, still, effects=np.array([0.04]), **quiet)
+    assert seen["joint"]["j1"] == pytest.approx(np.clip(t - 0.04, 0.0, None), abs=1e-9)
+
+
+def test_changing_the_current_and_the_controller_is_told(body):
+    pond = Pond("drift", flow=Flow(speed=0.1), engine=body)
+    pond.step()
+    pond.set_flow(0.2, 0.0)
+    pond.choose("dob")
+    pond.step()
+    trial = pond.trial()
+    assert trial.value("flow.known") is False and trial.value("controller") == "dob" and trial.value("excitation") == "live"
+    assert any("drift, dob" in note for note in trial.value("notes"))
+
+
+def test_a_policy_leaves_its_actions_and_its_sum(body):
+    pond = Pond("paper", engine=body)
+    pond.step()
+    pond.step()
+    trial = pond.trial()
+    assert stacked(trial.tables["action"], "a#").shape == (2, 3) and np.abs(stacked(trial.tables["action"], "a#")).max() <= 1
+    assert len(trial.value("policy_sha256")) == 64
+
+
+# ----------------------------------------------------------------------------------------------------------------- --save
+def test_a_folder_that_is_no_trial_is_refused_before_the_swim(tmp_path, monkeypatch, capsys):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(play, "Pond", lambda *a: pytest.fail("it swims"))
+    for place, said in (("home", "is no trial"), ("file", "is a file"), ("file/x", "nothing can be written below it")):
+        assert console.run(play.main, ["--save", str(tmp_path / place), "--headless-seconds", "1"]) == console.BAD_INPUT
+        error = capsys.readouterr().err
+        assert said in error and len(error.splitlines()) == 1
+
+
+# --------------------------------------------------------------------------------------------------------------- evaluate
+@pytest.fixture(scope="module")
+def result(body):
+    trials = evaluate.trials(speeds=[0.2], los_deg=[0, 45], repeats=1, duration=4)
+    return evaluate.run("paper", ROBOT, trials, body)
+
+
+def test_a_judged_trial_is_complete(result, tmp_path):
+    logs.write_logs(result, tmp_path)
+    assert find.missing(Namespace(data=tmp_path, model="fish")) is None, "gap find takes the folder as it is"
+    for trial in log.read_dataset(tmp_path):
+        assert set(trial.tables) == TABLES | {"action"} and missing(trial) <= UNTOLD
+        assert trial.value("sigma.x") == 0.005 and trial.value("start") == pytest.approx(trial.value("start"))
+        record = record_of(trial, 0.004)
+        assert record.joint is not None and record.pose is not None and record.placed is not None
+        late = trial.value("latency.pose")
+        off = trial.tables["pose"]["x"] - np.interp(
+            trial.tables["pose"]["t"] - late, *(trial.tables["truth"][c] for c in ("t", "x"))
+        )
+        assert 0.003 < np.std(off[10:]) < 0.007 and 0.03 <= late <= 0.11
+
+
+def test_every_fish_has_its_own_latency_and_the_same_log_twice(result):
+    one, two = logs.trial_of(result, 0), logs.trial_of(result, 1)
+    _, camera = result.trials.fish(ROBOT)
+    assert [t.value("latency.pose") for t in (one, two)] == pytest.approx(list(camera * 0.02))
+    again = logs.trial_of(result, 0)
+    assert np.array_equal(one.tables["pose"]["x"], again.tables["pose"]["x"])
+
+
+def test_a_tank_that_stopped_is_logged_up_to_there(result):
+    stop = 120
+    held = {name: np.array(getattr(result, name)) for name in ("pose", "joint", "velocity", "rate")}
+    for name, values in held.items():
+        values[0, stop:] = values[0, stop] if name in ("pose", "joint") else 0.0
+    left = np.array([stop + 1, len(result.t)])
+    tank = result._replace(engine="tanks, window, slip 1", left=left, **held)
+    short, whole = logs.trial_of(tank, 0), logs.trial_of(tank, 1)
+    assert {len(short.tables[n]["t"]) for n in ("cmd", "joint", "pose", "truth", "power", "flow")} == {stop}
+    assert len(short.tables["obs"]["t"]) == stop // 10 and "stopped after 2.40 s" in short.value("notes")
+    assert len(whole.tables["truth"]["t"]) == 200 and whole.value("water") == "lbm"
+
+
+# ------------------------------------------------------------------------------------------------- one fish, the solver
+def test_a_sim_says_where_it_began_and_that_it_is_exact():
+    trial = Sim("fish", pose=(0.1, 0.2, 0.3), flow=Flow(speed=0.1)).run(lambda t: 0.4 * np.sin(6 * t - np.arange(3)), 0.5)
+    assert trial.value("start") == [0.1, 0.2, 0.3] and trial.value("latency.pose") == 0.0
+    assert trial.value("robot_sha256") == robot_sha256(ROBOT) and trial.value("joints") == 3
+    assert "exact" in trial.value("notes") and record_of(trial, 0.004).power is not None
+
+
+def test_a_run_of_the_flow_solver_says_the_flow_and_where_it_began():
+    wp = pytest.importorskip("warp")
+    wp.config.quiet = True
+    from fishmj.lbm_oracle.cases.coupled_fish import pond
+    from fishmj.lbm_oracle.run import Run
+
+    run = Run(pond("cpu"))
+    for _ in range(3):
+        run.tick(np.zeros(3))
+    trial = run.trial()
+    assert {"cmd", "joint", "pose", "power", "truth", "flow", "wrench"} == set(trial.tables)
+    assert stacked(trial.tables["flow"], "u#x").shape == (3, 4) and len(trial.value("start")) == 3
+    assert trial.value("latency.command") == pytest.approx(ROBOT.timing.command_latency)
+    assert record_of(trial, 0.004).pose is not None
+
+
+def test_link_centres_are_where_mujoco_has_them():
+    sim = Sim("fish", pose=(0.3, -0.2, 0.4))
+    sim.run(lambda t: 0.4 * np.sin(6 * t - np.arange(3)), 0.4)
+    q = np.concatenate([sim.pose[:3], sim.data.qpos[-3:]])
+    assert np.allclose(link_centres(ROBOT, q[None])[0], sim.links()[:, :2], atol=1e-9)
+
+
+def test_the_sum_of_a_robot_changes_with_any_number_of_it():
+    same = load_robot("fish")
+    heavier = replace(same, links=(replace(same.links[0], mass=same.links[0].mass + 1e-9), *same.links[1:]))
+    quicker = replace(same, timing=replace(same.timing, camera_latency=0.066))
+    assert len({robot_sha256(one) for one in (ROBOT, same, heavier, quicker)}) == 3
+    assert sigmas(2, 0.0) == dict.fromkeys(("x", "y", "yaw", "j1", "j2", "w1", "w2"), 0.0)
