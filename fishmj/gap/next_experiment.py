@@ -80,7 +80,7 @@ def _usual(plant) -> Record:
     """A record with the usual sensors of this robot."""
     from fishmj.virtual_robot import generate
 
-    return record_of(generate({}, ["idle"], 0)[0], plant.dt)
+    return record_of(generate({}, ["idle"], 0, robot=plant.robot)[0], plant.dt)
 
 
 def _runs(text: str, sides: list[Side]) -> tuple[str, ...]:

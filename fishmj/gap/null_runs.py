@@ -2,8 +2,8 @@
 
     residuals(plant, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
 
-The simulator is `virtual_robot`: other equations for water, servos, network and camera; constants drawn within their tolerance,
-one fish for all experiments of a set. What an experiment gives is kept on disk under the hash of all that made it, so a
+The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
+and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What an experiment gives is kept on disk under the hash of all that made it, so a
 standard experiment is run once a machine.
 """
 
@@ -25,6 +25,7 @@ from fishmj.excitation import Excitation
 from fishmj.gap import weighing
 from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
+from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, write_npz
 
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
@@ -73,7 +74,7 @@ class Null:
             return read_npz(path)
         except StoreError:
             pass
-        runs = self._run(what, record)
+        runs = self._run(plant.robot, what, record)
         predictions = plant.predict(runs, getattr(plant, "nothing", plant.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
@@ -87,8 +88,8 @@ class Null:
         write_npz(path, made)
         return made
 
-    def _run(self, what: Excitation, record: Record) -> list[Record]:
-        """The experiment with every fish of the set."""
+    def _run(self, robot: Robot, what: Excitation, record: Record) -> list[Record]:
+        """The experiment with every fish of the set: each is `robot` with constants of its own."""
         from fishmj.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
@@ -98,7 +99,7 @@ class Null:
         def one(run: int) -> Record:
             for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
                 seed = SEED + self.seed * 100_000 + run + attempt * 10_000
-                made = plant({}, seed, nuisance=self.nuisance, medium=record.medium).with_fields(stream)
+                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium).with_fields(stream)
                 try:
                     return record_of(trial_of(made, what, seed, index, self.noise, what.id, "", flow), record.dt)
                 except SimDiverged as error:
@@ -111,7 +112,8 @@ class Null:
     def _key(self, plant, record: Record, what: Excitation) -> str:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
-        text = json.dumps([simulator(), plant.fingerprint, what.id, drawn, done])
+        swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
+        text = json.dumps([simulator(), swims, plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
