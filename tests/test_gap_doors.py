@@ -494,7 +494,7 @@ def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, mon
         return [{s: np.zeros((1, *getattr(r, s).values.shape)) for s in sensors if getattr(r, s) is not None} for r in records]
 
     robot = load_robot("fish")
-    still = SimpleNamespace(robot=robot, dt=0.004, fingerprint="still", predict=predict, nothing=None)
+    still = SimpleNamespace(robot=robot, dt=0.004, fingerprint="still", predict=predict, null=None)
     records = [record_of(t, still.dt) for t in generate({}, ["idle", "idle"], 0)]
     null = Null(runs=8)
     null.residuals(still, records, Layout(records), lambda total, *_: told.append(f"of {total}") or Bar())

@@ -13,6 +13,7 @@ theta_-l is one Gauss-Newton step from theta* (Efron & Stein 1981). The interval
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -81,11 +82,16 @@ def fit(parameters: list[Parameter], residual: Residual, blocks: list[Block], ti
     before, rounds = residual(theta[None])[0], 0
     weight = _weights(before, blocks)
     for done in range(PASSES):  # weighs by what the pass before could not fit
-        theta, more = _descend(parameters, residual, theta, weight, lambda share, done=done: tick((done + share) / PASSES))
+        theta, more = _descend(parameters, residual, theta, weight, partial(_within, tick, done))
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
     r, jac = _linear(parameters, residual, theta, weight)
     return Fit(theta, _estimates(parameters, theta, r, jac, blocks), before, after, rounds)
+
+
+def _within(tick: Tick, done: int, share: float) -> None:
+    """A share of the pass after `done` passes, as one of all."""
+    tick((done + share) / PASSES)
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
