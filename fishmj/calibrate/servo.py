@@ -4,6 +4,7 @@ Fitted at once on sine, square and impulse in air and water (paper: "tuned to st
 own stamp. What the water and the hull do is known to some per cent only: those constants take part with their tolerance.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, Tick
 from fishmj.calibrate.logs import MEDIA, Logs, angles
 from fishmj.gap.plants.bench import CONSTANTS, Bench
 from fishmj.gap.records import Record
-from fishmj.gap.watch import Bars, silent
+from fishmj.gap.watch import Bar, Bars, silent
 
 FREE = ("kp", "kd", "friction", "command_latency")
 STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
@@ -59,7 +60,7 @@ def calibrate(logs: Logs, plant: Bench, *, alone: bool = True, bars: Bars = sile
     fits = {}
     with bars(len(sets), "servo", "fits") as bar:
         for i, (medium, part) in enumerate(sets.items()):
-            fits[medium] = fitted(plant, part, lambda share, before=i: bar.update(before + share))
+            fits[medium] = fitted(plant, part, partial(_counted, bar, i))
     whole, apart = fits.pop(""), fits
     return Found(plant, records, row_of(plant, whole.theta), whole, apart)
 
@@ -84,6 +85,11 @@ def row_of(plant: Bench, theta) -> np.ndarray:
     row[plant.index("command_latency", "delay")] = theta[3] - plant.latency
     row[[plant.place(c.name) for c in CONSTANTS[2:]]] = theta[4:]
     return row
+
+
+def _counted(bar: Bar, before: int, share: float) -> None:
+    """A share of one fit, on the bar of all."""
+    bar.update(before + share)
 
 
 def fitted(plant: Bench, records: list[Record], tick: Tick = lambda share: None) -> Fit:

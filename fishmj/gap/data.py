@@ -15,7 +15,12 @@ from fishmj.store.manifest import MANIFEST
 
 BUNDLE = ".npz"
 FEWEST_RUNS, MOST_RUNS, LOUDEST, LAST_SEED = 2, 4096, 100.0, 2**31 - 1
-DRAWN = {"runs": int, "noise": (int, float), "seed": int, "folder": str}  # what a report says of its null runs
+DRAWN: dict[str, tuple[type, ...]] = {
+    "runs": (int,),
+    "noise": (int, float),
+    "seed": (int,),
+    "folder": (str,),
+}  # what a report says of its null runs
 
 
 def trials_in(data: Path) -> list[Trial]:
@@ -36,12 +41,13 @@ def taken(data: Path, dt: float | None = None) -> Taken:
     found = _bundle(data) if data.suffix == BUNDLE else take(data)
     trials = {name: named(name, trial) for name, trial in found.trials.items()}
     broken = dict(found.broken)
-    for name in list(trials) if dt is not None else ():
-        try:
-            record_of(trials[name], dt)
-        except FishmjError as error:
-            broken[name] = str(error)
-            del trials[name]
+    if dt is not None:
+        for name in list(trials):
+            try:
+                record_of(trials[name], dt)
+            except FishmjError as error:
+                broken[name] = str(error)
+                del trials[name]
     if not trials:
         raise LogError(f"{data}: no trial can be compared; {'; '.join(f'{n}: {why}' for n, why in list(broken.items())[:3])}")
     return found._replace(trials=trials, broken=broken)

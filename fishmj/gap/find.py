@@ -24,8 +24,8 @@ from fishmj.store import write_json
 def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
-    given = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    add("data", type=Path, help=f"data set: {given}; measurements.toml in the folder (docs/logs.md) is what was weighed")
+    forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
+    add("data", type=Path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
     options.of_model(add)
     add(
         "--water",

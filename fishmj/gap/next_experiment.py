@@ -81,10 +81,10 @@ def _opened(args, null: Null):
         bars=watch.shown,
         admit=lambda e: unlike.admit(e, args.anyway),
     )
-    verdict = inquiry.verdict
-    if verdict.answer not in OPEN:
-        return verdict.answer, plant, [], inquiry.records[0]
-    return verdict.answer, plant, evenly(sides_of(inquiry.evidence, inquiry.found, verdict)), inquiry.records[0]
+    found = inquiry.verdict
+    if found.answer not in OPEN:
+        return found.answer, plant, [], inquiry.records[0]
+    return found.answer, plant, evenly(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
 
 
 def _model_of(context: dict) -> str:

@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from zlib import crc32
 
@@ -25,7 +25,7 @@ from fishmj.excitation import Excitation
 from fishmj.gap import weighing
 from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
-from fishmj.gap.watch import Bars, silent
+from fishmj.gap.watch import Bar, Bars, silent
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, write_npz
 
@@ -70,7 +70,7 @@ class Null:
             return
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
-                self.experiment(plant, record, lambda done, before=i * self.runs: bar.update(before + done))
+                self.experiment(plant, record, partial(_counted, bar, i * self.runs))
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
@@ -129,6 +129,11 @@ class Null:
         swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
         text = json.dumps([simulator(), swims, plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
+
+
+def _counted(bar: Bar, before: int, done: int) -> None:
+    """`done` runs of one experiment, on the bar of all."""
+    bar.update(before + done)
 
 
 def kept_at(key: str) -> Path:

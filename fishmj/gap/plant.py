@@ -52,8 +52,8 @@ def main(argv: list[str]) -> int:
     add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
     drop = "--generator log: share of sensor rows that are lost, 0 to 0.9 (default 0)"
     add("--drop", type=console.number(0, 0.9), default=0.0, metavar="SHARE", help=drop)
-    truth = "what was hidden; default DATA.truth.json, beside the data set"
-    add("--truth", type=console.out_file, metavar="FILE", help=truth)
+    where = "what was hidden; default DATA.truth.json, beside the data set"
+    add("--truth", type=console.out_file, metavar="FILE", help=where)
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
     if args.weigh and args.generator == "log":

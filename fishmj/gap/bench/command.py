@@ -41,8 +41,8 @@ def main(argv: list[str]) -> int:
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
     add("--shard", type=_shard, default=(0, 1), metavar="I/N", help=shard)
-    jobs = f"processes side by side, a core each, to {MOST_JOBS}; 0: one for every core (default 1)"
-    add("--jobs", type=console.whole(0, MOST_JOBS), default=1, metavar="N", help=jobs)
+    many = f"processes side by side, a core each, to {MOST_JOBS}; 0: one for every core (default 1)"
+    add("--jobs", type=console.whole(0, MOST_JOBS), default=1, metavar="N", help=many)
     out = "folder for rows.jsonl and score.json; the same command continues where it stopped (default none)"
     add("--out", type=console.out_folder, help=out)
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
