@@ -170,6 +170,14 @@ def warn(message: str) -> None:
     print(f"fishmj: {printable(message)}", file=sys.stderr, flush=True)
 
 
+def confirmed(question: str) -> bool:
+    """Ask a yes-or-no question on the terminal; no where there is none, or where the answer is not yes."""
+    if not all(bool(getattr(stream, "isatty", lambda: False)()) for stream in (sys.stdin, sys.stderr)):
+        return False
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
 def emit_json(value: Any) -> None:
     """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
     print(json.dumps(plain(value), allow_nan=False), flush=True)

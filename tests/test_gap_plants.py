@@ -28,7 +28,7 @@ FREE = tuple(Constant(name, 0.3) for name in ("thrust", "torque", "drag", "yaw_d
 
 @pytest.fixture(scope="module")
 def fish():
-    return Body(HULL, FREE, [*map(effects.get, IN_WATER), *RIVALS], name="test_body")
+    return Body(HULL, FREE, [*map(effects.get, IN_WATER), *RIVALS])
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ STARTS = np.array([[0.3, 0.2, 0.4, 0.1, 0.02, 0.3], [-0.1, 0.5, 2.0, 0.05, -0.02
 
 def test_added_mass_of_the_hull_is_the_effects_of_the_catalogue(fish):
     """Kirchhoff's terms enter the same way twice: by the hull's constants and by the effects."""
-    heavy = Body(HEAVY, FREE, [], name="test_heavy")
+    heavy = Body(HEAVY, FREE, [])
     by_effects = row(fish, surge_added_mass__mass=0.2, sway_added_mass__mass=0.6, yaw_added_mass__inertia=1e-3)
     a = heavy.ends([swim(STARTS)], heavy.null)[0]
     b = fish.ends([swim(STARTS)], by_effects)[0]
@@ -65,7 +65,7 @@ def test_added_mass_of_the_hull_is_the_effects_of_the_catalogue(fish):
 
 def test_an_ideal_fluid_takes_no_energy():
     """Without drag and thrust, sum of mass times speed squared stays, however the body turns."""
-    free = Body(HEAVY._replace(drag=0.0, yaw_drag=0.0), FREE, [], name="test_ideal", dt=0.002)
+    free = Body(HEAVY._replace(drag=0.0, yaw_drag=0.0), FREE, [], dt=0.002)
     track = free.tracks([swim(STARTS, span=2.0, gait=(0.0, 0.0))._replace(dt=0.002)], free.null)[0][0]
     u, w, r = track[..., 3], track[..., 4], track[..., 5]
     energy = 0.9 * u**2 + 1.3 * w**2 + 3.7e-3 * r**2

@@ -17,6 +17,7 @@ from fishmj.gap.plants.fish import Fish  # noqa: E402
 from fishmj.gap.records import record_of  # noqa: E402
 from fishmj.gap.separation import Prospect, Side  # noqa: E402
 from fishmj.gap.workflow import evidence_of, investigate  # noqa: E402
+from fishmj.mjcf.description import load_robot  # noqa: E402
 from fishmj.virtual_robot import plant as robot  # noqa: E402
 from fishmj.virtual_robot.dataset import write_hidden  # noqa: E402
 from fishmj.virtual_robot.weighing import masses, page  # noqa: E402
@@ -128,10 +129,7 @@ def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp
     assert data.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]
     given = {}
     monkeypatch.setattr(find, "investigate", lambda *_, **options: given.update(options))
-    find.search(
-        SimpleNamespace(
-            data=tmp_path / "data", most=None, model="fish", water="structured", null=None, null_runs=64, noise=1.0, seed=0
-        )
-    )
+    asked = {"model": "fish", "null": None, "null_runs": 64, "noise": 1.0, "seed": 0, "most": None, "anyway": False}
+    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), data.taken(tmp_path / "data"))
     assert given["page"] == data.page_in(tmp_path / "data")
     assert len(data.trials_in(tmp_path / "data")) == 1 and data.page_in(tmp_path / "set.npz") == {}

@@ -13,6 +13,7 @@ theta_-l is one Gauss-Newton step from theta* (Efron & Stein 1981). The interval
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -72,17 +73,25 @@ class Fit(NamedTuple):
 Residual = Callable[[np.ndarray], np.ndarray]  # (R, K) -> (R, m)
 
 
-def fit(parameters: list[Parameter], residual: Residual, blocks: list[Block]) -> Fit:
+Tick = Callable[[float], None]  # share of a fit that is done, at the least
+
+
+def fit(parameters: list[Parameter], residual: Residual, blocks: list[Block], tick: Tick = lambda share: None) -> Fit:
     """Fit `parameters` so that `residual` becomes small."""
     theta = np.array([p.start for p in parameters])
     before, rounds = residual(theta[None])[0], 0
     weight = _weights(before, blocks)
-    for _ in range(PASSES):  # weighs by what the pass before could not fit
-        theta, more = _descend(parameters, residual, theta, weight)
+    for done in range(PASSES):  # weighs by what the pass before could not fit
+        theta, more = _descend(parameters, residual, theta, weight, partial(_within, tick, done))
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
     r, jac = _linear(parameters, residual, theta, weight)
     return Fit(theta, _estimates(parameters, theta, r, jac, blocks), before, after, rounds)
+
+
+def _within(tick: Tick, done: int, share: float) -> None:
+    """A share of the pass after `done` passes, as one of all."""
+    tick((done + share) / PASSES)
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
@@ -120,7 +129,7 @@ def _prior(parameters: list[Parameter], theta: np.ndarray) -> tuple[np.ndarray, 
     return off / sigma**2, np.diag(1.0 / sigma**2)
 
 
-def _descend(parameters: list[Parameter], residual: Residual, theta, weight) -> tuple[np.ndarray, int]:
+def _descend(parameters: list[Parameter], residual: Residual, theta, weight, tick: Tick) -> tuple[np.ndarray, int]:
     """Levenberg and Marquardt's way down; all dampings of a round are tried in one batch."""
     low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
     start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
@@ -138,6 +147,7 @@ def _descend(parameters: list[Parameter], residual: Residual, theta, weight) -> 
         tried = np.clip(theta + np.array(changes) * step, low, high)
         costs = cost(residual(tried) * weight, tried)
         best, now = int(np.argmin(costs)), cost(r[None], theta[None])[0]
+        tick(rounds / ROUNDS)
         if not costs[best] < now * (1 - ENOUGH):
             return theta, rounds
         theta = tried[best]

@@ -7,7 +7,7 @@ from fishmj.calib import calib_folder
 from fishmj.errors import LogError
 from fishmj.gap.records import Record, Sensor, record_of
 from fishmj.log import Trial
-from fishmj.log.dataset import read_dataset
+from fishmj.log.dataset import take
 
 SIGNALS = ("sine", "square", "impulse")  # the paper's
 MEDIA = ("air", "water")
@@ -20,10 +20,12 @@ def shipped() -> Path:
 
 
 class Logs(NamedTuple):
-    """Trials by name, and their records at the plant's step."""
+    """Trials by name, and their records at the plant's step. broken: trials that were left out, and why. notes: on the folder."""
 
     folder: Path
     trials: dict[str, Trial]
+    broken: dict[str, str] = {}  # noqa: RUF012  never changed
+    notes: tuple[str, ...] = ()
 
     def records(self, dt: float, names: "list[str] | None" = None) -> list[Record]:
         """Records of the named trials, or of all."""
@@ -57,6 +59,6 @@ def angles(record: Record) -> Sensor:
 
 
 def read(folder: "str | Path") -> Logs:
-    """All trials of a data set. Raises LogError, StoreError: none there, or files changed."""
-    data = read_dataset(folder)
-    return Logs(Path(folder), {name: data[name] for name in data.names})
+    """All trials of a data set that can be read; what cannot be is in `broken`. Raises LogError, StoreError: none there."""
+    found = take(folder)
+    return Logs(Path(folder), found.trials, found.broken, found.notes)

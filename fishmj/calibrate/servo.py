@@ -4,14 +4,16 @@ Fitted at once on sine, square and impulse in air and water (paper: "tuned to st
 own stamp. What the water and the hull do is known to some per cent only: those constants take part with their tolerance.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, fit
+from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, Tick, fit
 from fishmj.calibrate.logs import MEDIA, Logs, angles
 from fishmj.gap.plants.bench import CONSTANTS, Bench
 from fishmj.gap.records import Record
+from fishmj.gap.watch import Bar, Bars, silent
 
 FREE = ("kp", "kd", "friction", "command_latency")
 STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
@@ -43,19 +45,23 @@ class Found(NamedTuple):
         return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
 
 
-def calibrate(logs: Logs, plant: Bench, *, alone: bool = True) -> Found:
+def calibrate(logs: Logs, plant: Bench, *, alone: bool = True, bars: Bars = silent) -> Found:
     """Fit kp, kd, friction and command latency to the bench trials of `logs`.
 
     Args:
-        alone: fit air and water by themselves as well: two media that disagree are a missing effect.
+        alone: fit air and water by themselves as well: two media that disagree are a missing effect. bars: of the fits.
 
     Raises:
         LogError: too few trials, or none with joint angles.
     """
     records = [r for r in logs.records(plant.dt, logs.bench()) if r.joint is not None]
-    whole = fitted(plant, records)
     media = [m for m in MEDIA if any(r.medium == m for r in records)] if alone else []
-    apart = {m: fitted(plant, [r for r in records if r.medium == m]) for m in media if len(media) > 1}
+    sets = {"": records} | {m: [r for r in records if r.medium == m] for m in media if len(media) > 1}
+    fits = {}
+    with bars(len(sets), "servo", "fits") as bar:
+        for i, (medium, part) in enumerate(sets.items()):
+            fits[medium] = fitted(plant, part, partial(_counted, bar, i))
+    whole, apart = fits.pop(""), fits
     return Found(plant, records, row_of(plant, whole.theta), whole, apart)
 
 
@@ -81,8 +87,13 @@ def row_of(plant: Bench, theta) -> np.ndarray:
     return row
 
 
-def fitted(plant: Bench, records: list[Record]) -> Fit:
-    """The fit on some records."""
+def _counted(bar: Bar, before: int, share: float) -> None:
+    """A share of one fit, on the bar of all."""
+    bar.update(before + share)
+
+
+def fitted(plant: Bench, records: list[Record], tick: Tick = lambda share: None) -> Fit:
+    """The fit on some records. tick: share of it that is done."""
     blocks, size = [], 0
     for record in records:
         for _ in range(angles(record).values.shape[1]):
@@ -95,4 +106,4 @@ def fitted(plant: Bench, records: list[Record]) -> Fit:
         parts = [(angles(r).values - p["joint"]).transpose(0, 2, 1) for r, p in zip(records, predicted, strict=True)]
         return np.concatenate([part.reshape(len(thetas), -1) for part in parts], 1)
 
-    return fit(parameters(plant), residual, blocks)
+    return fit(parameters(plant), residual, blocks, tick)

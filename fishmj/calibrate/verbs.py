@@ -8,8 +8,13 @@ from fishmj.calibrate import latency, mass, model, overlay, servo, slip, slip_pi
 from fishmj.calibrate.least_squares import Estimate
 from fishmj.calibrate.logs import Logs, read
 from fishmj.calibrate.systematic import widened
+from fishmj.errors import LogError
+from fishmj.gap.doors import of_this_robot
 from fishmj.gap.plants.bench import Bench
-from fishmj.mjcf.description import load_robot
+from fishmj.gap.records import record_of
+from fishmj.gap.watch import shown
+from fishmj.gap.workflow import compiled
+from fishmj.mjcf.description import Robot, load_robot
 
 Answer = dict[str, Any]
 
@@ -28,10 +33,34 @@ def said(logs: Logs, more: str = "") -> list[str]:
     return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
 
 
+def opened(args, robot: Robot) -> Logs:
+    """The trials that were asked for, of this robot; what is wrong with some of them is said.
+
+    Raises:
+        LogError: none can be compared, another number of joints, or another robot's name that nobody agreed to.
+    """
+    logs = read(args.data)
+    broken = dict(logs.broken)
+    for name, trial in logs.trials.items():
+        try:
+            record_of(trial, robot.timing.physics_dt)
+        except LogError as error:
+            broken[name] = str(error)
+    trials = {name: trial for name, trial in logs.trials.items() if name not in broken}
+    if not trials:
+        raise LogError(f"{args.data}: no trial can be compared; {next(iter(broken.values()))}")
+    whose = of_this_robot(trials.values(), robot, args.model, args.same_robot)
+    for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose):
+        console.warn(note)
+    return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
+
+
 def run_servo(args) -> Answer:
     """Servo gain, damping, friction and command latency from sine, square and impulse."""
-    logs, plant = read(args.data), Bench(args.model)
-    found = servo.calibrate(logs, plant)
+    robot = load_robot(args.model)
+    logs, plant = opened(args, robot), Bench(robot)
+    compiled(plant, console.say)
+    found = servo.calibrate(logs, plant, bars=shown)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     apart = [
         {"medium": m, **{name: fit.estimates[name].value for name in servo.FREE}, "rounds": fit.rounds}
@@ -54,13 +83,23 @@ def run_servo(args) -> Answer:
         text = model.put(text, "servo", {key: model.short(value) for key, value in values.items()})
         text = model.put(text, "timing", {"command_latency": model.short(estimates["command_latency"].value)})
         model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
-    return {"estimates": plain(estimates), "alone": apart, "left": left, "hull": found.hull, "report": page, "overlay": picture}
+    return {
+        "estimates": plain(estimates),
+        "alone": apart,
+        "left": left,
+        "hull": found.hull,
+        "report": page,
+        "overlay": picture,
+        "skipped": logs.broken,
+    }
 
 
 def run_latency(args) -> Answer:
     """Command and camera latency, from the clocks and against the fitted servo."""
-    logs, plant = read(args.data), Bench(args.model)
-    fitted = servo.calibrate(logs, plant, alone=False)
+    robot = load_robot(args.model)
+    logs, plant = opened(args, robot), Bench(robot)
+    compiled(plant, console.say)
+    fitted = servo.calibrate(logs, plant, alone=False, bars=shown)
     found = latency.calibrate(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
@@ -73,14 +112,14 @@ def run_latency(args) -> Answer:
         values = {name: model.short(e.value) for name, e in estimates.items()}
         text = model.put(model.start(args.out, args.model), "timing", values)
         model.write(args.out, text, "latency", estimates, {}, args.data)
-    return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page}
+    return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page, "skipped": logs.broken}
 
 
 def run_slip(args) -> Answer:
     """Slip ratio of the hull from swims and a coast-down."""
     if args.recompute:
         return recomputed(args)
-    logs = read(args.data)
+    logs = opened(args, load_robot(args.model))
     grid = args.grid or slip.grid_of(logs.trials.values())
     swum = slip.measured(logs.trials.values())
     found = slip.profile(swum, grid)
@@ -107,12 +146,13 @@ def run_slip(args) -> Answer:
         "grid": grid,
         "words": found.words,
         "report": page,
+        "skipped": logs.broken,
     }
 
 
 def recomputed(args) -> Answer:
     """One more entry for the table of solver swims."""
-    grid, ratios = args.grid or "window_coarse", [float(text) for text in args.ratios.split(",")]
+    grid, ratios = args.grid or "window_coarse", args.ratios
     entry = slip.recompute(grid, ratios, args.device, args.tanks)
     console.say(f"put this into data/calib/calibrate.toml, in place of grid {grid}:", "", "[[solver]]", f'grid = "{grid}"')
     console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in values)}]" for key, values in entry.items() if key != "grid"))

@@ -17,6 +17,7 @@ from fishmj.gap.null_runs import Null
 from fishmj.gap.search import Found
 from fishmj.gap.separation import Prospect, Side, evenly, hinted, prospects
 from fishmj.gap.verdict import Verdict
+from fishmj.gap.watch import Bars, silent
 
 ENOUGH = 5.0  # sigma from which an experiment is said to decide
 LEFT = 3  # explanations compared, the best among them
@@ -24,12 +25,12 @@ WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (meas
 OPEN = ("CLASS", "UNEXPLAINED")
 
 
-def advised(e: Evidence, found: Found, verdict: Verdict, null: Null) -> Verdict:
+def advised(e: Evidence, found: Found, verdict: Verdict, null: Null, bars: Bars = silent) -> Verdict:
     """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
     sides = evenly(sides_of(e, found, verdict))
     if verdict.answer not in OPEN or len(sides) < 2:
         return verdict
-    quick = prospects(e.plant, sides, e.records[0], hinted(sides), null)
+    quick = prospects(e.plant, sides, e.records[0], hinted(sides), null, bars=bars)
     known = {s.names: written(e.plant, s) for s in sides[1:]}
     listed = {names[-1]: values for names, values in known.items()}
     rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]

@@ -4,6 +4,8 @@ REPORT is the folder (or verdict.json) of gap find --out. Written: <fish>.v<N>.t
 hash, gates and rivals; its parent's text beside it; a .diff of the MJCF where MuJoCo holds an effect itself. Nothing is written
 over. Only a NAMED effect that closes the gap on records it was not fitted to becomes a version; any other candidate is kept as
 model.rejected-<hash>.toml with its scores, and the exit code is 1.
+
+    fishmj gap apply report --out my_fish.v2.toml
 """
 
 import hashlib
@@ -14,11 +16,11 @@ from typing import NamedTuple
 from fishmj import console
 from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
-from fishmj.gap import judge, version
+from fishmj.gap import doors, judge, options, version
 from fishmj.gap.check import check
-from fishmj.gap.data import digest, null_of, trials_in
+from fishmj.gap.data import digest, judged, null_of
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import read_json, write_text
+from fishmj.store import write_text
 
 
 class Written(NamedTuple):
@@ -36,11 +38,12 @@ class Written(NamedTuple):
 def main(argv: list[str]) -> int:
     parser = console.parser("gap apply", __doc__ or "")
     add = parser.add_argument
-    add("report", nargs="?", type=Path, help="folder or verdict.json of gap find --out")
-    add("--out", type=Path, help="the next version; default <fish>.v<N>.toml beside the report")
-    add("--data", type=Path, help="the data set, when it is no longer where the search read it")
+    add("report", nargs="?", type=options.there, help="folder or verdict.json of gap find --out")
+    out = "the next version, a .toml that is not there yet; default <fish>.v<N>.toml beside the report"
+    add("--out", type=console.out_file, help=out)
+    add("--data", type=options.there, help="the data set, when it is no longer where the search read it; default, there")
     add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
-    add("--revert", type=Path, metavar="MODEL", help="put the parent's text back in the place of this version")
+    add("--revert", type=options.there, metavar="MODEL", help="put the parent's text back in the place of this version")
     args = parser.parse_args(argv)
     if (args.report is None) == (args.revert is None):
         raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
@@ -65,23 +68,31 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
     """The next version from a report on disk; measures both gaps on the records that the report names.
 
     Raises:
-        ConfigError: not a report, or model or data are not what the search saw.
+        ConfigError: not a report, model or data are not what the search saw, or a file of the version's name is there.
+        LogError: a record that the gap is measured on cannot be read.
     """
-    path = report / "verdict.json" if report.is_dir() else report
-    verdict = read_json(path)
-    context = verdict.get("context", {})
-    if "answer" not in verdict or not context:
-        raise ConfigError(f"{path}: no verdict with its context; write it with: fishmj gap find DATA --out FOLDER")
+    from fishmj.gap import reported
+
+    verdict = reported.verdict(report, context=True)
+    context, folder = verdict["context"], report if report.is_dir() else report.parent
     if version.digest(context["model"]) != context["model_sha256"]:
         raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
+    robot = load_robot(context["model"])
+    doors.searchable(robot, context["model"])
     data = Path(context["data"]) if data is None else data
     if digest(data) != context["data_sha256"]:
         raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
-    trials = [t for t in trials_in(data) if t.name in context["judged"]]
-    given = (trials, null_of(context["null"]), context.get("water", STRUCTURED))
+    out = version.next_name(context["model"], folder) if out is None else out
+    if out.suffix != ".toml":
+        raise ConfigError(f"{out}: a model is a .toml file; choose such a name with --out")
+    for path in (out, version.beside(out)):
+        if path.exists():
+            raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
+    null = null_of(context["null"])
+    doors.null_fits(null, robot, context["model"])
+    given = (judged(data, context["judged"]), null, context.get("water", STRUCTURED))
     measure = lambda versions: [g for g, _ in judge.gaps(versions, *given)]  # noqa: E731
-    out = version.next_name(context["model"], path.parent) if out is None else out
-    return settle(verdict, context, measure, out, path.parent, force)
+    return settle(verdict, context, measure, out, folder, force)
 
 
 def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:

@@ -1,69 +1,106 @@
-"""`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes."""
+"""`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
+
+    fishmj gap find DATA --model my_fish.toml --out report
+
+Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap so large that no effect is meant by it.
+"""
 
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console
 from fishmj.engines import in_water
-from fishmj.gap import data, judge, version
+from fishmj.gap import data, doors, judge, options, unlike, version, watch
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
-from fishmj.gap.null_runs import RUNS
 from fishmj.gap.quiet import Shortage, everything, shortage
 from fishmj.gap.records import record_of
 from fishmj.gap.workflow import Inquiry, investigate
-from fishmj.mjcf.description import load_robot
+from fishmj.log.dataset import Taken
+from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import write_json
 
 
 def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
-    given = "a folder of trial folders with manifest.json (fishmj.log import), or a bundle (.npz)"
-    add("data", type=Path, help=f"data set: {given}; measurements.toml in the folder (docs/logs.md) is what was weighed")
-    add("--model", default="fish", help="the model to question: shipped name or TOML file, with the effects it already has")
+    forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
+    add("data", type=Path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
+    options.of_model(add)
     add(
         "--water",
         default="structured",
-        help="a fitted water in place of the model's own: surrogate, or a name such as swift-base",
+        help="a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)",
     )
     add("--null", type=Path, help="folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew")
-    add("--out", type=Path, help="folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml)")
-    add("--noise", type=float, default=1.0, help="factor on the sensors' usual noise, when the logs do not state their own")
-    add(
-        "--null-runs",
-        type=int,
-        default=RUNS,
-        help="runs of every record in the independent simulator; with fewer than 64 a healthy fish may show a gap",
-    )
-    add("--most", type=int, default=None, help="effects to add at most")
-    add("--seed", type=int, default=0, help="of the split and of the null runs")
+    out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
+    add("--out", type=console.out_folder, help=out)
+    options.of_null(add)
+    most = f"effects to add at most, 1 to {options.MOST_EFFECTS} (default {frozen().most})"
+    add("--most", type=console.whole(1, options.MOST_EFFECTS), default=None, metavar="N", help=most)
+    add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     args = parser.parse_args(argv)
-    lacking = missing(args)
+    robot = in_water(load_robot(args.model), args.water)
+    doors.searchable(robot, args.model)
+    null = data.null_of(null_of(args))
+    doors.null_fits(null, robot, args.model)
+    given, notes = admitted(args, robot)
+    for note in notes:
+        console.warn(note)
+    lacking = missing(given, robot)
     if lacking is not None:
         console.say(lacking.text())
         if args.json:
-            console.emit_json(asdict(lacking))
+            console.emit_json(asdict(lacking) | {"skipped": given.broken})
         return console.CANNOT_TELL
-    inquiry = search(args)
+    try:
+        inquiry = search(args, robot, given, notes)
+    except unlike.TooDifferent as different:
+        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
+        if args.json:
+            console.emit_json(different.plain() | {"skipped": given.broken})
+        return console.CANNOT_TELL
     console.say(inquiry.verdict.text())
     if args.out:
-        console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args)))}")
+        console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args, given)))}")
     if args.json:
-        console.emit_json(inquiry.verdict.plain())
+        console.emit_json(inquiry.verdict.plain() | {"skipped": given.broken, "notes": list(notes)})
     return console.OK
 
 
-def search(args) -> Inquiry:
-    """Read the data set and search."""
+def admitted(args, robot: Robot) -> tuple[Taken, tuple[str, ...]]:
+    """The trials that can be compared with the model, and notes on them.
+
+    Raises:
+        LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
+    """
+    given = data.taken(args.data, robot.timing.physics_dt)
+    whose = doors.of_this_robot(given.trials.values(), robot, args.model, args.same_robot)
+    left_out = tuple(f"{name} left out: {why}" for name, why in given.broken.items())
+    return given, (*given.notes, *left_out, *whose)
+
+
+def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inquiry:
+    """Search the trials that were admitted.
+
+    Raises:
+        TooDifferent: model and logs are further apart than any missing effect brings them.
+    """
     from fishmj.gap.plants.fish import Fish
 
-    trials = data.trials_in(args.data)
-    gates = frozen() if args.most is None else replace(frozen(), most=args.most)
-    plant = Fish(in_water(load_robot(args.model), args.water))
-    null = data.null_of(null_of(args))
-    page = data.page_in(args.data)
-    return investigate(plant, trials, gates=gates, null=null, page=page, seed=args.seed, further=True, say=console.say)
+    return investigate(
+        Fish(robot),
+        list(given.trials.values()),
+        gates=frozen() if args.most is None else replace(frozen(), most=args.most),
+        null=data.null_of(null_of(args)),
+        page=data.page_in(args.data),
+        seed=args.seed,
+        further=True,
+        say=console.say,
+        bars=watch.shown,
+        admit=lambda e: unlike.admit(e, args.anyway),
+        notes=notes,
+    )
 
 
 def null_of(args) -> dict:
@@ -72,19 +109,18 @@ def null_of(args) -> dict:
     return made | {"folder": str(args.null.resolve())} if args.null else made
 
 
-def missing(args) -> "Shortage | None":
+def missing(given: Taken, robot: Robot) -> "Shortage | None":
     """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
-    dt = load_robot(args.model).timing.physics_dt
-    return shortage([record_of(t, dt) for t in data.trials_in(args.data)], everything())
+    return shortage([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], everything())
 
 
-def context_of(inquiry: Inquiry, args) -> dict:
+def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
     """What was searched, by hash, and the records that no decision saw (or none was fitted to): what gap apply needs."""
     apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
     seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
     held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
-    drawn = {"null": null_of(args), "water": args.water}
-    hashes = {"model_sha256": version.digest(args.model), "data_sha256": data.digest(args.data)}
+    drawn = {"null": null_of(args), "water": args.water, "skipped": given.broken}
+    hashes = {"model_sha256": version.digest(args.model), "data_sha256": given.sha256}
     model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)
     return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
 

@@ -2,40 +2,51 @@
 
 REPORT is what `gap find --out` wrote; DATA a data set, which is searched first. Every experiment of the library is simulated with
 each explanation at its fitted values; the best separation for the time it takes comes first.
+
+    fishmj gap next report --runs hinted
 """
 
-from pathlib import Path
-
 from fishmj import console, excitation
-from fishmj.errors import LogError, UnknownName
+from fishmj.engines import in_water
+from fishmj.engines.added import STRUCTURED
+from fishmj.errors import ConfigError, LogError, UnknownName
+from fishmj.gap import doors, options, unlike, version, watch
 from fishmj.gap.advice import LEFT, OPEN, advice, read, sides_of
-from fishmj.gap.null_runs import RUNS, Null
+from fishmj.gap.data import BUNDLE, page_in, taken
+from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.separation import Side, evenly, hinted, prospects
-from fishmj.store import read_json
+from fishmj.gap.workflow import compiled, investigate
+from fishmj.mjcf.description import load_robot
 
 
 def main(argv: list[str]) -> int:
     parser = console.parser("gap next", __doc__)
     add = parser.add_argument
-    add("source", type=Path, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
-    add("--model", default="fish", help="the model that was questioned")
-    add("--runs", default="all", metavar="ID,..", help="experiments to consider: ids, all, or hinted (a quick look)")
-    add("--top", type=int, default=5, help="how many to list")
-    add("--noise", type=float, default=1.0, help="factor on the sensors' usual noise")
-    add("--null-runs", type=int, default=RUNS, help="runs of every experiment in the independent simulator")
-    add("--seed", type=int, default=0, help="of the split and of the null runs")
+    add("source", type=options.there, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
+    add("--model", help="the model that was questioned; default, the one that the report names, else fish")
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    add("--runs", default="all", metavar="ID,..", help="experiments: ids, all, or hinted, a quick look (default all)")
+    add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list (default 5)")
+    options.of_null(add)
+    add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
     args = parser.parse_args(argv)
     null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
-    answer, plant, sides, like = _opened(args, null)
+    try:
+        answer, plant, sides, like = _opened(args, null)
+    except unlike.TooDifferent as different:
+        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
+        if args.json:
+            console.emit_json(different.plain())
+        return console.CANNOT_TELL
     if len(sides) < 2:
         console.say(f"{answer}: fewer than two explanations are left; no experiment has to decide between any")
         if args.json:
             console.emit_json({"answer": answer, "experiments": []})
         return console.OK
-    with console.Progress(len(_runs(args.runs, sides)), "experiments") as bar:
-        tick = iter(range(1, 1000))
-        found = prospects(plant, sides, like, _runs(args.runs, sides), null, say=lambda name: bar.update(next(tick)))
+    runs = _runs(args.runs, sides)
+    compiled(plant, console.say)
+    found = prospects(plant, sides, like, runs, null, bars=watch.shown)
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
     advised = advice(plant, found, sides)
     console.say(advised)
@@ -46,22 +57,56 @@ def main(argv: list[str]) -> int:
 
 def _opened(args, null: Null):
     """(answer, plant, sides, a record) of a report or a data set."""
+    report = args.source / "verdict.json" if args.source.is_dir() else args.source
+    if report.is_file() and report.suffix != BUNDLE:
+        from fishmj.gap import reported
+
+        verdict = reported.verdict(report, context=False)
+        context = verdict.get("context", {})
+        plant = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
+        return verdict["answer"], plant, evenly(_reported(plant, verdict)), _usual(plant)
+    model = args.model or "fish"
+    plant = _questioned(model, STRUCTURED)
+    given = taken(args.source, plant.dt)
+    whose = doors.of_this_robot(given.trials.values(), plant.robot, model, args.same_robot)
+    for note in (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose):
+        console.warn(note)
+    inquiry = investigate(
+        plant,
+        list(given.trials.values()),
+        null=null,
+        page=page_in(args.source),
+        seed=args.seed,
+        say=console.say,
+        bars=watch.shown,
+        admit=lambda e: unlike.admit(e, args.anyway),
+    )
+    found = inquiry.verdict
+    if found.answer not in OPEN:
+        return found.answer, plant, [], inquiry.records[0]
+    return found.answer, plant, evenly(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
+
+
+def _model_of(context: dict) -> str:
+    """The model that a report questioned, as it was then.
+
+    Raises:
+        ConfigError: it is gone, or changed.
+    """
+    if not context:
+        return "fish"
+    if version.digest(context["model"]) != context["model_sha256"]:
+        raise ConfigError(f"{context['model']}: changed since the search; name the model with --model, or search again")
+    return context["model"]
+
+
+def _questioned(model: str, water: str):
+    """The plant of a model that a search can take."""
     from fishmj.gap.plants.fish import Fish
 
-    report = args.source / "verdict.json" if args.source.is_dir() else args.source
-    plant = Fish(args.model)
-    if report.is_file():
-        verdict = read_json(report)
-        return verdict["answer"], plant, evenly(_reported(plant, verdict)), _usual(plant)
-    from fishmj.gap.data import page_in, trials_in
-    from fishmj.gap.workflow import investigate
-
-    trials, page = trials_in(args.source), page_in(args.source)
-    inquiry = investigate(plant, trials, null=null, page=page, seed=args.seed, say=console.say)
-    verdict = inquiry.verdict
-    if verdict.answer not in OPEN:
-        return verdict.answer, plant, [], inquiry.records[0]
-    return verdict.answer, plant, evenly(sides_of(inquiry.evidence, inquiry.found, verdict)), inquiry.records[0]
+    robot = in_water(load_robot(model), water)
+    doors.searchable(robot, model)
+    return Fish(robot)
 
 
 def _reported(plant, verdict: dict) -> list[Side]:
@@ -80,7 +125,7 @@ def _usual(plant) -> Record:
     """A record with the usual sensors of this robot."""
     from fishmj.virtual_robot import generate
 
-    return record_of(generate({}, ["idle"], 0)[0], plant.dt)
+    return record_of(generate({}, ["idle"], 0, robot=plant.robot)[0], plant.dt)
 
 
 def _runs(text: str, sides: list[Side]) -> tuple[str, ...]:

@@ -2,9 +2,9 @@
 
     residuals(plant, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
 
-The simulator is `virtual_robot`: other equations for water, servos, network and camera; constants drawn within their tolerance,
-one fish for all experiments of a set. What an experiment gives is kept on disk under the hash of all that made it, so a
-standard experiment is run once a machine.
+The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
+and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
+an experiment gives is kept on disk under the hash of all that made it, so a standard experiment is run once a machine.
 """
 
 import hashlib
@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from zlib import crc32
 
@@ -25,8 +25,11 @@ from fishmj.excitation import Excitation
 from fishmj.gap import weighing
 from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
+from fishmj.gap.watch import Bar, Bars, silent
+from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, write_npz
 
+Tick = Callable[[int], None]
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
 RUNS = 96
 
@@ -43,8 +46,9 @@ class Null:
     noise: float = 1.0
     seed: int = 0
 
-    def residuals(self, plant, records: list[Record], layout: Layout, say: Callable[[int], None] | None = None) -> np.ndarray:
-        """(n, m) residuals of the model as it is on every null run, at the windows of `layout`."""
+    def residuals(self, plant, records: list[Record], layout: Layout, bars: Bars = silent) -> np.ndarray:
+        """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""
+        self.prepare(plant, records, bars)
         out = np.empty((self.runs, layout.size))
         for i, record in enumerate(records):
             kept = self.experiment(plant, record)
@@ -56,24 +60,31 @@ class Null:
                     grid = np.arange(values.shape[1])
                     for run in range(self.runs):
                         out[run, b.where] = np.interp(b.window, grid, values[run])
-            if say:
-                say(i + 1)
         return out
+
+    def prepare(self, plant, records: list[Record], bars: Bars) -> None:
+        """Make what is not on disk, all of it under one bar; experiments that are the same are run once."""
+        whats = {self._key(plant, record, what): record for record in records for what in (repeated(record),)}
+        anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
+        if not anew:
+            return
+        with bars(self.runs * len(anew), "null runs", "runs") as bar:
+            for i, record in enumerate(anew):
+                self.experiment(plant, record, partial(_counted, bar, i * self.runs))
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
         return True
 
-    def experiment(self, plant, record: Record) -> dict[str, np.ndarray]:
-        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now."""
+    def experiment(self, plant, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
+        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: runs made so far."""
         what = repeated(record)
-        key = self._key(plant, record, what)
-        path = cache_folder() / "null" / f"{key}.npz"
+        path = kept_at(self._key(plant, record, what))
         try:
             return read_npz(path)
         except StoreError:
             pass
-        runs = self._run(what, record)
+        runs = self._run(plant.robot, what, record, tick)
         predictions = plant.predict(runs, getattr(plant, "nothing", plant.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
@@ -87,8 +98,8 @@ class Null:
         write_npz(path, made)
         return made
 
-    def _run(self, what: Excitation, record: Record) -> list[Record]:
-        """The experiment with every fish of the set."""
+    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
+        """The experiment with every fish of the set: each is `robot` with constants of its own."""
         from fishmj.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
@@ -98,7 +109,7 @@ class Null:
         def one(run: int) -> Record:
             for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
                 seed = SEED + self.seed * 100_000 + run + attempt * 10_000
-                made = plant({}, seed, nuisance=self.nuisance, medium=record.medium).with_fields(stream)
+                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium).with_fields(stream)
                 try:
                     return record_of(trial_of(made, what, seed, index, self.noise, what.id, "", flow), record.dt)
                 except SimDiverged as error:
@@ -106,13 +117,28 @@ class Null:
             raise last
 
         with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(one, range(self.runs)))
+            out = []
+            for made in pool.map(one, range(self.runs)):
+                out.append(made)
+                tick(len(out))
+            return out
 
     def _key(self, plant, record: Record, what: Excitation) -> str:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
-        text = json.dumps([simulator(), plant.fingerprint, what.id, drawn, done])
+        swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
+        text = json.dumps([simulator(), swims, plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
+
+
+def _counted(bar: Bar, before: int, done: int) -> None:
+    """`done` runs of one experiment, on the bar of all."""
+    bar.update(before + done)
+
+
+def kept_at(key: str) -> Path:
+    """Where the residuals of an experiment are kept."""
+    return cache_folder() / "null" / f"{key}.npz"
 
 
 @cache

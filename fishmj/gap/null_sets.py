@@ -16,10 +16,11 @@ import numpy as np
 from fishmj.errors import LogError
 from fishmj.excitation import Excitation
 from fishmj.gap.features import WINDOW
-from fishmj.gap.null_runs import Null
+from fishmj.gap.null_runs import Null, Tick
 from fishmj.gap.records import Record, record_of
 from fishmj.log import Trial
 from fishmj.log.bundle import read_bundle
+from fishmj.mjcf.description import Robot
 from fishmj.store import sha256
 
 FEWEST = 12  # fish
@@ -51,7 +52,7 @@ class Sets(Null):
     def holds(self, excitation: str) -> bool:
         return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
 
-    def _run(self, what: Excitation, record: Record) -> list[Record]:
+    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
         """The experiment of every fish; noise and constants are what they were."""
         out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
         if len(out) != len(self.bundles):

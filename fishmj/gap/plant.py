@@ -2,10 +2,12 @@
 
 independent   the second, independently written robot (fishmj.virtual_robot) with the effect in its own equations
 log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be
+lbm           the flow solver's fish on the second robot's servos, network and camera
+
+    fishmj gap plant command_latency=0.04 --seed 7 --out planted
 """
 
-from itertools import cycle, islice
-from pathlib import Path
+from itertools import count, cycle, islice
 
 import numpy as np
 
@@ -13,12 +15,16 @@ from fishmj import console, effects, excitation
 from fishmj.effects import Active
 from fishmj.effects.draws import draw
 from fishmj.effects.sites import Seen
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError
+from fishmj.gap import data, doors, options, watch
+from fishmj.gap.data import LOUDEST
 from fishmj.log import Trial, numbered
-from fishmj.log.dataset import read_dataset
+from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
+from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.dataset import write_hidden
+from fishmj.virtual_robot.dataset import bounds, placed, write_hidden
+from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
 
 GENERATORS = ("independent", "log", "lbm")
@@ -29,69 +35,94 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap plant", __doc__ or "")
     add = parser.add_argument
     add("effect", nargs="+", metavar="EFFECT[=value]", help="SI; NAME:p=1,q=2 sets several parameters; random draws one; none")
-    add("--out", type=Path, required=True, metavar="DATA", help="data set folder")
-    add("--generator", default="independent", help=", ".join(GENERATORS))
-    add("--from", dest="source", type=Path, metavar="DATA", help="data set that --generator log works on")
-    add("--logs", type=int, default=12, help="trials to make")
-    add("--excitations", default="designed", metavar="LIST", help="designed, casual, dry, all, or ids with commas")
-    add("--seed", type=int, default=0)
-    add("--noise", type=float, default=1.0, help="factor on every sensor's noise")
-    add("--nuisance", type=float, default=0.1, help="relative half width of constants that nobody measured")
+    add("--out", type=console.out_folder, required=True, metavar="DATA", help="data set folder, new or empty")
+    add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
+    add("--from", dest="source", type=options.there, metavar="DATA", help="data set that --generator log works on")
+    add("--model", default="fish", help="--generator independent: the robot, of four links: name or TOML file (default fish)")
+    add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
+    shelf = "designed, casual, dry, all, or ids with commas (default designed)"
+    add("--excitations", default="designed", metavar="LIST", help=shelf)
+    options.of_seed(add, "of the robot and its noise")
+    add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
+    nuisance = "relative half width of constants that nobody measured, 0 to 0.5 (default 0.1)"
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
     add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
-    add("--domain", default="laptop", help="--generator lbm: box of water; paper, window, laptop (a preview)")
-    add("--device", default="cpu", help="--generator lbm: auto, cpu, cuda")
-    add("--tanks", type=int, default=1, help="--generator lbm: trials side by side")
-    add("--drop", type=float, default=0.0, help="--generator log: share of sensor rows that are lost")
-    add("--truth", type=Path, metavar="FILE", help="what was hidden; default DATA.truth.json, beside the data set")
-    add("--overwrite", action="store_true")
+    add("--domain", default="laptop", help="--generator lbm: box of water; paper, window, laptop (default laptop, a preview)")
+    add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
+    add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
+    drop = "--generator log: share of sensor rows that are lost, 0 to 0.9 (default 0)"
+    add("--drop", type=console.number(0, 0.9), default=0.0, metavar="SHARE", help=drop)
+    where = "what was hidden; default DATA.truth.json, beside the data set"
+    add("--truth", type=console.out_file, metavar="FILE", help=where)
+    add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
-    if args.generator not in GENERATORS:
-        raise UnknownName("generator", args.generator, GENERATORS)
     if args.weigh and args.generator == "log":
         raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
-    if args.noise < 0 or args.logs < 1 or not 0 <= args.drop < 1:
-        raise ConfigError(f"gap plant: noise {args.noise}, logs {args.logs}, drop {args.drop}; expected >= 0, >= 1, 0 to 1")
-    truth = args.truth or args.out.with_name(f"{args.out.name}.truth.json")
+    if args.source is not None and args.generator != "log":
+        raise ConfigError(f"gap plant: --from is for --generator log, not {args.generator}")
+    if args.generator == "log" and args.source is None:
+        raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
+    if args.model != "fish" and args.generator != "independent":
+        raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
+    doors.searchable(load_robot(args.model), args.model)
+    given = data.taken(args.source) if args.generator == "log" else None
+    names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
+    truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
+    out, truth = placed(args.out, truth, names, args.overwrite)
     texts = [text for text in args.effect if text != "none"]
-    hidden, trials, facts = {"independent": independent, "log": logged, "lbm": solver}[args.generator](texts, args)
-    page = weighings(hidden, args.seed, args.nuisance) if args.weigh else None
+    with watch.shown(len(names), "trials", "trials") as bar:
+        make = {"independent": independent, "log": logged, "lbm": solver}[args.generator]
+        hidden, trials, facts = make(texts, args, bar.update, given)
+    page = weighings(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
     facts = {"generator": args.generator, "seed": args.seed, **facts}
-    write_hidden(args.out, truth, trials, hidden, facts, args.overwrite, page)
-    console.say(f"{len(trials)} trials in {args.out}; what is hidden in them is in {truth}")
+    write_hidden(out, truth, trials, hidden, facts, args.overwrite, page)
+    console.say(f"{len(trials)} trials in {out}; what is hidden in them is in {truth}")
     if args.json:
-        console.emit_json({"trials": len(trials), "out": args.out, "truth": truth, "generator": args.generator})
+        console.emit_json({"trials": len(trials), "out": out, "truth": truth, "generator": args.generator})
     return console.OK
 
 
-def independent(texts: list[str], args) -> tuple[dict, list[Trial], dict]:
+def independent(texts: list[str], args, tick, _) -> tuple[dict, list[Trial], dict]:
     """(hidden, trials, facts) of the second robot."""
     from fishmj.virtual_robot import dataset, generate
 
-    hidden, runs = dataset.parse(texts, args.seed), experiments(args)
-    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs}
-    return hidden, generate(hidden, runs, args.seed, args.noise, args.nuisance), facts
+    hidden, runs = dataset.parse(texts, args.seed, limits), experiments(args)
+    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
+    return hidden, generate(hidden, runs, args.seed, args.noise, args.nuisance, args.model, tick=tick), facts
 
 
-def logged(texts: list[str], args) -> tuple[dict, list[Trial], dict]:
+def limits(name: str, parameter) -> tuple[float, float]:
+    """What may be planted: within what the catalogue lets a search find, and what the second robot's own rule allows."""
+    low, high = bounds(name, parameter)
+    listed = {p.name: p for p in effects.catalogue()[name].parameters} if name in effects.catalogue() else {}
+    if parameter.name in listed:
+        low, high = max(parameter.least, listed[parameter.name].low), min(parameter.most, listed[parameter.name].high)
+    return low, high
+
+
+def logged(texts: list[str], args, tick, given: Taken | None) -> tuple[dict, list[Trial], dict]:
     """(hidden, trials, facts): an existing data set seen through other sensors and clocks."""
-    if args.source is None:
-        raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
     hidden = parse(texts, args.seed)
-    folder = read_dataset(args.source)
     rng = np.random.default_rng([args.seed, 17])
-    trials = [manipulated(name, folder[name], hidden, args.drop, rng) for name in folder.names]
+    trials = []
+    for name, trial in given.trials.items() if given else ():
+        trials.append(manipulated(name, trial, hidden, args.drop, rng))
+        tick(len(trials))
+    for name, why in given.broken.items() if given else ():
+        console.warn(f"{name} left out: {why}")
     return hidden, trials, {"from": str(args.source), "drop": args.drop}
 
 
-def solver(texts: list[str], args) -> tuple[dict, list[Trial], dict]:
+def solver(texts: list[str], args, tick, _) -> tuple[dict, list[Trial], dict]:
     """(hidden, trials, facts) of the flow solver's fish on the second robot's servos, network and camera."""
     from fishmj.campaign.hidden import generate_lbm
     from fishmj.virtual_robot import dataset
 
-    hidden, runs = dataset.parse(texts, args.seed), experiments(args)
+    hidden, runs = dataset.parse(texts, args.seed, limits), experiments(args)
     numbers = (args.seed, args.noise, args.nuisance, args.domain, args.device)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "domain": args.domain}
-    return hidden, generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=console.say), facts
+    done = count(1)
+    return hidden, generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=lambda text: tick(next(done))), facts
 
 
 def experiments(args) -> list[str]:
@@ -114,7 +145,10 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
         name, colon, listed = text.partition(":")
         main = "" if colon else name.partition("=")[2]
         name = name.partition("=")[0]
-        name = str(rng.choice(sorted(set(able) - set(out)))) if name == "random" else name
+        left = sorted(set(able) - set(out))
+        if name == "random" and not left or name in out:
+            raise ConfigError(f"gap plant {text[:60]}: every effect once; left are {', '.join(left) or 'none'}")
+        name = str(rng.choice(left)) if name == "random" else name
         if effects.get(name) and name not in able:
             raise ConfigError(
                 f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
@@ -122,7 +156,8 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
         effect = able[name]
         active = Active([effect], 3)
         row = draw(active, 1, rng)[0] if not (colon or main) else np.array(active.null)
-        pairs = [(effect.parameters[0].name, main)] if main else [tuple(p.split("=", 1)) for p in listed.split(",") if colon]
+        split = [pair.partition("=") for pair in listed.split(",") if colon]
+        pairs = [(effect.parameters[0].name, main)] if main else [(key.strip(), value) for key, _, value in split]
         for key, value in pairs:
             row[active.index(name, effect.parameter(key).name)] = _number(text, value, effect.parameter(key))
         out[name] = {p.name: float(v) for p, v in zip(effect.parameters, row, strict=True)}
@@ -141,7 +176,7 @@ def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Tria
     row = active.flat(hidden)
     tables = {key: dict(table) for key, table in trial.tables.items()}
     for sensor in ("pose", "joint", "power"):
-        if sensor in tables:
+        if sensor in tables and not (sensor == "power" and "I" not in tables[sensor]):
             tables[sensor] = measured(active, row, sensor, tables[sensor])
     for clock, late in SHIFTS.items():
         for sensor in late:

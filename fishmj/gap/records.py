@@ -11,7 +11,9 @@ from fishmj.errors import LogError
 from fishmj.log import Trial
 from fishmj.log.trial import stacked
 
+MEDIA = ("water", "air")
 REST = 0.3  # s at the start of a trial over which its start pose is averaged
+LONGEST = 3600.0  # s of a record; beyond it, two clocks that do not share a zero
 MOVING = 0.09  # s, when it starts with a push: what the camera's own delay still shows of the start
 
 
@@ -51,23 +53,37 @@ class Record(NamedTuple):
 
 
 def record_of(trial: Trial, dt: float) -> Record:
-    """Read one trial. Raises LogError when there are no commands or nothing was measured."""
+    """Read one trial.
+
+    Raises:
+        LogError: no commands, nothing measured, joints that differ in number, clocks of another zero, or meta data that are no
+            numbers.
+    """
     if "cmd" not in trial.tables:
         raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")
     cmd = trial.table("cmd")
     begin, c = float(cmd["t"][0]), stacked(cmd, "c#")
     joint = _sensor(trial, "joint", begin, lambda t: stacked(t, "j#"), [f"j{i + 1}" for i in range(c.shape[1])])
     pose = _sensor(trial, "pose", begin, _pose, ["x", "y", "yaw"])
-    power = _sensor(trial, "power", begin, lambda t: np.asarray(t["V"] * t["I"], float)[:, None], ["power"])
+    power = _sensor(trial, "power", begin, _power, ["power"]) if "I" in trial.tables.get("power", {}) else None
     if joint is None and pose is None:
         raise LogError(f"trial {trial.name}: neither joint nor pose was measured; nothing can be compared")
+    if joint is not None and joint.values.shape[1] != c.shape[1]:
+        counts = f"{c.shape[1]} joints were commanded and {joint.values.shape[1]} measured"
+        raise LogError(f"trial {trial.name}: {counts}; give cmd and joint a column for each")
     end = max(float(s.t[-1]) for s in (joint, pose, power) if s is not None)
+    if end > LONGEST:
+        late = f"the last measurement is {end:.4g} s after the first command, at most {LONGEST:g} s are compared"
+        raise LogError(f"trial {trial.name}: {late}; do all tables count from the same zero?")
     steps = int(np.ceil(end / dt)) + 1
     rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
-    push = np.array(trial.value("push", (0.0, 0.0, 0.0)), float)
+    push = _three(trial, "push", (0.0, 0.0, 0.0))
     begins = _first(pose, 3, MOVING if push.any() else REST)
-    place = trial.value("start", None)
-    speed, bearing = float(trial.value("flow.speed", 0.0) or 0.0), float(trial.value("flow.direction", 0.0) or 0.0)
+    place = None if trial.value("start", None) is None else _three(trial, "start", ())
+    speed, bearing, session = (_finite(trial, key) for key in ("flow.speed", "flow.direction", "session_time"))
+    medium = str(trial.value("medium", "water"))
+    if medium not in MEDIA:
+        raise LogError(f"trial {trial.name}: medium = {medium[:40]!r}; expected one of {', '.join(MEDIA)}")
     return Record(
         name=trial.name,
         excitation=str(trial.value("excitation", "") or ""),
@@ -78,13 +94,13 @@ def record_of(trial: Trial, dt: float) -> Record:
         pose=pose,
         power=power,
         flow=(speed * np.cos(bearing), speed * np.sin(bearing)),
-        medium=str(trial.value("medium", "water")),
-        place=begins if place is None else np.array(place, float),
+        medium=medium,
+        place=begins if place is None else place,
         start=begins,
         push=push,
         joints=_first(joint, c.shape[1], REST),
-        session=float(trial.value("session_time", 0.0) or 0.0),
-        placed=None if place is None or pose is None or push.any() else _placed(begins, np.array(place, float), pose.sigma),
+        session=session,
+        placed=None if place is None or pose is None or push.any() else _placed(begins, place, pose.sigma),
     )
 
 
@@ -95,7 +111,8 @@ def _sensor(trial: Trial, table: str, begin: float, read, names) -> Sensor | Non
     values = np.asarray(read(rows), float)
     t = np.asarray(rows["t"], float) - begin
     keep = (t >= 0) & np.isfinite(values).all(1)
-    given = trial.value("sigma", {}) or {}
+    given = trial.value("sigma", {})
+    given = given if isinstance(given, dict) else {}
     sigma = np.array([_number(given.get(n)) for n in names])
     return Sensor(t[keep], values[keep], sigma) if keep.any() else None
 
@@ -111,7 +128,32 @@ def _placed(begins: np.ndarray, place: np.ndarray, sigma: np.ndarray) -> Sensor:
 
 
 def _number(value) -> float:
-    return float(value) if isinstance(value, int | float) else np.nan
+    """A noise that the log states; NaN where it is none."""
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < np.inf else np.nan
+
+
+def _power(rows) -> np.ndarray:
+    return np.asarray(rows["V"] * rows["I"], float)[:, None]
+
+
+def _finite(trial: Trial, key: str) -> float:
+    """A number of the meta data, 0 where there is none."""
+    value = trial.value(key, 0.0) or 0.0
+    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+        raise LogError(f"trial {trial.name}: {key} = {str(value)[:40]!r}; expected a finite number")
+    return float(value)
+
+
+def _three(trial: Trial, key: str, otherwise) -> np.ndarray:
+    """(3,) numbers of the meta data."""
+    value = trial.value(key, otherwise)
+    try:
+        found = np.array(value, float)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise LogError(f"trial {trial.name}: {key} = {str(value)[:60]!r}; expected three finite numbers")
+    return found
 
 
 def _first(sensor: Sensor | None, size: int, rest: float) -> np.ndarray:

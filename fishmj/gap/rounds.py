@@ -8,6 +8,7 @@ accept      by what the first of them gains on records predicted without their f
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from fishmj.gap.evidence import Evidence
 from fishmj.gap.folds import Fitted
 from fishmj.gap.gates import Gates
 from fishmj.gap.nearby import moved, nearest, polished, without
+from fishmj.gap.watch import Bar
 
 TELLING = 4  # records that a screen looks at
 HOPE = 0.5  # of the gain that is asked for: a round whose best gains less where it was fitted ends there
@@ -41,15 +43,31 @@ class Step:
     accepted: bool
 
 
-def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: float) -> Step:
+class Part(NamedTuple):
+    """Where a round stands on a bar of rounds. before: rounds done."""
+
+    bar: Bar | None = None
+    before: int = 0
+
+    def at(self, share: float) -> None:
+        """Report the share of this round that is done."""
+        if self.bar is not None:
+            self.bar.update(self.before + share)
+
+
+def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: float, part: Part = Part()) -> Step:  # noqa: B008
     """Candidates one effect larger than `known`, and where it pays, with an earlier choice swapped. gained: in earlier rounds."""
     whole = known.near.part(known.near.everything)
     base = moved(whole, known.best)
     short = shortlist(known.near, base, effects, gates)
+    part.at(0.4)
     seen = base.cost - short[0].cost
     if seen < HOPE * asked(gates, known, gained, True):
         return Step(tuple(short[: gates.finalists]), None, 0.0, False)
-    judged = [nearest(known.near.origin, c, 1) for c in short[: gates.finalists] if base.cost - c.cost > FAR * seen]
+    judged = []
+    for i, c in enumerate(short[: gates.finalists]):
+        judged += [nearest(known.near.origin, c, 1)] if base.cost - c.cost > FAR * seen else []
+        part.at(0.4 + 0.3 * (i + 1) / gates.finalists)
     loss = [near.loss(best.row) for near, best in judged]
     order = np.argsort(loss)
     before, tried = known.loss(folds), []
@@ -57,6 +75,7 @@ def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: fl
         near, best = judged[i]
         fitted = Fitted(near, best, tuple(polished(near.part(~f), best) for f in folds))
         tried.append((i, fitted, before - fitted.loss(folds)))
+        part.at(0.7 + 0.3 * len(tried) / CHANCES)
         if tried[-1][2] > asked(gates, known, gained, True):
             break
     else:

@@ -16,7 +16,8 @@ from fishmj.gap.folds import Fitted
 from fishmj.gap.form import FORMS
 from fishmj.gap.gates import Gates
 from fishmj.gap.nearby import settled, without
-from fishmj.gap.rounds import Step, round_of
+from fishmj.gap.rounds import Part, Step, round_of
+from fishmj.gap.watch import Bar
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class Found:
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
-def find(e: Evidence, gates: Gates, folds: np.ndarray, effects=None, progress=None) -> Found:
-    """Add effects while records that no parameter saw get better."""
+def find(e: Evidence, gates: Gates, folds: np.ndarray, effects=None, progress=None, bar: Bar | None = None) -> Found:
+    """Add effects while records that no parameter saw get better. bar: of rounds, in parts."""
     effects = [x for x in effects or e.plant.active.effects if absent(e.plant, x)]
     whole = e.part(e.everything)
     base = whole.base()
@@ -57,7 +58,7 @@ def find(e: Evidence, gates: Gates, folds: np.ndarray, effects=None, progress=No
     while len(fitted.best.names) < gates.most and frozenset(fitted.best.names) not in seen:
         seen.add(frozenset(fitted.best.names))
         free = [x for x in effects if x.name not in fitted.best.names]
-        step = round_of(fitted, folds, free, gates, sum(s.gain for s in steps))
+        step = round_of(fitted, folds, free, gates, sum(s.gain for s in steps), Part(bar, len(steps)))
         steps.append(step)
         if progress:
             progress(step)

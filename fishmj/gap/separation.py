@@ -21,6 +21,7 @@ from fishmj.gap.features import Layout
 from fishmj.gap.null import smooth, whitening
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, Sensor
+from fishmj.gap.watch import Bars, silent
 
 HINTS = 6  # experiments that a quick look tries
 
@@ -56,13 +57,15 @@ class Prospect(NamedTuple):
         )
 
 
-def prospects(plant, sides: list[Side], like: Record, runs, null: Null, form: float = 0.1, say=None) -> list[Prospect]:
+def prospects(plant, sides: list[Side], like: Record, runs, null: Null, form: float = 0.1, bars: Bars = silent) -> list[Prospect]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
+    plans = [planned(excitation.get(name), like) for name in filter(null.holds, runs)]
+    null.prepare(plant, plans, bars)
     out = []
-    for name in filter(null.holds, runs):
-        out.append(prospect(plant, sides, planned(excitation.get(name), like), null, form))
-        if say:
-            say(name)
+    with bars(len(plans), "experiments", "") as bar:
+        for plan in plans:
+            out.append(prospect(plant, sides, plan, null, form))
+            bar.update(len(out))
     return sorted(out, key=lambda p: -p.worth)
 
 

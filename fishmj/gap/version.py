@@ -20,7 +20,6 @@ from fishmj.effects.calibration import Fitted, Interval
 from fishmj.errors import ConfigError
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot, robot_from_dict
-from fishmj.names import checked
 from fishmj.store import write_text
 
 
@@ -31,7 +30,10 @@ def digest(path: "str | Path") -> str:
 
 def facts(path: "str | Path") -> dict:
     """The table [version] of a model; {} for a first one."""
-    return read_toml(resolve(path)).get("version", {})
+    table = read_toml(resolve(path)).get("version", {})
+    if not isinstance(table, dict):
+        raise ConfigError(f"{path}: version = {str(table)[:40]!r}; expected a table [version]")
+    return table
 
 
 def found(verdict: dict, provenance: str, evidence: str) -> list[Fitted]:
@@ -64,7 +66,7 @@ def write(parent: "str | Path", out: Path, effects: list[Fitted], version: dict,
     text = source.read_text(encoding="utf-8")
     if out.resolve() == source.resolve():
         raise ConfigError(f"{out}: the next version needs a name of its own; its parent stays as it is")
-    number = int(facts(parent).get("number", 1)) + 1
+    number = number_of(parent) + 1
     table = {"number": number, "parent": str(parent), "parent_sha256": digest(parent), **version}
     if keep:
         table["parent_text"] = beside(out).name
@@ -85,19 +87,35 @@ def revert(model: Path) -> Path:
     version = facts(model)
     if not version:
         raise ConfigError(f"{model}: this is a first version, it has no table [version]; there is nothing to go back to")
-    kept = Path(model).with_name(checked(version.get("parent_text", ""), "parent text's file", f"{model} [version]"))
-    if not kept.is_file() or digest(kept) != version["parent_sha256"]:
-        raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {version['parent_sha256']}")
+    kept = parent_of(model, version)
+    if not kept.is_file() or digest(kept) != version.get("parent_sha256"):
+        raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {version.get('parent_sha256')}")
     aside = Path(model).with_name(f"{Path(model).stem}.reverted-{digest(model)[:12]}.toml")
     write_text(aside, Path(model).read_text(encoding="utf-8"))
     write_text(Path(model), kept.read_text(encoding="utf-8"))
     return aside
 
 
+def parent_of(model: "str | Path", version: dict) -> Path:
+    """Where a version's table says that its parent's text is kept: beside it, nowhere else. Raises ConfigError."""
+    name = version.get("parent_text", "")
+    if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name or "\0" in name:
+        raise ConfigError(f"{model} [version]: parent_text = {str(name)[:60]!r}; expected the name of a file beside the version")
+    return Path(model).with_name(name)
+
+
+def number_of(model: "str | Path") -> int:
+    """Of a version; 1 of a first one. Raises ConfigError when its table states none."""
+    number = facts(model).get("number", 1)
+    if not isinstance(number, int) or isinstance(number, bool) or number < 1:
+        raise ConfigError(f"{model} [version]: number = {str(number)[:40]!r}; expected a whole number from 1 up")
+    return number
+
+
 def next_name(parent: "str | Path", folder: Path) -> Path:
     """`<fish>.v<N>.toml` of the version after `parent`."""
     stem = resolve(parent).stem.split(".v")[0]
-    return folder / f"{stem}.v{int(facts(parent).get('number', 1)) + 1}.toml"
+    return folder / f"{stem}.v{number_of(parent) + 1}.toml"
 
 
 def beside(out: Path) -> Path:

@@ -3,6 +3,7 @@
 read -> audit clocks -> repeatable? -> null runs -> find -> decide -> free forces -> gap on records that no decision saw
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Found, find
 from fishmj.gap.verdict import Verdict
+from fishmj.gap.watch import Bars, silent
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
 
@@ -44,6 +46,7 @@ class Inquiry:
     unseen: np.ndarray
     apart: Evidence | None = None
     synthetic: bool = False
+    notes: tuple[str, ...] = ()  # on the logs: what was left out, whose they are
 
 
 def investigate(
@@ -56,12 +59,16 @@ def investigate(
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
+    bars: Bars = silent,
+    admit: Callable[[Evidence], None] = lambda e: None,
+    notes: tuple[str, ...] = (),
 ) -> Inquiry:
     """Find what the model of `plant` is missing in `trials`.
 
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
         further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
+        bars: progress of a stage (watch.py). admit: sees the evidence before the search, may raise. notes: kept for the report.
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """
@@ -70,12 +77,15 @@ def investigate(
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(plant.active.effects)} effects in question")
+    compiled(plant, say)
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
     weighed = weighing.sensor(page or {}, plant)
-    e = evidence_of(plant, weighing.with_page(seen, weighed), null)
-    found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)))
+    e = evidence_of(plant, weighing.with_page(seen, weighed), null, bars)
+    admit(e)
+    with bars(gates.most + 1, "search", "rounds") as bar:
+        found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):
         from fishmj.gap.fallback import challenged
@@ -88,7 +98,7 @@ def investigate(
         from fishmj.gap.advice import advised
 
         say("which experiment would decide?")
-        verdict = advised(e, found, verdict, null)
+        verdict = advised(e, found, verdict, null, bars)
     if further and verdict.answer == "UNEXPLAINED":
         from fishmj.gap.fallback import described
 
@@ -96,7 +106,7 @@ def investigate(
         verdict = replace(verdict, terms=described(plant, e, null, seed))
     apart = None
     if unseen.any():
-        apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null)
+        apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
         before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
         near = apart.around(found.best.row, found.near.form)
@@ -105,12 +115,21 @@ def investigate(
             why = f"the gap grows from {before:.2f} to {after:.2f} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
     synthetic = any(t.value("origin") == "synthetic" for t in trials)
-    return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic)
+    return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
 
 
-def evidence_of(plant, records: list[Record], null: Null) -> Evidence:
+def evidence_of(plant, records: list[Record], null: Null, bars: Bars = silent) -> Evidence:
     """Records with the null that their null runs make."""
-    return Evidence(plant, records, null.residuals(plant, records, Layout(records)))
+    return Evidence(plant, records, null.residuals(plant, records, Layout(records), bars))
+
+
+def compiled(plant, say: Callable[[str], None]) -> None:
+    """Have the plant's step as machine code, and say how long that took: it is in no bar's time left."""
+    if "kernel" not in vars(plant):
+        say("compiling the plant's kernel: some 12 s on one core the first time, then cached")
+        begin = time.monotonic()
+        _ = plant.kernel
+        say(f"compiled in {time.monotonic() - begin:.1f} s")
 
 
 def set_aside(records: list[Record], seed: int) -> np.ndarray:

@@ -1,14 +1,29 @@
-"""Data sets: a folder of trial folders with a `manifest.json` that holds the sha256 of every file."""
+"""Data sets: a folder of trial folders with a `manifest.json` that holds the sha256 of every file.
 
+read_dataset    all of it, as it was written: a file that changed refuses the whole
+take            what is there: no manifest, or a trial that cannot be read, leaves the others
+"""
+
+import hashlib
+import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from fishmj.errors import LogError, UnknownName
+from fishmj.errors import FishmjError, LogError, StoreError, UnknownName
 from fishmj.log import measurements
-from fishmj.log.folder import META_FILE, read_trial, write_trial
+from fishmj.log.folder import FLAT_FILE, META_FILE, read_trial, write_trial
 from fishmj.log.trial import Trial
-from fishmj.store import Manifest
+from fishmj.store import Manifest, sha256
+from fishmj.store.manifest import MANIFEST
+
+DEEP, MOST = 3, 20_000  # levels below a data set, and folders in all, where trials are looked for
+NEEDED = (
+    f"needed is a folder with one folder a trial, in each {META_FILE} and tables (cmd, joint, pose ..) or a {FLAT_FILE};"
+    " python -m fishmj.log import SRC --out DATASET makes one of other recordings"
+)
 
 
 @dataclass(frozen=True)
@@ -47,6 +62,106 @@ def read_dataset(folder: str | Path, *, verify: bool = True) -> Dataset:
     if not names:
         raise LogError(f"{folder}: the manifest names no {META_FILE}; it is not a data set of trials")
     return Dataset(folder, names, manifest.meta)
+
+
+class Taken(NamedTuple):
+    """What could be read of a data set.
+
+    trials: by folder name, in order. broken: folder name -> why it was left out. notes: what else a reader should know.
+    sha256: of the manifest's file; of what it would list, where there is none.
+    """
+
+    trials: dict[str, Trial]
+    broken: dict[str, str]
+    notes: tuple[str, ...]
+    sha256: str
+
+
+def take(folder: str | Path) -> Taken:
+    """Every trial of a folder that reads; with a manifest, those whose files are as it says.
+
+    Raises:
+        LogError: no trial reads, or it is not a folder of trial folders. StoreError: the manifest is damaged, or the page of
+            weighings is not as it says.
+    """
+    folder = Path(folder)
+    if folder.is_file():
+        raise LogError(f"{folder}: one file is at most one trial, and a search or a calibration compares several; {NEEDED}")
+    if not folder.is_dir():
+        raise LogError(f"{folder}: no such data set; {NEEDED}")
+    signed = (folder / MANIFEST).is_file()
+    names, broken, notes, digest = _signed(folder) if signed else _unsigned(folder)
+    trials: dict[str, Trial] = {}
+    for name in names:
+        try:
+            trials[name] = read_trial(folder / name)
+        except (FishmjError, OSError) as error:
+            broken[name] = " ".join(str(error).split())
+    if not trials:
+        first = next(iter(broken.items()), None)
+        why = f"; {first[0]}: {first[1]}" if first else ""
+        raise LogError(f"{folder}: none of {len(broken)} trials can be read{why}")
+    return Taken(trials, dict(sorted(broken.items())), notes, digest)
+
+
+def _signed(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], str]:
+    """(trials to read, broken ones, notes, sha256) by the manifest."""
+    manifest = Manifest.read(folder)
+    names = sorted(str(Path(file).parent) for file in manifest.files if Path(file).name in (META_FILE, FLAT_FILE))
+    names = [name for name in dict.fromkeys(names) if name != "."]
+    if not names:
+        raise LogError(f"{folder}: the manifest names no trial folder; {NEEDED}")
+    broken: dict[str, str] = {}
+    for change in manifest.check(folder):
+        parent = str(Path(change.path).parent)
+        if parent in names:
+            state = "is gone" if change.got is None else "changed since the manifest was written"
+            broken.setdefault(parent, f"{Path(change.path).name} {state}")
+        elif change.path == measurements.FILE:
+            raise StoreError(f"{folder}: {change}; restore the page of weighings, or write the data set again")
+    listed = {str(Path(file).parent) for file in manifest.files}
+    new = [name for name in _folders(folder) if name not in listed]
+    notes = (f"not in the manifest, left out: {', '.join(new[:5])}{' ..' if len(new) > 5 else ''}",) if new else ()
+    return [name for name in names if name not in broken], broken, notes, sha256(folder / MANIFEST)
+
+
+def _unsigned(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], str]:
+    """The same of a folder without a manifest: its files as they are now."""
+    names = _folders(folder)
+    if not names:
+        if _is_trial(os.listdir(folder)):
+            raise LogError(f"{folder}: this is one trial, and a search or a calibration compares several; {NEEDED}")
+        raise LogError(f"{folder}: no trial in it; {NEEDED}")
+    paths = [p for name in names for p in sorted((folder / name).iterdir()) if p.is_file() and not p.name.startswith(".")]
+    paths += [p for p in (folder / measurements.FILE,) if p.is_file()]
+    files, broken = {}, {}
+    for path in paths:
+        try:
+            files[path.relative_to(folder).as_posix()] = sha256(path)
+        except StoreError as error:
+            broken[path.parent.relative_to(folder).as_posix()] = str(error)
+    notes = (f"{folder} has no {MANIFEST}: nothing says whether its files are as they were recorded",)
+    digest = hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
+    return [name for name in names if name not in broken], broken, notes, digest
+
+
+def _folders(folder: Path) -> list[str]:
+    """Names of the trial folders below `folder`, hidden ones and links left out."""
+    found, seen = [], 0
+    for at, below, files in os.walk(folder):
+        seen += 1
+        if seen > MOST:
+            raise LogError(f"{folder}: more than {MOST} folders; name the folder of the trials themselves")
+        name = Path(at).relative_to(folder).as_posix()
+        below[:] = [] if name.count("/") >= DEEP - 1 and name != "." else [b for b in below if not b.startswith(".")]
+        if name != "." and _is_trial(files):
+            found.append(name)
+    return sorted(found)
+
+
+def _is_trial(files: Iterable[str]) -> bool:
+    """Whether a folder of these files is meant as a trial: meta data, a flat file, or a table of commands."""
+    return bool(set(files) & {META_FILE, FLAT_FILE, "cmd.csv", "cmd.npz"})
 
 
 def write_dataset(

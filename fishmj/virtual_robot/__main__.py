@@ -5,12 +5,15 @@ python -m fishmj.virtual_robot --plant random --plant random --seed 8 --out data
 python -m fishmj.virtual_robot --list
 """
 
+import argparse
+import math
 import time
 from itertools import cycle, islice
-from pathlib import Path
 
 from fishmj import console, excitation
 from fishmj.errors import ConfigError
+
+MOST_LOGS, LAST_SEED, FASTEST = 1000, 2**31 - 1, 1.0  # trials, seed, m/s
 
 
 def main(argv: list[str]) -> int:
@@ -21,34 +24,41 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--excitations", default="designed", metavar="LIST", help="designed, casual, dry, all, or ids with commas"
     )
-    parser.add_argument("--logs", type=int, help="number of trials; beyond the list they are replicates. Default: the list once")
-    parser.add_argument("--seed", type=int, default=0, help="robot and noise")
-    parser.add_argument("--noise", type=float, default=1.0, help="factor on every sensor's noise")
-    parser.add_argument("--nuisance", type=float, default=0.1, help="relative half width of unmeasured constants")
-    parser.add_argument("--medium", default="water", choices=("water", "air"))
-    parser.add_argument("--flow", default="0,0", metavar="SPEED,DIRECTION", help="ordered stream, m/s and rad")
-    parser.add_argument("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
-    parser.add_argument("--out", type=Path, help="data set folder")
-    parser.add_argument("--truth", type=Path, help="file for what was planted, outside the data set")
-    parser.add_argument("--overwrite", action="store_true")
+    add = parser.add_argument
+    add(
+        "--logs", type=console.whole(1, MOST_LOGS), metavar="N", help="trials; beyond the list replicates. Default: the list once"
+    )
+    add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help="robot and noise, from 0 (default 0)")
+    add("--noise", type=console.number(0, 100), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
+    nuisance = "relative half width of unmeasured constants, 0 to 0.5 (default 0.1)"
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
+    add("--medium", default="water", choices=("water", "air"), help="water, or air: hung on a thread (default water)")
+    add("--flow", type=_flow, default=(0.0, 0.0), metavar="SPEED,DIRECTION", help="ordered stream, m/s and rad (default 0,0)")
+    add("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
+    add("--out", type=console.out_folder, help="data set folder")
+    add("--truth", type=console.out_file, help="file for what was planted, outside the data set")
+    add("--overwrite", action="store_true", help="replace a data set of the same trials")
     parser.add_argument("--list", action="store_true", help="name effects and excitations and stop")
     args = parser.parse_args(argv)
     if args.list:
         return _list(args.json)
     if args.out is None or args.truth is None:
         raise ConfigError("virtual_robot: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
-    from fishmj.virtual_robot.dataset import parse, write_hidden
-    from fishmj.virtual_robot.trials import generate
+    from fishmj.virtual_robot.dataset import parse, placed, write_hidden
+    from fishmj.virtual_robot.trials import generate, trial_name
     from fishmj.virtual_robot.weighing import page
 
-    effects, runs, flow = parse(args.plant, args.seed), _runs(args.excitations, args.logs), _flow(args.flow)
-    if args.noise < 0:
-        raise ConfigError(f"--noise {args.noise}: a factor, 0 or more")
+    effects, runs = parse(args.plant, args.seed), _runs(args.excitations, args.logs)
+    names = [trial_name(i, run) for i, run in enumerate(runs)]
+    out, truth = placed(args.out, args.truth, names, args.overwrite)
     begin = time.perf_counter()
-    trials = generate(effects, runs, args.seed, args.noise, args.nuisance, medium=args.medium, flow=flow)
+    with console.Progress(len(runs), "trials", "trials") as bar:
+        bar.update(0)
+        numbers = (args.seed, args.noise, args.nuisance)
+        trials = generate(effects, runs, *numbers, medium=args.medium, flow=args.flow, tick=bar.update)
     facts = {"seed": args.seed, "noise": args.noise, "nuisance": args.nuisance, "medium": args.medium, "excitations": runs}
     weighings = page(effects, args.seed, args.nuisance) if args.weigh else None
-    write_hidden(args.out, args.truth, trials, effects, facts, args.overwrite, weighings)
+    write_hidden(out, truth, trials, effects, facts, args.overwrite, weighings)
     seconds = sum(trial.span[1] for trial in trials)
     took = time.perf_counter() - begin
     console.say(
@@ -67,16 +77,18 @@ def _runs(text: str, logs: int | None) -> list[str]:
     listed = list(shelf.get(text, [name.strip() for name in text.split(",")]))
     for name in listed:
         excitation.get(name)
-    if logs is not None and logs < 1:
-        raise ConfigError(f"--logs {logs}: at least one trial")
     return list(islice(cycle(listed), len(listed) if logs is None else logs))
 
 
 def _flow(text: str) -> tuple[float, float]:
+    """The `type=` of --flow."""
     try:
         speed, direction = map(float, text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"--flow {text}: expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)") from error
+    except ValueError:
+        speed, direction = math.nan, math.nan
+    if not (0 <= speed <= FASTEST and abs(direction) <= 2 * math.pi):
+        expected = f"SPEED,DIRECTION such as 0.2,3.14: 0 to {FASTEST:g} m/s, -6.28 to 6.28 rad"
+        raise argparse.ArgumentTypeError(f"got {text[:40]!r}, expected {expected}")
     return speed, direction
 
 

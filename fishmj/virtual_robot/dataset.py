@@ -3,30 +3,37 @@
 The truth file is JSON with what was planted, the seed and the hash of the data set's manifest. It may not lie in the data set.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.log import Trial, measurements, write_dataset
-from fishmj.store import sha256, write_json
+from fishmj.log.folder import META_FILE
+from fishmj.names import checked
+from fishmj.store import Manifest, sha256, write_json
+from fishmj.store.manifest import MANIFEST
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.catalogue import CATALOGUE
+from fishmj.virtual_robot.effect import Parameter
 from fishmj.virtual_robot.oddities import ODDITIES
 from fishmj.virtual_robot.trials import EFFECTS
 
 SCHEMA = "fishmj.truth/1"
+WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
+Limits = Callable[[str, Parameter], tuple[float, float]]
 LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
 
 
-def parse(texts: Iterable[str], seed: int) -> dict[str, dict[str, float]]:
+def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> dict[str, dict[str, float]]:
     """What `--plant` says: `NAME`, `NAME=value` (main parameter), `NAME:p=1,q=2`, `random`, `random_odd`.
 
     Values that are not said are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their nulls.
+    limits: of each parameter of an effect; default, `bounds`.
 
     Raises:
-        UnknownName, ConfigError: no such effect or parameter, or no number.
+        UnknownName: no such effect or parameter. ConfigError: no number, one out of its range, or an effect that is said twice.
     """
     effects: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
@@ -37,9 +44,16 @@ def parse(texts: Iterable[str], seed: int) -> dict[str, dict[str, float]]:
             name, equals, value = text.partition("=")
             main = _number(text, value) if equals else None
         if name in LOTTERIES:
-            name = str(rng.choice(sorted(set(LOTTERIES[name]) - set(effects))))
+            left = sorted(set(LOTTERIES[name]) - set(effects))
+            if not left or main is not None or colon:
+                raise ConfigError(
+                    f"--plant {text[:60]}: {name} draws one of the effects that are left ({len(left)}) and its size"
+                )
+            name = str(rng.choice(left))
         if name not in EFFECTS:
-            raise UnknownName("effect", name, [*EFFECTS, *LOTTERIES])
+            raise UnknownName("effect", name[:60], [*EFFECTS, *LOTTERIES])
+        if name in effects:
+            raise ConfigError(f"--plant {text[:60]}: {name} is there already; say all of it in one NAME:p=1,q=2")
         effect = EFFECTS[name]
         if main is not None:
             effects[name] = {effect.parameters[0].name: main}
@@ -49,7 +63,60 @@ def parse(texts: Iterable[str], seed: int) -> dict[str, dict[str, float]]:
         else:
             effects[name] = effect.draw(rng)
         effect.fields(effects[name])
+        for parameter in effect.parameters:
+            _ranged(text, parameter, effects[name].get(parameter.name, parameter.null), (limits or bounds)(name, parameter))
     return effects
+
+
+def bounds(name: str, parameter: Parameter) -> tuple[float, float]:
+    """What may be planted: what is possible, up to WIDEST times the largest typical size; without a sign, little below null."""
+    size = max(abs(t - (0.0 if parameter.default else parameter.null)) for t in parameter.typical)
+    below = WIDEST if parameter.signed or parameter.null else BELOW
+    low, high = max(parameter.least, parameter.null - below * size), min(parameter.most, parameter.null + WIDEST * size)
+    return low, high
+
+
+def _ranged(text: str, parameter: Parameter, value: float, limits: tuple[float, float]) -> None:
+    low, high = limits
+    if not low <= value <= high:
+        expected = f"expected {low:g} to {high:g} {parameter.unit}"
+        raise ConfigError(f"--plant {text[:60]}: {parameter.name} = {value:g}; {expected}")
+
+
+def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> tuple[Path, Path]:
+    """Where a data set and its truth go, as absolute paths; asked before the work.
+
+    Raises:
+        ConfigError: a name that cannot stand in a path, something else is there, or it would lie inside another data set.
+    """
+    folder, truth = Path(folder).absolute(), Path(truth).absolute()
+    checked(folder.resolve().name, "data set", "--out")
+    if truth.is_dir():
+        raise ConfigError(f"--truth {truth}: is a folder; name a file outside the data set")
+    _apart(folder, truth)
+    if truth.exists() and not overwrite:
+        raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
+    above = next((p for p in folder.resolve().parents if any((p / f).is_file() for f in (MANIFEST, META_FILE))), None)
+    if above is not None:
+        raise ConfigError(f"--out {folder} lies inside {above}, which is a data set or a trial; choose a folder outside")
+    if not folder.exists() or not any(folder.iterdir()):
+        return folder, truth
+    if not overwrite:
+        raise ConfigError(f"--out {folder} exists; choose another name or pass --overwrite")
+    if not (folder / MANIFEST).is_file():
+        raise ConfigError(
+            f"--out {folder} holds other things than a data set; --overwrite is for data sets. Choose another folder"
+        )
+    old = {str(Path(file).parent) for file in Manifest.read(folder).files if Path(file).name == META_FILE} - set(names)
+    if old:
+        held = f"{len(old)} trials that this run does not write ({', '.join(sorted(old)[:3])})"
+        raise ConfigError(f"--out {folder} holds {held}; remove the folder, or choose another")
+    return folder, truth
+
+
+def _apart(folder: Path, truth: Path) -> None:
+    if truth.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
 
 
 def write_hidden(
@@ -67,8 +134,7 @@ def write_hidden(
         ConfigError: the truth would lie inside the data set. StoreError: a file is there already, or the disk refuses.
     """
     folder, truth = Path(folder), Path(truth)
-    if truth.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
+    _apart(folder, truth)
     if truth.exists() and not overwrite:
         raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
     if overwrite:
@@ -92,6 +158,6 @@ def _number(text: str, value: str) -> float:
         number = np.nan
     if not np.isfinite(number):
         raise ConfigError(
-            f"--plant {text}: {value!r} is no finite number; write NAME, NAME=0.03 or NAME:parameter=0.03,other=1 (SI)"
+            f"--plant {text[:60]}: {value[:40]!r} is no finite number; write NAME, NAME=0.03 or NAME:parameter=0.03,other=1 (SI)"
         )
     return number

@@ -7,13 +7,14 @@ from math import pi, radians, tan
 import numpy as np
 
 from fishmj.calib import read_toml, resolve
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, Servo
 from fishmj.units import G
 from fishmj.virtual_robot.body import Body, body_of
 from fishmj.virtual_robot.constants import Camera, Hull, Meter, Motor, Network, Odd, Tank, Water
 
 CONSTANTS = "virtual_robot"
 GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
+ROUNDED = 1e-3  # relative
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
 
@@ -85,12 +86,13 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         stall_slope=tan(radians(wet["stall_angle_deg"])),
     )
     servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
+    resistance, constant = electrical(servo)
     motor = Motor(
         gain=drawn(servo.kp, 0.2),
         rate_gain=servo.kv,
         torque=servo.torque,
-        resistance=drawn(servo.resistance, 0.2),
-        constant=servo.constant,
+        resistance=drawn(resistance, 0.2),
+        constant=constant,
         voltage=servo.voltage,
         nominal_voltage=servo.voltage,
         idle=servo.idle_power,
@@ -116,6 +118,18 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         meter=Meter(**table["meter"]),
         odd=Odd(),
     )
+
+
+def electrical(servo: Servo) -> tuple[float, float]:
+    """(resistance [ohm], constant [V s/rad]) of the motor behind a servo's torque-speed line.
+
+    A line says both: constant = voltage / speed_no_load, resistance = constant voltage / torque. What the description states is
+    taken where it gives the same damping to within what a data sheet rounds; a calibration moves the line alone.
+    """
+    if abs(servo.constant**2 / servo.resistance / servo.kb - 1.0) <= ROUNDED:
+        return servo.resistance, servo.constant
+    constant = servo.voltage / servo.speed_no_load
+    return constant * servo.voltage / servo.torque, constant
 
 
 def _frontal(robot: Robot) -> float:

@@ -6,7 +6,7 @@
 Nothing in a trial says what was planted. One seed is one robot (nuisance draw) and one noise, whatever is planted.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -63,6 +63,7 @@ def generate(
     medium: str = "water",
     *,
     flow: tuple[float, float] = (0.0, 0.0),
+    tick: Callable[[int], None] = lambda done: None,
 ) -> list[Trial]:
     """One trial an excitation, in order; a repeated one is a replicate with its own noise.
 
@@ -72,6 +73,7 @@ def generate(
         nuisance: relative half width of the draw of unmeasured constants.
         medium: "water", or "air": hung on a thread, no camera.
         flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
+        tick: is told how many trials are done.
     """
     made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium)
     speed, direction = flow
@@ -80,10 +82,16 @@ def generate(
     first: dict[str, str] = {}
     for index, item in enumerate(excitations):
         what = excitation.get(item) if isinstance(item, str) else item
-        name = f"{index + 1:02d}_{what.id}"
+        name = trial_name(index, what.id)
         trials.append(trial_of(made, what, seed, index, noise, name, first.get(what.id, ""), flow))
         first.setdefault(what.id, name)
+        tick(len(trials))
     return trials
+
+
+def trial_name(index: int, excitation_id: str) -> str:
+    """Of the trial number `index` [from 0] of a session."""
+    return f"{index + 1:02d}_{excitation_id}"
 
 
 def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> Recording:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fishmj.mjcf.description import Robot
 from fishmj.units import G
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.machine import Plant
@@ -31,9 +32,9 @@ def masses(made: Plant) -> dict[str, float]:
     return {"mass": body.total, "com": nose - middle, "inertia": second - body.total * middle**2}
 
 
-def page(effects: Mapping, seed: int, nuisance: float = 0.1) -> dict:
+def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
     """The table of the robot of a seed in which effects are hidden."""
-    return weighings(plant(effects, seed, nuisance=nuisance), draws.stream(seed, "weighing"))
+    return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), draws.stream(seed, "weighing"))
 
 
 def weighings(made: Plant, rng: np.random.Generator) -> dict:

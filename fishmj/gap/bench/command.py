@@ -1,5 +1,9 @@
-"""`gap bench`: how often the search is right, wrong or silent on data whose answer it does not know."""
+"""`gap bench`: how often the search is right, wrong or silent on data whose answer it does not know.
 
+fishmj gap bench --cases 40 --small --jobs 0 --out bench
+"""
+
+import argparse
 import json
 from collections.abc import Callable
 from functools import partial
@@ -7,6 +11,8 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.cores import usable_cores
+from fishmj.errors import ConfigError
+from fishmj.gap import options, watch
 from fishmj.gap.bench import cases, logs, solver
 from fishmj.gap.bench.rows import keep, kept
 from fishmj.gap.bench.run import fish, run
@@ -14,37 +20,49 @@ from fishmj.gap.bench.score import score
 from fishmj.gap.bench.workers import answered
 from fishmj.gap.gates import frozen
 from fishmj.gap.null_runs import Null
+from fishmj.gap.workflow import compiled
 from fishmj.store import write_text
 
 GENERATORS = ("second", "lbm", "log")
 GENERATED = "second: the second robot; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a term deleted"
+MOST, MOST_JOBS = 100_000, 1024
 ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
 
 
 def main(argv: list[str]) -> int:
     parser = console.parser("gap bench", __doc__)
     add = parser.add_argument
-    add("--cases", type=int, default=400, help="how many")
-    add("--seed", type=int, default=0, help="draws everything anew: effects, sizes, fish, noise")
-    add("--kinds", default="", metavar="KIND,..", help=f"only {', '.join(cases.KINDS)}; default all, in their shares")
-    add("--generator", choices=GENERATORS, default="second", help=GENERATED)
+    add("--cases", type=console.whole(1, MOST), default=400, metavar="N", help=f"how many, 1 to {MOST} (default 400)")
+    options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
+    kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
+    add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
+    add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
-    add("--shard", default="0/1", metavar="I/N", help="every N-th case from the I-th: for several machines")
-    add("--jobs", type=int, default=1, metavar="N", help="processes side by side, a core each; 0: one for every core")
-    add("--out", type=Path, help="folder for rows.jsonl and score.json; the same command continues where it stopped")
+    shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
+    add("--shard", type=_shard, default=(0, 1), metavar="I/N", help=shard)
+    many = f"processes side by side, a core each, to {MOST_JOBS}; 0: one for every core (default 1)"
+    add("--jobs", type=console.whole(0, MOST_JOBS), default=1, metavar="N", help=many)
+    out = "folder for rows.jsonl and score.json; the same command continues where it stopped (default none)"
+    add("--out", type=console.out_folder, help=out)
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
     args = parser.parse_args(argv)
-    index, shards = map(int, args.shard.split("/"))
+    if args.baselines and args.generator != "second":
+        raise ConfigError("gap bench: --baselines are judged on --generator second only")
+    index, shards = args.shard
     todo, ask = asked(args)
     todo = todo[: args.cases][index::shards]
+    if not todo:
+        raise ConfigError(f"gap bench: no case is left: {args.cases} cases of these kinds, every {shards}th from {index}")
+    if args.generator != "log":
+        compiled(fish() if args.generator == "second" else solver.plant(), console.say)  # once, before processes begin
     jobs = args.jobs or usable_cores()
     rows = judged(todo, args.out, ask, jobs)
     result = score(list(rows))
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
     console.say(*told(result))
-    if args.baselines and args.generator == "second":
+    if args.baselines:
         from fishmj.gap.baselines import beside, compared
 
         console.say(compared(rows, beside([one.case for one in todo], rows, args.out, jobs)))
@@ -56,9 +74,26 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if args.small and fails else console.OK
 
 
+def _kinds(text: str) -> dict[str, float]:
+    """The `type=` of --kinds: their shares."""
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in cases.KINDS:
+            raise argparse.ArgumentTypeError(f"got {name[:40]!r}, expected some of {', '.join(cases.KINDS)}")
+    return {name: cases.KINDS[name] for name in names}
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """The `type=` of --shard."""
+    index, _, count = text.partition("/")
+    if not (index.isdecimal() and count.isdecimal() and int(index) < int(count) <= MOST):
+        raise argparse.ArgumentTypeError(f"got {text[:40]!r}, expected I/N with I from 0 to N - 1, such as 0/4")
+    return int(index), int(count)
+
+
 def asked(args) -> tuple[list, Callable]:
     """(cases of the generator, what makes a row of one)."""
-    kinds = {k: cases.KINDS[k] for k in args.kinds.split(",")} if args.kinds else cases.KINDS
+    kinds = args.kinds
     if args.generator == "log":
         return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
     if args.generator == "lbm":
@@ -78,7 +113,7 @@ def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str
     if out:
         out.mkdir(parents=True, exist_ok=True)
         rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
-    with console.Progress(len(todo), what, unit="cases") as bar:
+    with watch.shown(len(todo), what, "cases") as bar:
         waiting = [one for one in todo if one.id not in rows]
         for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
             rows[row["id"]] = row

@@ -61,7 +61,7 @@ def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed:
     constants = (*CONSTANTS, Constant("sway_drag", 0.3)) if sway else CONSTANTS
     if without:
         hull, constants = hull._replace(**{without: 0.0}), tuple(c for c in constants if c.name != without)
-    plant = Body(hull, constants, [*acting(), *RIVALS], name="tail_fish")
+    plant = Body(hull, constants, [*acting(), *RIVALS])
     lines = (
         f"{len(records)} trials, {len(groups)} conditions, {sum(len(r.starts) for r in records)} runs of {SPAN} s of"
         f" {WINDOW:g} s moving averages; {ASIDE} conditions kept aside (seed {seed}), {FOLDS} folds of the others",

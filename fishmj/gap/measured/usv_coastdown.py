@@ -53,7 +53,7 @@ def coast(name: str, trial: Trial) -> Coast:
 
 def plant() -> Body:
     """The boat: quadratic drag as its constant, linear drag as an effect of the catalogue."""
-    return Body(HULL, (Constant("drag", 1.0),), [effects.get("linear_surge_drag")], name="usv")
+    return Body(HULL, (Constant("drag", 1.0),), [effects.get("linear_surge_drag")])
 
 
 def squares(boat: Body, runs: list[Coast], law: str) -> np.ndarray:

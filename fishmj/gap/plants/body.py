@@ -86,13 +86,10 @@ class Share(NamedTuple):
 
 
 class Body:
-    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here. name: of the
-    compiled plant."""
+    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here."""
 
-    def __init__(
-        self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, name="body", dt=0.02
-    ):
-        self.hull, self.constants, self.name, self.dt = hull, constants, name, dt
+    def __init__(self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, dt=0.02):
+        self.hull, self.constants, self.dt = hull, constants, dt
         chosen = acting() if catalogue is None else list(catalogue)
         self.active = effects.Active(chosen, joints=1)
 
@@ -110,7 +107,7 @@ class Body:
         """Compiled rollouts."""
         states, n = MOTION + len(self.active.memory), len(self.null)
         look = lambda state, row: state[:MOTION]  # noqa: E731
-        return Kernel(self.name, self._step, look, states=states, inputs=2, parameters=n, watched=MOTION)
+        return Kernel(self._step, look, states=states, inputs=2, parameters=n, watched=MOTION)
 
     def _step(self, state, command, row):
         import jax.numpy as jnp

@@ -92,9 +92,7 @@ class Fish:
         """Compiled rollouts; tens of seconds the first time on a machine."""
         n = len(self.constants) + len(self.active.null) + 2  # and the current of the log
         watched = 2 * (self.joints + 3) + 1
-        return Kernel(
-            self.robot.name, self._step, self._look, states=self.states, inputs=self.joints, parameters=n, watched=watched
-        )
+        return Kernel(self._step, self._look, states=self.states, inputs=self.joints, parameters=n, watched=watched)
 
     def _step(self, state, command, row):
         """One physics step in components."""

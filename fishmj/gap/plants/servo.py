@@ -102,7 +102,7 @@ class OneServo:
         """Compiled rollouts."""
         states = 2 + len(self.active.memory)
         look = lambda state, row: state[:2]  # noqa: E731
-        return Kernel("one_servo", self._step, look, states=states, inputs=5, parameters=len(self.null), watched=2)
+        return Kernel(self._step, look, states=states, inputs=5, parameters=len(self.null), watched=2)
 
     def _step(self, state, command, row):
         import jax.numpy as jnp

@@ -205,6 +205,7 @@ def plain(m: Material) -> dict:
     return console.plain(
         {
             "verdict": m.inquiry.verdict.plain(),
+            "notes": list(m.inquiry.notes),
             "records": [
                 {"name": r.name, "excitation": r.excitation, "part": part}
                 for r, part in zip(m.inquiry.records, parted(m.inquiry), strict=True)

@@ -111,8 +111,11 @@ def warnings(m: Material) -> str:
         notes.append(f"{n.name} helped a little too, but could be something else: it is counted in, not named")
     if not m.inquiry.unseen.any():
         quiet = "No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw."
-    return "".join(f'<p class="warn">{told(n.rstrip("."))}.</p>' for n in notes) + (
-        f'<p class="about">{quiet}</p>' if quiet else ""
+    about = "".join(f'<p class="about">{escape(n)}</p>' for n in m.inquiry.notes)  # file names: nothing of them is marked up
+    return (
+        "".join(f'<p class="warn">{told(n.rstrip("."))}.</p>' for n in notes)
+        + about
+        + (f'<p class="about">{quiet}</p>' if quiet else "")
     )
 
 

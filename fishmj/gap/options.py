@@ -1,0 +1,51 @@
+"""Options that several commands of `fishmj gap` share, each with its range."""
+
+from pathlib import Path
+
+from fishmj import console
+from fishmj.gap.data import LAST_SEED, LOUDEST, MOST_RUNS
+from fishmj.gap.null_runs import RUNS
+
+MOST_EFFECTS = 8
+FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter
+
+
+def of_model(add) -> None:
+    """--model, --same-robot."""
+    add("--model", default="fish", help="the model to question: shipped name or TOML file, with its effects (default fish)")
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+
+
+def of_null(add) -> None:
+    """--noise, --null-runs, --seed."""
+    add(
+        "--noise",
+        type=console.number(0, LOUDEST),
+        default=1.0,
+        metavar="FACTOR",
+        help=f"factor on the sensors' usual noise, where the logs do not state their own: 0 to {LOUDEST:g} (default 1)",
+    )
+    add(
+        "--null-runs",
+        type=console.whole(FEWEST_RUNS, MOST_RUNS),
+        default=RUNS,
+        metavar="N",
+        help=f"runs of every record in the independent simulator, {FEWEST_RUNS} to {MOST_RUNS} (default {RUNS});"
+        " with fewer than 64 a healthy fish may show a gap",
+    )
+    of_seed(add, "of the split and of the null runs")
+
+
+def of_seed(add, what: str) -> None:
+    """--seed."""
+    add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")
+
+
+def there(text: str) -> Path:
+    """The `type=` of an option that names something to read."""
+    import argparse
+
+    path = Path(text)
+    if not path.exists():
+        raise argparse.ArgumentTypeError(f"{str(path)[:80]}: no such file or folder")
+    return path

@@ -1,0 +1,116 @@
+"""What `gap find --out` wrote, read back: every field of the kind that it must have, before anything is done with it.
+
+A report may come from elsewhere. Its paths are read only; its names must be the catalogue's; its numbers finite.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from fishmj import effects
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.store import read_json
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Text = Annotated[str, Field(max_length=4096)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+def _known(name: str) -> str:
+    """An effect of the catalogue."""
+    try:
+        return effects.get(name).name
+    except UnknownName as error:
+        raise ValueError(str(error)) from error
+
+
+Effect = Annotated[str, AfterValidator(_known)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+
+class _Value(_Table):
+    value: Finite
+    low: Finite
+    high: Finite
+
+
+class _Named(_Table):
+    name: Effect
+    parameters: dict[str, _Value]
+    p_best: Finite = 1.0
+
+
+class _Rival(_Table):
+    name: Effect
+    p_best: Finite = 0.0
+    values: dict[Effect, dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)]]] | None = None
+
+
+class _Null(_Table):
+    model_config = ConfigDict(strict=True, extra="forbid")
+    runs: Annotated[int, Field(ge=2, le=4096)] = 96
+    noise: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 1.0
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+    folder: Text | None = None
+
+
+class _Context(_Table):
+    model: Text
+    model_sha256: Sha256
+    data: Text
+    data_sha256: Sha256
+    judged: Annotated[list[Text], Field(min_length=1)]
+    null: _Null
+    water: Text = "structured"
+
+
+class _Verdict(_Table):
+    answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
+    effects: list[_Named]
+    rivals: list[_Rival] = []
+    context: _Context | None = None
+
+
+class _Version(_Table):
+    parent_text: Text
+    parent_sha256: Sha256
+    data_sha256: Text = ""
+    judged: list[Text]
+    null: _Null
+    water: Text = "structured"
+    gap_after: Finite
+
+
+def verdict(report: Path, *, context: bool) -> dict[str, Any]:
+    """The verdict of a report's folder or verdict.json. context: what was searched must be told, too.
+
+    Raises:
+        StoreError: no such file, or not JSON. ConfigError: not what gap find writes; names the field.
+    """
+    path = report / "verdict.json" if report.is_dir() else report
+    found = read_json(path)
+    told = _checked(_Verdict, found, str(path), "fishmj gap find DATA --out FOLDER")
+    if context and told.context is None:
+        raise ConfigError(f"{path}: no verdict with its context; write it with: fishmj gap find DATA --out FOLDER")
+    return {**found, **told.model_dump(exclude_none=True)}
+
+
+def version(facts: dict, model: Path) -> dict[str, Any]:
+    """The table [version] of a model. Raises ConfigError when it is not what gap apply writes."""
+    return {**facts, **_checked(_Version, facts, f"{model} [version]", "fishmj gap apply REPORT").model_dump(exclude_none=True)}
+
+
+def _checked(kind: type[BaseModel], found: object, where: str, writes: str) -> Any:
+    try:
+        return kind.model_validate(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        place = ".".join(str(part)[:40] for part in first["loc"]) or "the whole"
+        got = "" if first["type"] == "missing" else f", got {str(first['input'])[:60]!r}"
+        raise ConfigError(
+            f"{where}: {place}: {first['msg'][0].lower()}{first['msg'][1:]}{got}; write it with: {writes}"
+        ) from error
