@@ -1,4 +1,4 @@
-"""`fishmj new --photo`: the outline of a synthetic side view is the fish that was drawn; what is unclear or hostile is refused."""
+"""`fishmj new --photo`: the outline of a synthetic side view is the fish that was drawn; unclear and hostile ones are refused."""
 
 import numpy as np
 import pytest
