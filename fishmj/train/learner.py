@@ -7,6 +7,7 @@ import numpy as np
 from fishmj.engines import in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
+from fishmj.mjcf.structure import observation_of, structure_of
 from fishmj.policy import Policy
 from fishmj.tasks.station_hold import visible
 from fishmj.train.networks import scale
@@ -83,7 +84,8 @@ def policy_of(actor, settings: Settings, meta: dict) -> Policy:
     header = {
         "robot": robot.name,
         "joints": joints,
-        "observation": "target_x target_y velocity_x velocity_y yaw_rate joint*J joint_rate*J, body frame, SI",
+        "structure": structure_of(robot),
+        "observation": observation_of(joints),
         "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": scale(joints).tolist(),
         "activation": settings.algorithm.get("activation", {"ppo": "tanh"}.get(settings.algo, "relu")),
