@@ -172,7 +172,7 @@ class StationHold:
 
     def _target(self, launch, tick):
         """Targets (B, 2) m at bus ticks (B,) since the episodes began; a staggered clock does not move them."""
-        return self.course.target(jnp, launch, tick * self.robot.timing.bus_dt)
+        return jnp.asarray(self.course.target(jnp, launch, tick * self.robot.timing.bus_dt), jnp.float32)
 
     def _gain(self, trace, target, distance, action, tick):
         """Reward (B,)."""
@@ -184,6 +184,7 @@ class StationHold:
         """n new episodes at rest over ground."""
         keys = jax.random.split(key, 4)
         launch = self.course.launch(jnp, jax.random.uniform(keys[0], (n, task.N_START)))
+        launch = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), launch)
         start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity
