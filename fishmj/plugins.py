@@ -205,4 +205,3 @@ def _place(error: BaseException) -> str:
 def _said(error: BaseException) -> str:
     text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
     return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
-

@@ -3,8 +3,8 @@
     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
 
 A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot of which structure, which observations, scale,
-activation, memory, command path (policy_header.py), how it was trained. With memory m > 1 the input is the newest observation followed by m - 1 pairs (action,
-observation) back in time; the policy keeps that window itself.
+activation, memory, command path (policy_header.py), how it was trained. With memory m > 1 the input is the newest observation
+followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself.
 """
 
 from collections.abc import Callable
@@ -124,7 +124,9 @@ class Policy:
         w, b = self.weights[-1]
         action = np.tanh(x @ w.T + b)
         if not np.isfinite(action).all():
-            raise ConfigError(f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not")
+            raise ConfigError(
+                f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not"
+            )
         if self.memory > 1:
             self._window = np.concatenate([action, seen], 1)
         return action

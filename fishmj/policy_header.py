@@ -161,7 +161,9 @@ def _check_observation(rows: Any, count: int, where: str) -> None:
         return  # an older file: a sentence, for people
     row = lambda x: isinstance(x, dict) and set(x) == {"name", "unit"} and is_name(x["name"]) and _is_unit(x["unit"])  # noqa: E731
     if not _list_of(rows, row) or len(rows) != count:
-        raise ConfigError(f"{where}: observation {shown(rows)}; expected {count} rows {{name, unit}}, one for each divisor of scale")
+        raise ConfigError(
+            f"{where}: observation {shown(rows)}; expected {count} rows {{name, unit}}, one for each divisor of scale"
+        )
 
 
 def _is_unit(text: Any) -> bool:

@@ -50,8 +50,8 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path:
         options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
-        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for, or is not
-            the one that the policy is for.
+        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for, or
+            is not the one that the policy is for.
     """
     robot, name = load_robot(robot), str(name)
     learned = name.endswith(".safetensors") or name in shipped_policies()
@@ -89,7 +89,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_pat
 
 
 def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> list[Controller]:
-    """`chosen` for a list; of two with one name (two files best.safetensors) the second gets `-2`, so that their files stay apart."""
+    """`chosen` for a list; of two with one name (two files best.safetensors) the second gets `-2`: their files stay apart."""
     made = [chosen(text, robot, any_command_path=any_command_path) for text in texts]
     names: list[str] = []
     for brain in made:

@@ -40,7 +40,7 @@ class Own:
         plugins.call(f"{self.what}: reset({n})", self.brain.reset, n)
 
     def __call__(self, obs) -> np.ndarray:
-        """Commands (B, T, J) rad. Raises OwnCodeError: it fails, or they have another shape, are not finite, or are in degrees."""
+        """Commands (B, T, J) rad. Raises OwnCodeError: it fails, or gives another shape, no finite numbers, or degrees."""
         answer = plugins.call(f"{self.what}, control step {self.count}", self.brain, np.array(obs, float))
         expected = f"bus commands {(len(obs), ticks_per(self.robot)[1], self.robot.n_joints)}, (trials, ticks, joints) in rad"
         try:

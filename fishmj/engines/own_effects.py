@@ -71,16 +71,21 @@ def _declared(effect: Effect, what: str) -> None:
     if not is_name(effect.name):
         raise OwnCodeError(f"{what}: name {effect.name!r}; expected letters, digits, '_', '.' or '-'")
     if effect.stochastic:
-        raise OwnCodeError(f"{what}: it is stochastic; no simulator and no search holds such an effect, only those of fishmj are drawn")
+        raise OwnCodeError(
+            f"{what}: it is stochastic; no simulator and no search holds such an effect, only those of fishmj are drawn"
+        )
     if not effect.parameters or effect.parameters[0].shape:
         raise OwnCodeError(f"{what}: its first parameter must be the one that makes it, not a shape")
     for p in effect.parameters:
         numbers = (p.null, p.low, p.high, *p.typical)
         if not (p.name.isidentifier() and is_name(p.name) and all(math.isfinite(x) for x in numbers)):
-            raise OwnCodeError(f"{what}: parameter {p.name!r} has {numbers}; expected an identifier and finite null, bounds, typical")
+            raise OwnCodeError(
+                f"{what}: parameter {p.name!r} has {numbers}; expected an identifier and finite null, bounds, typical"
+            )
         if not p.low <= p.typical[0] < p.typical[1] <= p.high or (not p.shape and p.typical[0] <= p.null <= p.typical[1]):
             raise OwnCodeError(
-                f"{what}: parameter {p.name}: typical {p.typical} must lie within {p.low:g} to {p.high:g} and not hold the null {p.null:g}"
+                f"{what}: parameter {p.name}: typical {p.typical} must lie within the bounds {p.low:g} to {p.high:g}"
+                f" and not hold the null {p.null:g}"
             )
     if unknown := {c.other for c in effect.confusions} - set(effects.catalogue()):
         raise OwnCodeError(f"{what}: confusions with {', '.join(sorted(unknown))}, which the catalogue does not have")
@@ -119,10 +124,9 @@ def _identity(active: Active, what: str) -> None:
             for field in FIELDS:
                 a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
                 if not np.array_equal(a, b):
-                    medium = "water" if wet else "air"
+                    medium, null = "water" if wet else "air", ", ".join(f"{n} = {x:g}" for (_, n), x in _pairs(active))
                     raise OwnCodeError(
-                        f"{what}: at its null {dict(zip((n for _, n in active.names), active.null, strict=True))} it changes {field} "
-                        f"by up to {np.abs(a - b).max():.3g} in step {k + 1} in {medium}; at the null it must change no bit"
+                        f"{what}: at its null ({null}) it changes {field} by up to {np.abs(a - b).max():.3g} in step {k + 1} in {medium}; at the null it must change no bit"
                     )
             given, memory = (plain.q, plain.v, plain.attached, *first[3:]), same.memory
     rng = np.random.default_rng(1)
@@ -134,6 +138,10 @@ def _identity(active: Active, what: str) -> None:
     pairs = zip((got, *read, *late), (sent, *seen, *[0.0] * len(late)), strict=True)
     if not all(np.array_equal(np.asarray(a) + 0.0 * np.asarray(b), b + 0.0 * np.asarray(a)) for a, b in pairs):
         raise OwnCodeError(f"{what}: at its null it changes commands, readings or delays; at the null it must change no bit")
+
+
+def _pairs(active: Active):
+    return zip(active.names, active.null, strict=True)
 
 
 def _finite(active: Active, what: str) -> None:
@@ -157,7 +165,10 @@ def _finite(active: Active, what: str) -> None:
 def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:
     """Rows at which an effect is tried."""
     row = lambda pick: [float(pick(p)) for p in parameters]  # noqa: E731
-    typical = [("its smaller typical size", row(lambda p: p.typical[0])), ("its larger typical size", row(lambda p: p.typical[1]))]
+    typical = [
+        ("its smaller typical size", row(lambda p: p.typical[0])),
+        ("its larger typical size", row(lambda p: p.typical[1])),
+    ]
     return [*typical, ("its lower bounds", row(lambda p: p.low)), ("its upper bounds", row(lambda p: p.high))]
 
 

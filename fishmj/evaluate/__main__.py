@@ -22,7 +22,12 @@ def options(argv: list[str]):
     parser = console.parser("evaluate", __doc__)
     add = parser.add_argument
     known = ", ".join(controllers.NAMES)
-    add("controllers", nargs="+", metavar="CONTROLLER", help=f"{known}, a shipped policy, a policy file, or your own as module:Name or file.py:Name (docs/your_own_code.md)")
+    add(
+        "controllers",
+        nargs="+",
+        metavar="CONTROLLER",
+        help=f"{known}, a shipped policy, a policy file, or your own as module:Name or file.py:Name (docs/your_own_code.md)",
+    )
     add("--robot", default="fish", help="shipped name or TOML file")
     add("--water", default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")
     add("--domain", default="paper", help="box of water of --water lbm: paper, flow_tank, window, laptop (a preview)")
@@ -39,8 +44,16 @@ def options(argv: list[str]):
     add("--duration", type=float, default=None, help="s, default 60")
     add("--seed", type=int, default=0)
     add("--seeds", default="judge", help="judge, or tune for choosing gains and checkpoints")
-    add("--command-path", default=None, help=f"{', '.join(COMMAND_PATHS)}; default the robot's; asked for, policies of another steer too")
-    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever they were trained on")
+    add(
+        "--command-path",
+        default=None,
+        help=f"{', '.join(COMMAND_PATHS)}; default the robot's; asked for, policies of another steer too",
+    )
+    add(
+        "--any-command-path",
+        action="store_true",
+        help="policies steer on the robot's command path, whatever they were trained on",
+    )
     own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")

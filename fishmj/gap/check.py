@@ -7,6 +7,7 @@ stated (by more than 5 %), or no better than its parent. On another data set all
 from pathlib import Path
 
 from fishmj import console
+from fishmj.engines import own_effects
 from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap import judge, version
@@ -20,7 +21,9 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap check", __doc__ or "")
     parser.add_argument("model", type=Path, help="a version that gap apply or gap find wrote")
     parser.add_argument("--data", type=Path, required=True, help="data set to replay")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     found = check(args.model, args.data)
     console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
     if found["worse"]:

@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console
-from fishmj.engines import in_water
+from fishmj.engines import in_water, own_effects
 from fishmj.gap import data, judge, version
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
@@ -38,7 +38,9 @@ def main(argv: list[str]) -> int:
     )
     add("--most", type=int, default=None, help="effects to add at most")
     add("--seed", type=int, default=0, help="of the split and of the null runs")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     lacking = missing(args)
     if lacking is not None:
         console.say(lacking.text())

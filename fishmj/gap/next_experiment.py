@@ -7,6 +7,7 @@ each explanation at its fitted values; the best separation for the time it takes
 from pathlib import Path
 
 from fishmj import console, excitation
+from fishmj.engines import own_effects
 from fishmj.errors import LogError, UnknownName
 from fishmj.gap.advice import LEFT, OPEN, advice, read, sides_of
 from fishmj.gap.null_runs import RUNS, Null
@@ -25,7 +26,9 @@ def main(argv: list[str]) -> int:
     add("--noise", type=float, default=1.0, help="factor on the sensors' usual noise")
     add("--null-runs", type=int, default=RUNS, help="runs of every experiment in the independent simulator")
     add("--seed", type=int, default=0, help="of the split and of the null runs")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
     answer, plant, sides, like = _opened(args, null)
     if len(sides) < 2:

@@ -27,7 +27,11 @@ def main(argv: list[str]) -> int:
     )
     bring.add_argument("source", type=Path, help="file or folder")
     bring.add_argument("--out", type=Path, required=True, help="the data set to write; must not exist")
-    bring.add_argument("--format", metavar="FORMAT", help=f"{', '.join(sorted(importers.FORMATS))}, or your own as module:function; found out when not said")
+    bring.add_argument(
+        "--format",
+        metavar="FORMAT",
+        help=f"{', '.join(sorted(importers.FORMATS))}, or your own as module:function; found out when not said",
+    )
     bring.add_argument("--topics", type=Path, help="MCAP: the TOML that says which topic is which table")
     look = verbs.add_parser("check", help="read a data set or a trial, audit its clocks", allow_abbrev=False)
     look.add_argument("data", type=Path, help="data set, trial folder or samples.csv")

@@ -39,7 +39,9 @@ EXAMPLES = (
 
 def swim(pond: Pond, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
     """The live loop: in real time, or as fast as it goes for `seconds` of simulated time."""
-    others = [name for name in (*controllers.shipped_policies(), *controllers.NAMES) if name != pond.controller.name and pond.able(name)]
+    others = [
+        name for name in (*controllers.shipped_policies(), *controllers.NAMES) if name != pond.controller.name and pond.able(name)
+    ]
     brains = cycle([pond.controller, *others])
     next(brains)
     tick = pond.robot.timing.bus_dt
@@ -93,8 +95,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.")
     parser.epilog, parser.formatter_class = EXAMPLES, argparse.RawDescriptionHelpFormatter
     best = "paper" if "paper" in controllers.shipped_policies() else "dob"
-    parser.add_argument("--controller", default=best, help="controller, shipped policy, policy file, or your own as module:Name (default: %(default)s)")
-    parser.add_argument("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
+    parser.add_argument(
+        "--controller",
+        default=best,
+        help="controller, shipped policy, policy file, or your own as module:Name (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs"
+    )
     parser.add_argument("--robot", default="fish", help="description, name or TOML (default: %(default)s)")
     parser.add_argument("--engine", default="batch", choices=engines.NAMES, help="default: %(default)s")
     parser.add_argument("--speed", type=float, default=0.2, help="of the current at the start, m/s (default: %(default)s)")

@@ -98,7 +98,9 @@ class StationHold:
         self.course, self.moves = course_of(options.course), options.course != "station_hold"
         self.outside, self.own_reward = (getattr(self.course, name, None) for name in ("outside", "reward"))
         if self.own_reward is not None and reward:
-            raise ConfigError(f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out")
+            raise ConfigError(
+                f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out"
+            )
         self.limit = task.control_steps(self.course.seconds, robot)
         self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
 

@@ -91,14 +91,16 @@ class Scenario(NamedTuple):
 
 
 class Rules:
-    """One task with its setting. name: of COURSES, or a task of one's own (tasks.own). Raises UnknownName, ConfigError, OwnCodeError."""
+    """One task with its setting. name: of COURSES, or of one's own (tasks.own). Raises UnknownName, ConfigError, OwnCodeError."""
 
     def __init__(self, name: Any, setting: Setting, **course):
         self.course = course_of(name, **course)
         self.name = getattr(self.course, "name", name)
         self.setting, self.robot = setting, setting.fish()
         self.outside = getattr(self.course, "outside", task.outside)
-        if getattr(self.course, "reward", None) is not None and (given := [w for w in WEIGHTS if getattr(setting, w) is not None]):
+        if getattr(self.course, "reward", None) is not None and (
+            given := [w for w in WEIGHTS if getattr(setting, w) is not None]
+        ):
             raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
         self.dt = self.robot.timing.control_dt

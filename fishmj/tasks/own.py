@@ -82,7 +82,9 @@ class OwnCourse:
                 plugins.takes(self.what, function, call, count)
         self.seconds = getattr(task, "seconds", None)
         if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float) or not 0 < self.seconds <= LONGEST:
-            raise OwnCodeError(f"{self.what}: seconds = {self.seconds!r}; expected the length of an episode, above 0 to {LONGEST:g} s")
+            raise OwnCodeError(
+                f"{self.what}: seconds = {self.seconds!r}; expected the length of an episode, above 0 to {LONGEST:g} s"
+            )
         self.reward = self._reward if hasattr(task, "reward") else None
         self.outside = self._outside if hasattr(task, "outside") else hold.outside
         self._try()
@@ -91,7 +93,9 @@ class OwnCourse:
         """Starts from uniforms (B, 7)."""
         n, found = len(uniforms), plugins.call(f"{self.what}: launch", self.task.launch, xp, uniforms)
         if not isinstance(found, Launch):
-            raise OwnCodeError(f"{self.what}: launch gave {type(found).__name__}; expected Launch(Start(pose, target, speed, direction), phase)")
+            raise OwnCodeError(
+                f"{self.what}: launch gave {type(found).__name__}; expected Launch(Start(pose, target, speed, direction), phase)"
+            )
         for value, name, shape in zip((*found.start, found.phase), (*found.start._fields, "phase"), SHAPES, strict=True):
             self._checked(value, f"launch: {name}", (n, *shape))
         return found

@@ -38,8 +38,12 @@ def options() -> argparse.ArgumentParser:
     p.add_argument(
         "--preset", metavar=one_of(PRESETS), help="quick: CPU, paper: GPU, paper-sac: the paper's budget (default: by device)"
     )
-    p.add_argument("--algo", metavar=one_of(ALGORITHMS), help="learning algorithm, or your own as module:Name (default: the preset's)")
-    p.add_argument("--task", metavar=one_of(COURSES), help="or your own as module:Name, docs/your_own_code.md (default station_hold)")
+    p.add_argument(
+        "--algo", metavar=one_of(ALGORITHMS), help="learning algorithm, or your own as module:Name (default: the preset's)"
+    )
+    p.add_argument(
+        "--task", metavar=one_of(COURSES), help="or your own as module:Name, docs/your_own_code.md (default station_hold)"
+    )
     p.add_argument("--engine", metavar=one_of(("auto", *NAMES)), help="auto: mjx on a GPU, compiled or planar on a CPU")
     p.add_argument("--steps", type=float, help="control steps of 0.2 s, all fish together")
     p.add_argument("--envs", type=int, help="fish that swim at once")

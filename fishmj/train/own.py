@@ -4,7 +4,7 @@
         Config                                      frozen dataclass of its settings, all with defaults
         def __init__(self, env, config, steps): ..  steps: control steps of the whole run, all fish together
         steps_per_iteration: int                    control steps that one `iterate` takes
-        def init(self, key): ..                     -> training, a NamedTuple of arrays with `actor`: [(weights (in, out), bias (out,)), ..]
+        def init(self, key): ..                     -> training, a NamedTuple of arrays, `actor` [(weights (in, out), bias), ..] in it
         def iterate(self, training): ..             -> (training, figures): see FIGURES
         def act(self, actor, obs): ..               -> actions (B, J) in [-1, 1] for raw observations, in JAX
 
@@ -47,7 +47,9 @@ class OwnAlgorithm:
             plugins.takes(self.what, getattr(self.mine, call.partition("(")[0], None), call, count)
         self.steps_per_iteration = getattr(self.mine, "steps_per_iteration", None)
         if not isinstance(self.steps_per_iteration, int) or self.steps_per_iteration < 1:
-            raise OwnCodeError(f"{self.what}: steps_per_iteration = {self.steps_per_iteration!r}; expected a whole number, 1 or more")
+            raise OwnCodeError(
+                f"{self.what}: steps_per_iteration = {self.steps_per_iteration!r}; expected a whole number, 1 or more"
+            )
 
     def init(self, key):
         """A fresh training; its actor and `act` are checked."""
@@ -89,6 +91,6 @@ class OwnAlgorithm:
         if theirs.shape != ours.shape or not np.abs(theirs - ours).max() < CLOSE:
             off = f"shape {theirs.shape}" if theirs.shape != ours.shape else f"differs by {np.abs(theirs - ours).max():.3g}"
             raise OwnCodeError(
-                f"{self.what}: act is not the policy that would be written ({off}): expected tanh(MLP(obs / scale)) with activation "
-                f"{policy.meta['activation']!r}; fishmj.train.networks has forward and input_scale"
+                f"{self.what}: act is not the policy that would be written ({off}): expected tanh(MLP(obs / scale)) with "
+                f"activation {policy.meta['activation']!r}; fishmj.train.networks has forward and input_scale"
             )

@@ -8,6 +8,7 @@ from typing import Any
 from fishmj import plugins
 from fishmj.errors import LogError, OwnCodeError
 from fishmj.log.importers import flat_csv, mcap, servo_xl330, tail_fish, tendon_fish_markers, usv_coastdown
+from fishmj.log.importers.assemble import trial_of
 from fishmj.log.trial import Trial
 from fishmj.names import is_name, nearest
 
@@ -97,8 +98,19 @@ def _own(path: Path, format: Any, topics) -> dict[str, Trial]:
     found = plugins.call(f"{what} on {path}", reader, path)
     trials = {nearest(path.stem) or "trial": found} if isinstance(found, Trial) else found
     if not isinstance(trials, dict) or not trials:
-        raise OwnCodeError(f"{what}: gave {type(found).__name__} for {path}; expected a Trial, or a dict of name -> Trial with one at least")
+        raise OwnCodeError(
+            f"{what}: gave {type(found).__name__} for {path}; expected a Trial, or a dict of name -> Trial with one at least"
+        )
+    checked = {}
     for name, trial in trials.items():
         if not (is_name(name) and isinstance(trial, Trial)):
-            raise OwnCodeError(f"{what}: gave {name!r}: {type(trial).__name__}; expected names of letters, digits, '_', '.', '-', and Trials")
-    return trials
+            raise OwnCodeError(
+                f"{what}: gave {name!r}: {type(trial).__name__}; expected names of letters, digits, '_', '.', '-', and Trials"
+            )
+        tables = {key: (columns, _place(f"{path}: {name}", key)) for key, columns in trial.tables.items()}
+        checked[name] = trial_of(name, trial.meta, tables, trial.notes)
+    return checked
+
+
+def _place(where: str, table: str) -> Callable[[int, str], str]:
+    return lambda row, column: f"{where}: table {table} row {row}: {column}"
