@@ -106,7 +106,7 @@ def _step(active: Active, what: str, given, row, memory, wet: float = 1.0):
     ch, sw, _ = _fish()
 
     def take():
-        hooks = Effects(np, active, list(row), list(memory), wet)
+        hooks = Effects(np, active, [np.float64(x) for x in row], list(memory), wet)
         target = [hooks.session.command(j, value, ch.dt) for j, value in enumerate(given[3])]
         return chain.step(np, ch, sw, *given[:3], target, *given[4:], hooks)
 
@@ -125,8 +125,10 @@ def _identity(active: Active, what: str) -> None:
                 a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
                 if not np.array_equal(a, b):
                     medium, null = "water" if wet else "air", ", ".join(f"{n} = {x:g}" for (_, n), x in _pairs(active))
+                    most = np.abs(a - b).max()
                     raise OwnCodeError(
-                        f"{what}: at its null ({null}) it changes {field} by up to {np.abs(a - b).max():.3g} in step {k + 1} in {medium}; at the null it must change no bit"
+                        f"{what}: at its null ({null}) it changes {field} by up to {most:.3g} in step {k + 1} in {medium};"
+                        " at the null it must change no bit"
                     )
             given, memory = (plain.q, plain.v, plain.attached, *first[3:]), same.memory
     rng = np.random.default_rng(1)

@@ -4,7 +4,7 @@
         Config                                      frozen dataclass of its settings, all with defaults
         def __init__(self, env, config, steps): ..  steps: control steps of the whole run, all fish together
         steps_per_iteration: int                    control steps that one `iterate` takes
-        def init(self, key): ..                     -> training, a NamedTuple of arrays, `actor` [(weights (in, out), bias), ..] in it
+        def init(self, key): ..                     -> a NamedTuple of arrays, with actor: [(weights (in, out), bias), ..]
         def iterate(self, training): ..             -> (training, figures): see FIGURES
         def act(self, actor, obs): ..               -> actions (B, J) in [-1, 1] for raw observations, in JAX
 
