@@ -178,7 +178,10 @@ HEAD = "import numpy as np\nclass C:\n    def __init__(self, robot): pass\n    d
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (HEAD + "return np.zeros((self.n, 3))", "control step 0: gave an array of shape (1, 3); expected bus commands (1, 10, 3)"),
+        (
+            HEAD + "return np.zeros((self.n, 3))",
+            "control step 0: gave an array of shape (1, 3); expected bus commands (1, 10, 3)",
+        ),
         (HEAD + "return np.full((self.n, 10, 3), np.nan)", "gave 30 values that are not finite"),
         (HEAD + "return np.full((self.n, 10, 3), 30.0)", "gave a command of 30; expected"),
         (HEAD + "return 'left'", "gave a str that is no array of numbers"),
@@ -187,8 +190,14 @@ HEAD = "import numpy as np\nclass C:\n    def __init__(self, robot): pass\n    d
         ("class C:\n    def __init__(self, robot): raise KeyError('gain')", "mine.py:2: KeyError: 'gain'"),
         ("class C:\n    def __init__(self): pass", "expected Name(robot), got Name()"),
         ("class C:\n    def __init__(self, robot): pass", "has no reset(n)"),
-        ("class C:\n    def __init__(self, robot): pass\n    def reset(self): pass\n    def __call__(self, o): pass", "expected reset(n)"),
-        ("class C:\n    def __init__(self, robot): pass\n    def reset(self, n): pass\n    def __call__(self): pass", "__call__(obs)"),
+        (
+            "class C:\n    def __init__(self, robot): pass\n    def reset(self): pass\n    def __call__(self, o): pass",
+            "expected reset(n)",
+        ),
+        (
+            "class C:\n    def __init__(self, robot): pass\n    def reset(self, n): pass\n    def __call__(self): pass",
+            "__call__(obs)",
+        ),
         ("C = 3", "has no Name(robot)"),
     ],
 )
@@ -197,7 +206,10 @@ def test_a_wrong_controller_is_one_line_at_its_first_step(tmp_path, capsys, text
 
 
 def test_an_own_controller_cannot_take_a_shipped_name_or_leave_the_folder(tmp_path):
-    body = HEAD + "return np.zeros((len(obs), 10, 3))\nclass A(C): name = 'pd'\nclass B(C): name = '../../x y'\nclass D(C): name = 7\n"
+    body = (
+        HEAD
+        + "return np.zeros((len(obs), 10, 3))\nclass A(C): name = 'pd'\nclass B(C): name = '../../x y'\nclass D(C): name = 7\n"
+    )
     path = write(tmp_path, body)
     names = [controllers.chosen(f"{path}:{c}").name for c in "ABCD"]
     assert names == ["mine.A", "x_y", "mine.C", "7"]
@@ -398,7 +410,10 @@ def add(amount):
         ({"body": lambda xp, p, body: body}, "expected body(xp, p, body, memory, h)"),
         ({"name": "a b", "body": add(lambda xp, p, b: p.size)}, "name 'a b'"),
         (
-            {"parameters": (Parameter(name="size", unit="N", low=0.0, high=1.0, typical=(0.5, 2.0)),), "body": add(lambda *a: 0.0)},
+            {
+                "parameters": (Parameter(name="size", unit="N", low=0.0, high=1.0, typical=(0.5, 2.0)),),
+                "body": add(lambda *a: 0.0),
+            },
             "typical (0.5, 2.0) must lie within the bounds 0 to 1",
         ),
     ],

@@ -68,8 +68,17 @@ def test_training_writes_the_whole_header():
     actor = [(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))]
     meta = policy_of(actor, preset("quick"), {}).meta
     assert meta["structure"] == structure_of(ROBOT) and meta["observation"] == observation_of(3)
-    assert meta["robot"] == "swift" and meta["command_path"] == "linear" and meta["control_dt"] == 0.2 and len(meta["scale"]) == 11
-    assert [row["name"] for row in meta["observation"]][:6] == ["target_x", "target_y", "velocity_x", "velocity_y", "yaw_rate", "j1"]
+    assert (
+        meta["robot"] == "swift" and meta["command_path"] == "linear" and meta["control_dt"] == 0.2 and len(meta["scale"]) == 11
+    )
+    assert [row["name"] for row in meta["observation"]][:6] == [
+        "target_x",
+        "target_y",
+        "velocity_x",
+        "velocity_y",
+        "yaw_rate",
+        "j1",
+    ]
 
 
 def test_the_robot_of_the_header_is_taken_without_a_word(tmp_path):
@@ -119,7 +128,9 @@ def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_pa
         controllers.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
     bare = {key: old[key] for key in ("schema", "scale", "activation")}
     notes = " ".join(controllers.make(stored(tmp_path, bare), ROBOT).notes)
-    assert all(said in notes for said in ("does not say which robot", "does not say which links", "does not say its command path"))
+    assert all(
+        said in notes for said in ("does not say which robot", "does not say which links", "does not say its command path")
+    )
 
 
 @pytest.mark.parametrize("name", shipped())
@@ -133,7 +144,9 @@ HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
 
 
 def test_another_command_path_is_refused_unless_it_was_asked_for():
-    with pytest.raises(ConfigError, match="trained on command path linear, the robot's is hold: --command-path linear, or --any-c"):
+    with pytest.raises(
+        ConfigError, match="trained on command path linear, the robot's is hold: --command-path linear, or --any-c"
+    ):
         controllers.make("paper", HELD)
     (note,) = controllers.make("paper", HELD, any_command_path=True).notes
     assert note == "policy paper: trained on command path linear, steers on hold as asked"

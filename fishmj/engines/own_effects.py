@@ -133,7 +133,8 @@ def _identity(active: Active, what: str) -> None:
             given, memory = (plain.q, plain.v, plain.attached, *first[3:]), same.memory
     rng = np.random.default_rng(1)
     sent = rng.normal(size=(20, active.joints))
-    seen = Seen(0.02 * np.arange(20), *rng.normal(size=(3, 20)), sent, rng.normal(size=20))
+    x, y, yaw, power = rng.normal(size=(4, 20))
+    seen = Seen(0.02 * np.arange(20), x, y, yaw, sent, power)
     got = plugins.call(f"{what}, command", delivered, np, active, active.null, sent, ch.dt)
     read = plugins.call(f"{what}, measure", active.measure, np, active.null, seen)
     late = [active.delay(np, active.null, clock, seen.t) for clock in CLOCKS]
