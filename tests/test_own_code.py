@@ -1,5 +1,6 @@
-"""Code of the user's own: what they typed is found and run, what breaks the interface is one line, text from a file never runs."""
+"""Code of the user's own: what they typed is found and run, a broken interface is one line, text from a file never runs."""
 
+import importlib
 import importlib.metadata
 import json
 import re
@@ -172,7 +173,11 @@ def test_an_own_controller_is_judged_reported_logged_and_replayed(tmp_path, caps
     assert "chase" in (tmp_path / "replay.html").read_text()
 
 
-HEAD = "import numpy as np\nclass C:\n    def __init__(self, robot): pass\n    def reset(self, n): self.n = n\n    def __call__(self, obs): "
+HEAD = """import numpy as np
+class C:
+    def __init__(self, robot): pass
+    def reset(self, n): self.n = n
+    def __call__(self, obs): """
 
 
 @pytest.mark.parametrize(
@@ -431,6 +436,21 @@ def test_an_effect_with_a_name_of_the_catalogue_or_of_another_kind_is_refused(tm
         own_effects.join([f"{path}:E"])
     with pytest.raises(OwnCodeError, match="is a int, expected a fishmj.effects.Effect"):
         own_effects.join([f"{path}:N"])
+
+
+@pytest.mark.parametrize(
+    "verb", ["evaluate.__main__", "train.__main__", "gap.find", "gap.apply", "gap.check", "gap.next_experiment"]
+)
+def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, capsys):
+    needed = {
+        "evaluate.__main__": ["pd"],
+        "gap.find": ["D"],
+        "gap.apply": ["R"],
+        "gap.check": ["M", "--data", "D"],
+        "gap.next_experiment": ["R"],
+    }
+    main = importlib.import_module(f"fishmj.{verb}").main
+    assert "no module 'nowhere_9'" in refused(main, [*needed.get(verb, []), "--effects", "nowhere_9:X"], capsys)
 
 
 # importers

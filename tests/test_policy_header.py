@@ -1,4 +1,4 @@
-"""A policy's header names its robot, structure, observation and command path; another one is refused, hostile ones are one line."""
+"""A policy's header names robot, structure, observation and command path; another is refused, a hostile one is one line."""
 
 import copy
 import json
