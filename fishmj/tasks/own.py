@@ -80,7 +80,7 @@ class OwnCourse:
             function = getattr(task, call.partition("(")[0], None)
             if needed or function is not None:
                 plugins.takes(self.what, function, call, count)
-        self.seconds = getattr(task, "seconds", None)
+        self.seconds: Any = getattr(task, "seconds", None)
         if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float) or not 0 < self.seconds <= LONGEST:
             raise OwnCodeError(
                 f"{self.what}: seconds = {self.seconds!r}; expected the length of an episode, above 0 to {LONGEST:g} s"
