@@ -147,8 +147,8 @@ def _check_structure(table: Any, where: str) -> None:
     if not isinstance(table, dict) or set(table) != set(KEYS):
         raise ConfigError(f"{where}: structure {shown(table)}; expected {', '.join(KEYS)}")
     names = all(_list_of(table[key], is_name) for key in ("links", "joints"))
-    sizes = _list_of(table["lengths"], lambda x: is_number(x) and 0 < x < 1000)
-    if not (names and sizes and is_number(table["servo_range"]) and 0 < table["servo_range"] < 100):
+    positive = _list_of(table["lengths"], lambda x: is_number(x) and 0 < x < 1000)
+    if not (names and positive and is_number(table["servo_range"]) and 0 < table["servo_range"] < 100):
         raise ConfigError(f"{where}: structure {shown(table)}; expected names, positive lengths in m and a servo range in rad")
     n = len(table["links"])
     if not (len(table["lengths"]) == n and len(table["joints"]) == n - 1):

@@ -39,10 +39,10 @@ EXAMPLES = (
 
 def swim(pond: Pond, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
     """The live loop: in real time, or as fast as it goes for `seconds` of simulated time."""
-    others = [
-        name for name in (*controllers.shipped_policies(), *controllers.NAMES) if name != pond.controller.name and pond.able(name)
-    ]
-    brains = cycle([pond.controller, *others])
+    names = (*controllers.shipped_policies(), *controllers.NAMES)
+    listed: list[controllers.Controller | str] = [pond.controller]
+    listed += [name for name in names if name != pond.controller.name and pond.able(name)]
+    brains = cycle(listed)
     next(brains)
     tick = pond.robot.timing.bus_dt
     stride = max(1, round(FRAME / tick))
