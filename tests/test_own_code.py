@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typed import EXAMPLE, refused, write
 
 from fishmj import console, controllers, effects, plugins, suite
 from fishmj.effects import Effect, Parameter
@@ -17,8 +18,7 @@ from fishmj.effects.calibration import Fitted, Interval
 from fishmj.engines import own_effects, with_effects
 from fishmj.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.evaluate.__main__ import main as evaluate
-from fishmj.log import importers, read_dataset, read_trial
-from fishmj.log.__main__ import main as log
+from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
 from fishmj.tasks.course import Launch
 from fishmj.tasks.episode import Rules, Setting
@@ -26,24 +26,8 @@ from fishmj.tasks.own import course_of
 from fishmj.tasks.station_hold import draw_start
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLE = str(ROOT / "examples" / "own_code.py")
 SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
 PARTS = ("controller", "task", "effect", "algorithm", "importer")
-
-
-def write(folder: Path, text: str, name: str = "mine.py") -> str:
-    """A file of the user's own; its path."""
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return str(path)
-
-
-def refused(main, argv, capsys) -> str:
-    """The one line of a command that ends with exit code 2."""
-    assert console.run(main, argv) == console.BAD_INPUT
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fishmj: ")]
-    assert len(said) == 1
-    return said[0]
 
 
 @pytest.fixture
@@ -451,44 +435,6 @@ def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, capsys):
     }
     main = importlib.import_module(f"fishmj.{verb}").main
     assert "no module 'nowhere_9'" in refused(main, [*needed.get(verb, []), "--effects", "nowhere_9:X"], capsys)
-
-
-# importers
-
-
-def recording(folder: Path) -> Path:
-    """A synthetic camera's CSV."""
-    t = np.arange(50) * 20.0
-    rows = np.stack([t, 10 * t / 1e3, 5 + 0 * t, 90 + 0 * t], 1)
-    np.savetxt(folder / "swim 1.csv", rows, delimiter=",", header="time,x,y,heading", comments="")
-    return folder / "swim 1.csv"
-
-
-def test_an_own_importer_makes_a_data_set(tmp_path, capsys):
-    source = recording(tmp_path)
-    assert console.run(log, ["import", str(source), "--out", str(tmp_path / "data"), "--format", f"{EXAMPLE}:read"]) == console.OK
-    data = read_dataset(tmp_path / "data")
-    assert data.names == ("swim_1",) or list(data.names) == ["swim_1"]
-    pose = data["swim_1"].table("pose")
-    np.testing.assert_allclose([pose["t"][-1], pose["x"][-1], pose["yaw"][0]], [0.98, 0.0098, np.pi / 2])
-    assert importers.read(source, plugins.load("importer", f"{EXAMPLE}:read")).keys() == {"swim_1"}
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("def read(path): return 3", "gave int for"),
-        ("def read(path): return {}", "gave dict for"),
-        ("def read(path): return {'../x': 1}", "gave '../x': int"),
-        ("def read(path): return open(path).no", "mine.py:1: AttributeError"),
-        ("def read(): return 3", "expected read(path)"),
-        ("import numpy as np\nfrom fishmj.log import Trial\ndef read(path):\n    t = np.arange(9.0)\n"
-         "    return Trial({'origin': 'measured'}, {'pose': {'t': t, 'x': 1e4 * t, 'y': t, 'yaw': t}})", "millimetres"),
-    ],
-)  # fmt: skip
-def test_a_wrong_importer_is_one_line(tmp_path, capsys, text, said):
-    argv = ["import", str(recording(tmp_path)), "--out", str(tmp_path / "data"), "--format", f"{write(tmp_path, text)}:read"]
-    assert said in refused(log, argv, capsys)
 
 
 # the page and Gymnasium
