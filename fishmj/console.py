@@ -36,6 +36,8 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     except DescriptionError as error:
         return _fail(argv, error.shown[0], type(error).__name__, BAD_INPUT, error)
     except FishmjError as error:
+        if os.environ.get("FISHMJ_TRACEBACK"):
+            traceback.print_exc()
         return _fail(argv, " ".join(str(error).split()), type(error).__name__, BAD_INPUT)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else OK if stop.code is None else _fail(argv, str(stop.code), "exit", 1)

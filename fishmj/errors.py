@@ -48,6 +48,10 @@ class UnknownName(FishmjError, KeyError):
         return self.message
 
 
+class OwnCodeError(FishmjError, RuntimeError):
+    """Code of the user's own is not there, fails, or does not keep to its interface; the message has their file and line."""
+
+
 class LogError(FishmjError, ValueError):
     """A trial folder or table breaks the schema; the message is file:line:column with the fix."""
 

@@ -2,9 +2,9 @@
 
     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
 
-A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot, which observations, scale, activation, memory,
-command path, how it was trained. With memory m > 1 the input is the newest observation followed by m - 1 pairs (action,
-observation) back in time; the policy keeps that window itself.
+A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot of which structure, which observations, scale,
+activation, memory, command path (policy_header.py), how it was trained. With memory m > 1 the input is the newest observation
+followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj import policy_header
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.policy_header import MOST, is_number, shown
 from fishmj.store import read_tensors, write_tensors
 
 SCHEMA = "fishmj.policy/1"
@@ -47,11 +49,12 @@ class Policy:
         if not path.is_file():
             raise UnknownName("policy", str(source), shipped())
         arrays, meta = read_tensors(path)
-        if meta.get("schema") != SCHEMA:
-            raise ConfigError(f"{path}: schema {meta.get('schema')!r}, expected {SCHEMA!r}: this is not a policy file")
+        schema = meta.get("schema") if isinstance(meta, dict) else meta
+        if schema != SCHEMA:
+            raise ConfigError(f"{path}: schema {shown(schema)}, expected {SCHEMA!r}: this is not a policy file")
         layers = len(arrays) // 2
         if layers == 0 or set(arrays) != {f"{kind}{i}" for kind in "wb" for i in range(layers)}:
-            raise ConfigError(f"{path}: holds {', '.join(sorted(arrays)) or 'no arrays'}; expected w0, b0, w1, b1, ...")
+            raise ConfigError(f"{path}: holds {', '.join(sorted(arrays))[:200] or 'no arrays'}; expected w0, b0, w1, b1, ...")
         policy = cls([(arrays[f"w{i}"], arrays[f"b{i}"]) for i in range(layers)], meta)
         policy.check(str(path))
         return policy
@@ -65,21 +68,28 @@ class Policy:
         return write_tensors(path, arrays, {**self.meta, "schema": SCHEMA})
 
     def check(self, where: str) -> None:
-        """Shapes, scale, memory and activation fit together; otherwise one ConfigError."""
+        """Shapes, scale, memory, activation and header fit together; otherwise one ConfigError."""
         scale, memory, activation = (self.meta.get(k) for k in ("scale", "memory", "activation"))
-        if activation not in _ACTIVATIONS:
-            raise ConfigError(f"{where}: activation {activation!r}; known: {', '.join(_ACTIVATIONS)}")
-        if not (isinstance(scale, list) and scale and all(isinstance(s, int | float) and s > 0 for s in scale)):
-            raise ConfigError(f"{where}: scale {scale!r}; expected one positive divisor for each observation")
-        if not (memory is None or (isinstance(memory, int) and memory >= 1)):
-            raise ConfigError(f"{where}: memory {memory!r}; expected the number of observations that the policy sees, 1 or more")
-        width = self._width
+        if not (isinstance(activation, str) and activation in _ACTIVATIONS):
+            raise ConfigError(f"{where}: activation {shown(activation)}; known: {', '.join(_ACTIVATIONS)}")
+        if not (isinstance(scale, list) and 0 < len(scale) <= MOST and all(is_number(s) and 1e-30 < s < 1e30 for s in scale)):
+            raise ConfigError(f"{where}: scale {shown(scale)}; expected one positive divisor for each observation")
+        if not (memory is None or (isinstance(memory, int) and not isinstance(memory, bool) and 1 <= memory <= MOST)):
+            raise ConfigError(
+                f"{where}: memory {shown(memory)}; expected the number of observations that the policy sees, 1 to {MOST}"
+            )
+        if not self.weights:
+            raise ConfigError(f"{where}: holds no layers")
+        if not all(a.dtype.kind == "f" for layer in self.weights for a in layer):
+            raise ConfigError(f"{where}: weights are no floating-point numbers")
+        width = self.n_obs * self.memory + (self.weights[-1][1].size if self.weights[-1][1].ndim == 1 else 0) * (self.memory - 1)
         for i, (w, b) in enumerate(self.weights):
-            if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],):
+            if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],) or w.shape[0] == 0:
                 raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}, expected {width} inputs")
             width = w.shape[0]
         if not all(np.isfinite(w).all() and np.isfinite(b).all() for w, b in self.weights):
             raise ConfigError(f"{where}: weights are not finite")
+        policy_header.check(self.meta, where)
 
     @property
     def n_obs(self) -> int:
@@ -91,7 +101,7 @@ class Policy:
 
     @property
     def memory(self) -> int:
-        return int(self.meta.get("memory", 1))
+        return self.meta.get("memory") or 1
 
     @property
     def _width(self) -> int:
@@ -113,6 +123,10 @@ class Policy:
             x = f(x @ w.T + b)
         w, b = self.weights[-1]
         action = np.tanh(x @ w.T + b)
+        if not np.isfinite(action).all():
+            raise ConfigError(
+                f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not"
+            )
         if self.memory > 1:
             self._window = np.concatenate([action, seen], 1)
         return action

@@ -12,6 +12,8 @@ data/calib/controllers.toml; how their gains were found is docs/controllers.md.
     pi         CPG + PI on the position vector
     dob        CPG + flow observer: the bar
     adrc-c1    proportional navigation + ADRC (also c2, c3)
+
+`chosen` also takes one's own, as `module:Name` (docs/your_own_code.md): for what a user typed, never for a name from a file.
 """
 
 from pathlib import Path
@@ -19,6 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from fishmj import plugins
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
@@ -39,14 +42,16 @@ class Controller(Protocol):
         """obs (B, 5 + 2 J) -> the control step's bus commands (B, T, J), rad."""
 
 
-def make(name: "str | Path", robot: "Robot | str" = "fish", **options: Any) -> Controller:
-    """A controller by name, or a policy by name or file.
+def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False, **options: Any) -> Controller:
+    """A controller by name, or a policy by name or file. It runs no code but fishmj's, so the name may come from a file.
 
     Args:
+        any_command_path: a policy may steer on another command path than it was trained on, because that was asked for.
         options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
-        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for.
+        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for, or
+            is not the one that the policy is for.
     """
     robot, name = load_robot(robot), str(name)
     learned = name.endswith(".safetensors") or name in shipped_policies()
@@ -59,10 +64,39 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", **options: Any) -> C
     if learned:
         from fishmj.controllers.learned import Learned
 
-        return Learned(robot, name)
+        return Learned(robot, name, any_command_path)
     from fishmj.controllers.drift import Drift
 
     return Drift(robot)
+
+
+def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> Controller:
+    """A controller that the user named: as `make`, or one's own by `module:Name`, `file.py:Name` or entry point. Runs that code.
+
+    Raises:
+        OwnCodeError: it is not there, fails, or is no controller. As `make` besides.
+    """
+    robot, text = load_robot(robot), str(text)
+    own = plugins.is_reference(text) or text in plugins.listed("controller")
+    known = text in NAMES or text.endswith(".safetensors") or text in shipped_policies()
+    if known or not (own or ".py" in text or ":" in text):
+        if not known and (extra := plugins.listed("controller")):
+            raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
+        return make(text, robot, any_command_path=any_command_path)
+    from fishmj.controllers.own import Own
+
+    return Own(robot, plugins.load("controller", text, (*NAMES, *shipped_policies())), text)
+
+
+def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> list[Controller]:
+    """`chosen` for a list; of two with one name (two files best.safetensors) the second gets `-2`: their files stay apart."""
+    made = [chosen(text, robot, any_command_path=any_command_path) for text in texts]
+    names: list[str] = []
+    for brain in made:
+        same = [f"{brain.name[:60]}-{k}" for k in range(2, len(made) + 1)]
+        brain.name = next(name for name in (brain.name, *same) if name not in names)
+        names.append(brain.name)
+    return made
 
 
 def _classical(robot: Robot, name: str, options: dict) -> Controller:
@@ -92,4 +126,4 @@ def _classical(robot: Robot, name: str, options: dict) -> Controller:
     return Pursuit(name, helm, navigator, k)
 
 
-__all__ = ["NAMES", "Controller", "make", "shipped_policies"]
+__all__ = ["NAMES", "Controller", "chosen", "make", "several", "shipped_policies"]

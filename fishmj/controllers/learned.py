@@ -6,25 +6,31 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import ConfigError
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.structure import observation_of, structure_of
+from fishmj.names import nearest
 from fishmj.policy import FOLDER, Policy
+from fishmj.policy_header import Body, fit
 from fishmj.tasks import station_hold as task
+
+SHIPPED_ROBOTS = ("fish", "tendon_fish")
 
 
 class Learned:
-    """Wraps `fishmj.policy.Policy`; `action` is its last answer, `sha256` the file's.
+    """Wraps `fishmj.policy.Policy`; `action` is its last answer, `sha256` the file's, `notes` what is worth a line.
 
     Args:
-        source: path of a policy file, or the name of a shipped one.
+        source: path of a policy file, or the name of a shipped one. any_command_path: the robot's command path was asked for,
+            also where the policy was trained on another.
 
     Raises:
-        UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot.
+        UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
     """
 
-    def __init__(self, robot: Robot, source: str):
+    def __init__(self, robot: Robot, source: str, any_command_path: bool = False):
         self.robot, self.policy = robot, Policy.load(source)
         path = Path(source)
-        self.name = path.stem if path.is_file() else source
+        self.name = (nearest(path.stem) or "policy") if path.is_file() else source
         self.sha256 = sha256((path if path.is_file() else FOLDER / f"{source}.safetensors").read_bytes()).hexdigest()
         wanted = (5 + 2 * robot.n_joints, robot.n_joints)
         if (self.policy.n_obs, self.policy.n_act) != wanted:
@@ -32,6 +38,10 @@ class Learned:
                 f"policy {source}: takes {self.policy.n_obs} observations and gives {self.policy.n_act} actions; "
                 f"robot {robot.name} has {wanted[0]} and {wanted[1]}"
             )
+        found = fit(self.policy.meta, body_of(robot), any_path=any_command_path, known=shipped_structures())
+        if found.refused:
+            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}")
+        self.notes = tuple(f"policy {self.name}: {note}" for note in found.notes)
 
     def reset(self, n: int) -> None:
         """n episodes: the policy's memory is empty, the last command zero."""
@@ -44,3 +54,14 @@ class Learned:
         commands = task.chunk(np, self.robot, self.command, self.action)
         self.command = commands[:, -1]
         return commands
+
+
+def body_of(robot: Robot) -> Body:
+    """What the header of a policy is compared with."""
+    timing = robot.timing
+    return Body(robot.name, structure_of(robot), observation_of(robot.n_joints), timing.command_path, timing.control_dt)
+
+
+def shipped_structures() -> dict[str, dict]:
+    """Structures of the robots that come with fishmj, by name: for policies whose header only names one of them."""
+    return {robot.name: structure_of(robot) for robot in map(load_robot, SHIPPED_ROBOTS)}

@@ -12,7 +12,7 @@ from pkgutil import iter_modules
 
 from fishmj.effects.active import Active
 from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter
-from fishmj.errors import UnknownName
+from fishmj.errors import ConfigError, UnknownName
 
 
 @cache
@@ -27,6 +27,16 @@ def catalogue() -> dict[str, Effect]:
     return found
 
 
+def join(effect: Effect) -> None:
+    """Put an effect of one's own into the catalogue of this process; `engines.own_effects` checks it first.
+
+    Raises:
+        ConfigError: another effect has that name.
+    """
+    if catalogue().setdefault(effect.name, effect) is not effect:
+        raise ConfigError(f"effect {effect.name!r} is in the catalogue already; give yours another name")
+
+
 def get(name: str) -> Effect:
     """One effect. Raises UnknownName, which lists them all."""
     if name not in catalogue():
@@ -34,4 +44,4 @@ def get(name: str) -> Effect:
     return catalogue()[name]
 
 
-__all__ = ["CHANNELS", "STAGES", "Active", "Confusion", "Effect", "Parameter", "catalogue", "get"]
+__all__ = ["CHANNELS", "STAGES", "Active", "Confusion", "Effect", "Parameter", "catalogue", "get", "join"]

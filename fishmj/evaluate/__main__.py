@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console, controllers, engines
+from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
 from fishmj.evaluate.driver import run
@@ -20,7 +21,13 @@ def options(argv: list[str]):
     """Parsed arguments."""
     parser = console.parser("evaluate", __doc__)
     add = parser.add_argument
-    add("controllers", nargs="+", metavar="CONTROLLER", help=f"{', '.join(controllers.NAMES)}, a shipped policy or a policy file")
+    known = ", ".join(controllers.NAMES)
+    add(
+        "controllers",
+        nargs="+",
+        metavar="CONTROLLER",
+        help=f"{known}, a shipped policy, a policy file, or your own as module:Name or file.py:Name (docs/your_own_code.md)",
+    )
     add("--robot", default="fish", help="shipped name or TOML file")
     add("--water", default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")
     add("--domain", default="paper", help="box of water of --water lbm: paper, flow_tank, window, laptop (a preview)")
@@ -37,7 +44,17 @@ def options(argv: list[str]):
     add("--duration", type=float, default=None, help="s, default 60")
     add("--seed", type=int, default=0)
     add("--seeds", default="judge", help="judge, or tune for choosing gains and checkpoints")
-    add("--command-path", default=None, help=", ".join(COMMAND_PATHS))
+    add(
+        "--command-path",
+        default=None,
+        help=f"{', '.join(COMMAND_PATHS)}; default the robot's; asked for, policies of another steer too",
+    )
+    add(
+        "--any-command-path",
+        action="store_true",
+        help="policies steer on the robot's command path, whatever they were trained on",
+    )
+    own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
     add("--out", type=Path, default=None, metavar="DIR", help="report.html, results.json, trials.csv")
@@ -53,6 +70,7 @@ def numbers(text: str) -> list[float]:
 
 def main(argv: list[str]) -> int:
     args = options(argv)
+    own_effects.join(args.effects)
     if args.water not in WATERS and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, WATERS)
     if (args.plots or args.log) and args.out is None:
@@ -67,7 +85,10 @@ def main(argv: list[str]) -> int:
         intensity=args.intensity, heading=args.heading, randomisation=0.0 if args.no_randomisation else 1.0,
         noise=0.0 if args.no_noise else 1.0, duration=args.duration,
     )  # fmt: skip
-    brains = [controllers.make(name, robot) for name in args.controllers]  # a wrong name fails before anything runs
+    asked = args.any_command_path or args.command_path is not None
+    brains = controllers.several(args.controllers, robot, any_command_path=asked)  # a wrong name fails before anything runs
+    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
+        console.warn(note)
     if args.water == "lbm":
         results = [judge_in_tanks(brain, robot, trials, args) for brain in brains]
     else:

@@ -44,7 +44,17 @@ def options(argv: list[str]):
     """Parsed arguments."""
     parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
     add = parser.add_argument
-    add("controllers", nargs="*", metavar="CONTROLLER", help=f"default {' '.join(DEFAULT)}; drift is shown and not ranked")
+    add(
+        "controllers",
+        nargs="*",
+        metavar="CONTROLLER",
+        help=f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name",
+    )
+    add(
+        "--any-command-path",
+        action="store_true",
+        help="policies steer on the robot's command path, whatever they were trained on",
+    )
     add("--fish", default="fish", help="a shipped name or a description (.toml)")
     add("--model", help="the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one")
     add("--engine", default="batch", help="of the surrogate: " + ", ".join(engines.NAMES))
@@ -71,7 +81,7 @@ def main(argv: list[str]) -> int:
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
     names = list(dict.fromkeys(args.controllers)) or list(DEFAULT)
-    brains = [controllers.make(name, robot) for name in names]
+    brains = controllers.several(names, robot, any_command_path=args.any_command_path)
     trials = chosen(args)
     preset(args.domain)
     device = str(device_of(args.device))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fishmj import console
+from fishmj.engines import own_effects
 from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap import doors, judge, options, version
@@ -44,7 +45,9 @@ def main(argv: list[str]) -> int:
     add("--data", type=options.there, help="the data set, when it is no longer where the search read it; default, there")
     add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
     add("--revert", type=options.there, metavar="MODEL", help="put the parent's text back in the place of this version")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     if (args.report is None) == (args.revert is None):
         raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
     if args.revert:

@@ -9,6 +9,7 @@ stated (by more than 5 %), or no better than its parent. On another data set all
 from pathlib import Path
 
 from fishmj import console
+from fishmj.engines import own_effects
 from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap import doors, judge, options, version
@@ -23,7 +24,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("model", type=options.there, help="a version that gap apply or gap find wrote")
     parser.add_argument("--data", type=options.there, required=True, help="data set to replay")
     parser.add_argument("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     found = check(args.model, args.data, args.same_robot)
     console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
     if found["worse"]:

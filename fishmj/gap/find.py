@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console
-from fishmj.engines import in_water
+from fishmj.engines import in_water, own_effects
 from fishmj.gap import data, doors, judge, options, unlike, version, watch
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
@@ -39,7 +39,9 @@ def main(argv: list[str]) -> int:
     most = f"effects to add at most, 1 to {options.MOST_EFFECTS} (default {frozen().most})"
     add("--most", type=console.whole(1, options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)
     null = data.null_of(null_of(args))

@@ -7,7 +7,7 @@ each explanation at its fitted values; the best separation for the time it takes
 """
 
 from fishmj import console, excitation
-from fishmj.engines import in_water
+from fishmj.engines import in_water, own_effects
 from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import doors, options, unlike, version, watch
@@ -30,7 +30,9 @@ def main(argv: list[str]) -> int:
     add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list (default 5)")
     options.of_null(add)
     add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
+    own_effects.option(parser)
     args = parser.parse_args(argv)
+    own_effects.join(args.effects)
     null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, plant, sides, like = _opened(args, null)

@@ -5,6 +5,8 @@ truncated     the time is up (150 steps of 0.2 s); or the physics diverged, then
 info          distance [m] to the target, power [W] of the servos, diverged; never the flow
 """
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 
@@ -17,7 +19,7 @@ class FishEnv(gymnasium.Env):
     """See `docs/tasks.md`.
 
     Args:
-        task: station_hold, figure_eight or angle_of_attack.
+        task: station_hold, figure_eight, angle_of_attack, or one's own (docs/your_own_code.md).
         engine: "batch" (MuJoCo C), "compiled" or "planar" (closed form, ten times faster), or an engine.
         render_mode: None or "rgb_array".
         options: fields of `tasks.episode.Setting` and of the task's course.
@@ -25,7 +27,7 @@ class FishEnv(gymnasium.Env):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
 
-    def __init__(self, task: str = "station_hold", engine="batch", render_mode: str | None = None, **options):
+    def __init__(self, task: Any = "station_hold", engine="batch", render_mode: str | None = None, **options):
         self.rules = spaces.rules_of(task, options)
         self._bounds = self.observation_space = spaces.observation_space(self.rules)
         self.action_space = spaces.action_space(self.rules)

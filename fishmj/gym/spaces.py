@@ -1,27 +1,31 @@
 """Spaces and options that the single and the vector environment share."""
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from fishmj.errors import ConfigError
-from fishmj.tasks.course import COURSES
 from fishmj.tasks.episode import Rules, Setting
+from fishmj.tasks.own import named, options_of
 
 # Bounds of the observations, which Gymnasium wants finite: several times what a fish reaches inside the domain, so the clip
 # to them never acts on a sound simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.
 TARGET, VELOCITY, YAW_RATE, JOINT, JOINT_RATE = 20.0, 10.0, 50.0, np.pi, 50.0
 
 
-def rules_of(task: str, options: dict) -> Rules:
+def rules_of(task: Any, options: dict) -> Rules:
     """Rules from the keyword arguments of `gymnasium.make`: fields of `Setting` and of the task's course.
+
+    task: a name, or one's own as `module:Name`, `file.py:Name` or class; loading it runs it.
 
     Raises:
         ConfigError, UnknownName: an option or a task that does not exist.
     """
+    task = named(task)
     general = {f.name for f in fields(Setting)}
-    special = {f.name for f in fields(COURSES[task])} - general if task in COURSES else set()
+    special = options_of(task) - general
     unknown = sorted(set(options) - general - special)
     if unknown:
         raise ConfigError(f"gym: unknown option {unknown[0]!r}; known: {', '.join(sorted(general | special))}")

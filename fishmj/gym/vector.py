@@ -7,6 +7,8 @@ Each fish has its own random numbers: fish i of `reset(seed=s)` lives the episod
                       info["final_obs"]), "Disabled" (call reset with options={"reset_mask": (n,) bool})
 """
 
+from typing import Any
+
 import numpy as np
 from gymnasium import vector
 from gymnasium.utils import seeding
@@ -24,7 +26,7 @@ class FishVectorEnv(vector.VectorEnv):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
-    def __init__(self, num_envs: int = 1, task: str = "station_hold", engine="batch", render_mode: str | None = None,
+    def __init__(self, num_envs: int = 1, task: Any = "station_hold", engine="batch", render_mode: str | None = None,
                  autoreset_mode="NextStep", **options):  # fmt: skip
         self.num_envs, self.render_mode = num_envs, render_mode
         try:

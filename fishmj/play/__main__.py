@@ -18,6 +18,7 @@ from fishmj import console, controllers, engines
 from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
+from fishmj.mjcf.description import load_robot
 from fishmj.play.keyboard import Keyboard, press
 from fishmj.play.pond import Pond
 
@@ -40,7 +41,10 @@ EXAMPLES = (
 
 def swim(pond: Pond, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
     """The live loop: in real time, or as fast as it goes for `seconds` of simulated time."""
-    brains = cycle(dict.fromkeys([pond.controller.name, *controllers.shipped_policies(), *controllers.NAMES]))
+    names = (*controllers.shipped_policies(), *controllers.NAMES)
+    listed: list[controllers.Controller | str] = [pond.controller]
+    listed += [name for name in names if name != pond.controller.name and pond.able(name)]
+    brains = cycle(listed)
     next(brains)
     tick = pond.robot.timing.bus_dt
     stride = max(1, round(FRAME / tick))
@@ -101,7 +105,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.")
     parser.epilog, parser.formatter_class = EXAMPLES, argparse.RawDescriptionHelpFormatter
     best = "paper" if "paper" in controllers.shipped_policies() else "dob"
-    parser.add_argument("--controller", default=best, help="controller, shipped policy or policy file (default: %(default)s)")
+    parser.add_argument(
+        "--controller",
+        default=best,
+        help="controller, shipped policy, policy file, or your own as module:Name (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs"
+    )
     parser.add_argument("--robot", default="fish", help="description, name or TOML (default: %(default)s)")
     parser.add_argument("--engine", default="batch", choices=engines.NAMES, help="default: %(default)s")
     parser.add_argument("--speed", type=float, default=0.2, help="of the current at the start, m/s (default: %(default)s)")
@@ -114,7 +125,9 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     direction = float(np.radians(args.direction))
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
-    pond = Pond(args.controller, args.robot, flow, args.engine)
+    robot = load_robot(args.robot)
+    brain = controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
+    pond = Pond(brain, robot, flow, args.engine)
     from fishmj.replay.live import LiveView
 
     alone = args.headless_seconds is not None

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import __version__, controllers, engines
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, FishmjError
 from fishmj.flow import Flow, sample
 from fishmj.hydro_fit import chain
 from fishmj.log import SCHEMA, Trial, numbered
@@ -42,7 +42,7 @@ class Pond:
 
     def __init__(
         self,
-        controller: str = "dob",
+        controller: "controllers.Controller | str" = "dob",
         robot: "Robot | str" = "fish",
         flow: Flow | None = None,
         engine="batch",
@@ -60,10 +60,18 @@ class Pond:
         self.choose(controller)
         self.reset()
 
-    def choose(self, name: str) -> None:
-        """Hand the fish to another controller."""
-        self.controller = controllers.make(name, self.robot)
+    def choose(self, controller: "controllers.Controller | str") -> None:
+        """Hand the fish to another controller, made or by name."""
+        self.controller = controllers.make(controller, self.robot) if isinstance(controller, str) else controller
         self.controller.reset(1)
+
+    def able(self, name: str) -> bool:
+        """Whether a controller by name can steer this fish."""
+        try:
+            controllers.make(name, self.robot)
+        except FishmjError:
+            return False
+        return True
 
     def reset(self) -> None:
         """Back to the start: at rest 0.7 m from the target, heading upstream. What was recorded is dropped."""

@@ -105,7 +105,7 @@ def read_tensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
         size = int.from_bytes(data[:8], "little")
         header = json.loads(data[8 : 8 + size])["__metadata__"]
         arrays, expected = dict(load(data)), header["sha256"]
-        got = _digest(arrays, header["fishmj"])
+        got, meta = _digest(arrays, header["fishmj"]), json.loads(header["fishmj"])
     except (SafetensorError, *_BROKEN) as error:
         if _looks_pickled(data[:2]) or data[:2] == b"PK":  # torch.save writes a zip with a pickle inside
             raise _pickle_error(path, "the whole file") from error
@@ -114,7 +114,7 @@ def read_tensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
         ) from error
     if got != expected:
         raise StoreError(f"{path}: sha256 mismatch: expected {expected}, got {got}; the file changed after it was written")
-    return arrays, json.loads(header["fishmj"])
+    return arrays, meta
 
 
 def _digest(arrays: dict[str, np.ndarray], header: str) -> str:

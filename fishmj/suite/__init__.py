@@ -8,8 +8,10 @@
 
 from dm_control import suite as _dm
 
+from fishmj import plugins
 from fishmj.errors import UnknownName
 from fishmj.suite import fish
+from fishmj.tasks.own import named
 
 _OWN = fish.SUITE
 ALL_TASKS = tuple((fish.DOMAIN, name) for name in _OWN)
@@ -19,19 +21,21 @@ REWARD_VIZ, NO_REWARD_VIZ = ALL_TASKS, ()
 TASKS_BY_DOMAIN = {fish.DOMAIN: tuple(_OWN)}
 
 
-def load(domain_name: str, task_name: str, task_kwargs=None, environment_kwargs=None, visualize_reward: bool = False):
+def load(domain_name: str, task_name, task_kwargs=None, environment_kwargs=None, visualize_reward: bool = False):
     """An environment by name.
 
     Args:
+        task_name: in the domain "fish" also a task of one's own: `module:Name`, `file.py:Name`, or its class. Loading it runs it.
         task_kwargs: `random` (seed or RandomState), `root`, and the fields of `fishmj.tasks.episode.Setting`.
         environment_kwargs: for `dm_control.rl.control.Environment`, for example `flat_observation=True`.
         visualize_reward: colour the target by the reward.
 
     Raises:
         UnknownName: no such domain or task, here or in dm_control.
-        ConfigError: an impossible option.
+        ConfigError: an impossible option. OwnCodeError: a task of one's own that is none.
     """
-    if (domain_name, task_name) not in ALL_TASKS:
+    own = domain_name == fish.DOMAIN and (not isinstance(task_name, str) or plugins.is_reference(task_name))
+    if not own and (domain_name, task_name) not in ALL_TASKS:
         known = {*_dm.ALL_TASKS, *ALL_TASKS}
         if (domain_name, task_name) not in known:
             raise UnknownName("task", f"{domain_name} {task_name}", (f"{d} {t}" for d, t in known))
@@ -39,7 +43,7 @@ def load(domain_name: str, task_name: str, task_kwargs=None, environment_kwargs=
     kwargs = dict(task_kwargs or {})
     if environment_kwargs is not None:
         kwargs["environment_kwargs"] = environment_kwargs
-    env = _OWN[task_name](**kwargs)
+    env = fish.own(named(task_name), **kwargs) if own else _OWN[task_name](**kwargs)
     env.task.visualize_reward = visualize_reward
     return env
 

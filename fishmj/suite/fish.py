@@ -11,6 +11,7 @@ The flow is in `env.task.scenario` for logs; no observation has it.
 
 from collections import OrderedDict
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from dm_control.rl import control
@@ -22,7 +23,9 @@ from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.course import Stride
 from fishmj.tasks.episode import Rules, Scenario, Setting
+from fishmj.tasks.own import options_of
 from fishmj.tasks.sensing import readings
 
 SUITE = containers.TaggedTasks()
@@ -48,7 +51,15 @@ def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=N
     return environment("angle_of_attack", {"angle": angle}, random, environment_kwargs, root, setting)
 
 
-def environment(name: str, course: dict, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
+def own(task_class, random=None, environment_kwargs=None, root="planar", **setting):
+    """A task of one's own (tasks.own). Options: its own, and `Setting`."""
+    mine = options_of(task_class)
+    course = {name: value for name, value in setting.items() if name in mine}
+    rest = {name: value for name, value in setting.items() if name not in mine}
+    return environment(task_class, course, random, environment_kwargs, root, rest)
+
+
+def environment(name: Any, course: dict, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
     """One dm_control environment.
 
     Raises:
@@ -105,7 +116,7 @@ class FishTask(base.Task):
         if action.shape != (self.rules.n_act,) or not np.isfinite(action).all():
             raise ConfigError(f"suite: action {action.tolist()}; expected {self.rules.n_act} finite numbers in [-1, 1]")
         commands = task.chunk(np, self.rules.robot, self.command, action[None])
-        self.command = commands[:, -1]
+        self.command, self.action = commands[:, -1], action[None]
         physics.send(commands[0])
 
     def after_step(self, physics: Physics) -> None:
@@ -130,15 +141,18 @@ class FishTask(base.Task):
         return OrderedDict((name, part.copy()) for name, part in zip(names, parts, strict=True))
 
     def get_reward(self, physics: Physics) -> float:
-        """The paper's reward of the control step just taken."""
-        pose = self.history[:, -1]
-        distance = np.linalg.norm(pose[:, :2] - self._target(), axis=-1)
-        rates = self.rate[:, None] if self.trace is None else self.trace.rate
-        return float(self.rules.reward(distance, rates)[0])
+        """The task's reward of the control step just taken."""
+        pose, target, trace = self.history[:, -1], self._target()[None], self.trace
+        if trace is None:  # before the first step: at rest
+            rest = self.rate[:, None]
+            trace = Trace(pose[:, None], 0.0 * rest, rest, 0.0 * pose[:, None], np.zeros((1, 1)))
+        distance = np.linalg.norm(pose[:, :2] - target, axis=-1)
+        step = Stride(trace, target, distance, self.action, np.array([self.count * self.rules.dt]))
+        return float(self.rules.reward(step)[0])
 
     def get_termination(self, physics: Physics) -> float | None:
         """0.0 outside the domain, 1.0 when time is up, else None."""
-        if task.outside(np, self.history[0, -1]):
+        if self.rules.outside(np, self.history[:, -1])[0]:
             return 0.0
         return 1.0 if self.count >= self.rules.limit else None
 
@@ -151,7 +165,7 @@ class FishTask(base.Task):
         self.scenario, self.normals, self.count = scenario, normals, 0
         self.trace = None
         self.history = np.repeat(scenario.launch.start.pose[:, None], self.rules.history, 1)
-        self.command = self.rate = np.zeros((1, self.rules.n_act))
+        self.command = self.rate = self.action = np.zeros((1, self.rules.n_act))
         self.recent = np.zeros((1, self.rules.sensors.behind + 1, 2 * self.rules.n_act))
 
     def _sensors(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.calib import constant
+from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.tasks.station_hold import N_START, Start, draw_start
 
@@ -27,6 +28,16 @@ class Launch(NamedTuple):
 
     start: Start
     phase: Any  # (B,) m, arc length of the target's path already behind it; 0 where the target stays
+
+
+class Stride(NamedTuple):
+    """What a reward may look at: one control step of B episodes, T bus ticks. The truth, which no policy sees."""
+
+    trace: Trace  # pose (B, T, 3) m, rad; joint, rate (B, T, J) rad, rad/s; velocity (B, T, 3) over ground; power (B, T) W
+    target: Any  # (B, 2) m, at the end of the step
+    distance: Any  # (B,) m, to it
+    action: Any  # (B, J) in [-1, 1]
+    time: Any  # (B,) s since the episode began, at the end of the step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,4 +133,4 @@ def eight(xp, s):
 
 COURSES = {"station_hold": StationHold, "figure_eight": FigureEight, "angle_of_attack": AngleOfAttack}
 
-__all__ = ["COURSES", "N_START", "AngleOfAttack", "FigureEight", "Launch", "StationHold", "eight", "path_length"]
+__all__ = ["COURSES", "N_START", "AngleOfAttack", "FigureEight", "Launch", "StationHold", "Stride", "eight", "path_length"]

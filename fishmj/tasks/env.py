@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from fishmj import engines, flow
-from fishmj.calib import constant
 from fishmj.engines import FishParams, FishState
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.course import Stride
+from fishmj.tasks.own import course_of
 from fishmj.tasks.sensing import Sensors, readings
 
 
@@ -35,6 +36,7 @@ class Options:
     memory: int = 1  # observations (with the actions between them) that the policy sees
     box: str = "train"
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
+    course: str = "station_hold"  # of tasks.course, or the text of one's own that was loaded
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
     def __post_init__(self):
@@ -74,6 +76,7 @@ class EnvState(NamedTuple):
     truncated: Any  # (B,) bool, time is up
     distance: Any  # (B,) m, at the end of the step
     diverged: Any  # (B,) bool, episode dropped because of a non-finite state
+    launch: Any = None  # how the episodes began, for targets that move; None where they stay as in station holding
 
 
 class StationHold:
@@ -92,7 +95,13 @@ class StationHold:
         table, self.cell = flow.table_of(options.turbulence, flow.BOXES[options.box])
         self.table = jnp.asarray(table)
         self.length = task.history_length(robot)
-        self.limit = constant("task", "episode_steps")
+        self.course, self.moves = course_of(options.course), options.course != "station_hold"
+        self.outside, self.own_reward = (getattr(self.course, name, None) for name in ("outside", "reward"))
+        if self.own_reward is not None and reward:
+            raise ConfigError(
+                f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out"
+            )
+        self.limit = task.control_steps(self.course.seconds, robot)
         self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
 
     @property
@@ -126,15 +135,18 @@ class StationHold:
         bad = ~(jnp.all(jnp.isfinite(fish.q), -1) & jnp.all(jnp.isfinite(fish.v), -1))
         history = jnp.concatenate([state.history, trace.pose], 1)[:, -self.length :]
         history = jnp.where(bad[:, None, None], 0.0, history)
-        distance = jnp.linalg.norm(trace.pose[:, -1, :2] - state.target, axis=-1)
-        gain = task.reward(jnp, distance, trace.rate, **self.weights)
-        terminated = task.outside(jnp, trace.pose[:, -1]) & ~bad
+        tick = state.tick + commands.shape[1]
+        target = self._target(state.launch, tick) if self.moves else state.target
+        distance = jnp.linalg.norm(trace.pose[:, -1, :2] - target, axis=-1)
+        gain = self._gain(trace, target, distance, action, tick)
+        terminated = (self.outside or task.outside)(jnp, trace.pose[:, -1]) & ~bad
         truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
         moved = state._replace(
             fish=fish,
             history=history,
             command=commands[:, -1],
-            tick=state.tick + commands.shape[1],
+            tick=tick,
+            target=target,
             count=state.count + 1,
             key=key,
         )
@@ -160,10 +172,22 @@ class StationHold:
             reward=jnp.where(bad, 0.0, gain), distance=jnp.where(bad, 0.0, distance),
         )  # fmt: skip
 
+    def _target(self, launch, tick):
+        """Targets (B, 2) m at bus ticks (B,) since the episodes began; a staggered clock does not move them."""
+        return jnp.asarray(self.course.target(jnp, launch, tick * self.robot.timing.bus_dt), jnp.float32)
+
+    def _gain(self, trace, target, distance, action, tick):
+        """Reward (B,)."""
+        if self.own_reward is None:
+            return task.reward(jnp, distance, trace.rate, **self.weights)
+        return self.own_reward(jnp, Stride(trace, target, distance, action, tick * self.robot.timing.bus_dt))
+
     def _fresh(self, key, n: int) -> EnvState:
         """n new episodes at rest over ground."""
         keys = jax.random.split(key, 4)
-        start = task.draw_start(jnp, jax.random.uniform(keys[0], (n, task.N_START)))
+        launch = self.course.launch(jnp, jax.random.uniform(keys[0], (n, task.N_START)))
+        launch = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), launch)
+        start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity
         current = flow.draw(
@@ -187,12 +211,14 @@ class StationHold:
         history = jnp.repeat(start.pose[:, None], self.length, 1)
         no = jnp.zeros((n,), bool)
         blank = jnp.zeros((n, self.n_input))
+        target = self._target(launch, jnp.zeros((n,), jnp.int32)) if self.moves else start.target
         state = EnvState(
-            fish=fish, params=params, current=current, target=start.target, history=history, camera=camera, command=joints,
+            fish=fish, params=params, current=current, target=target, history=history, camera=camera, command=joints,
             joints=jnp.zeros((n, self.sensors.behind, 2 * self.n_act)),
             tick=jnp.zeros((n,), jnp.int32), count=jnp.zeros((n,), jnp.int32), key=key, obs=blank, final_obs=blank,
             privileged=None, final_privileged=None, reward=zero, terminated=no, truncated=no,
-            distance=jnp.linalg.norm(start.pose[:, :2] - start.target, axis=-1), diverged=no,
+            distance=jnp.linalg.norm(start.pose[:, :2] - target, axis=-1), diverged=no,
+            launch=launch if self.moves else None,
         )  # fmt: skip
         sight = self._look(state, jnp.zeros((n, self.sensors.behind + 1, 2 * self.n_act)), keys[3])
         seen = self._privileged(state, sight)

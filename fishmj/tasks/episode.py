@@ -19,9 +19,11 @@ from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import COURSES, Launch
+from fishmj.tasks.course import Launch, Stride
+from fishmj.tasks.own import course_of
 from fishmj.tasks.sensing import Sensors, readings
 
+WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward
 LARGEST = {
     "intensity": 1,
     "flow_speed": 5,
@@ -89,13 +91,17 @@ class Scenario(NamedTuple):
 
 
 class Rules:
-    """One task with its setting. Raises UnknownName, ConfigError."""
+    """One task with its setting. name: of COURSES, or of one's own (tasks.own). Raises UnknownName, ConfigError, OwnCodeError."""
 
-    def __init__(self, name: str, setting: Setting, **course):
-        if name not in COURSES:
-            raise UnknownName("task", name, COURSES)
-        self.name, self.setting, self.robot = name, setting, setting.fish()
-        self.course = COURSES[name](**course)
+    def __init__(self, name: Any, setting: Setting, **course):
+        self.course = course_of(name, **course)
+        self.name = getattr(self.course, "name", name)
+        self.setting, self.robot = setting, setting.fish()
+        self.outside = getattr(self.course, "outside", task.outside)
+        if getattr(self.course, "reward", None) is not None and (
+            given := [w for w in WEIGHTS if getattr(setting, w) is not None]
+        ):
+            raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
         self.dt = self.robot.timing.control_dt
         self.limit = task.control_steps(self.course.seconds if setting.seconds is None else setting.seconds, self.robot)
@@ -134,10 +140,12 @@ class Rules:
         """Targets (B, 2) m after `count` (B,) control steps."""
         return self.course.target(np, scenario.launch, np.asarray(count) * self.dt)
 
-    def reward(self, distance, rates) -> np.ndarray:
-        """Reward (B,) from distances (B,) m at the end of the step and joint rates (B, T, J) rad/s over it."""
+    def reward(self, step: Stride) -> np.ndarray:
+        """Reward (B,) of a control step: the task's own, or the paper's."""
+        if getattr(self.course, "reward", None) is not None:
+            return self.course.reward(np, step)
         s = self.setting
-        return task.reward(np, distance, rates, s.wG, s.wD, s.wS)
+        return task.reward(np, step.distance, step.trace.rate, s.wG, s.wD, s.wS)
 
     def noise(self, normals) -> np.ndarray:
         """Standard normals (B, n_obs) at the strength of this setting."""
@@ -195,9 +203,10 @@ class Episodes:
         late = rules.sensors.behind
         self.recent = np.concatenate([self.recent, readings(np, trace.joint, trace.rate)], 1)[:, -late - 1 :]
         distance = np.linalg.norm(trace.pose[:, -1, :2] - self.target, axis=-1)
-        terminated = task.outside(np, trace.pose[:, -1]) & ~diverged
+        terminated = rules.outside(np, trace.pose[:, -1]) & ~diverged
+        stride = Stride(trace, self.target, distance, action, self.count * rules.dt)
         return Outcome(
-            reward=np.where(diverged, 0.0, rules.reward(distance, trace.rate)),
+            reward=np.where(diverged, 0.0, rules.reward(stride)),
             terminated=terminated,
             truncated=((self.count >= rules.limit) & ~terminated) | diverged,
             distance=distance,

@@ -17,15 +17,17 @@ examples
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac --steps 300000         soft actor-critic
   fishmj train --memory 8                        the policy sees its last eight observations
+  fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
   fishmj train --resume --out runs/quick-0       go on after Ctrl-C
   fishmj evaluate runs/quick-0/best.safetensors  judge what came out
 """
 
 
 def options() -> argparse.ArgumentParser:
-    from fishmj.engines import NAMES
+    from fishmj.engines import NAMES, own_effects
     from fishmj.flow import PRESETS as FLOWS
     from fishmj.mjcf.description import COMMAND_PATHS
+    from fishmj.tasks.course import COURSES
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
@@ -36,7 +38,12 @@ def options() -> argparse.ArgumentParser:
     p.add_argument(
         "--preset", metavar=one_of(PRESETS), help="quick: CPU, paper: GPU, paper-sac: the paper's budget (default: by device)"
     )
-    p.add_argument("--algo", metavar=one_of(ALGORITHMS), help="learning algorithm (default: the preset's)")
+    p.add_argument(
+        "--algo", metavar=one_of(ALGORITHMS), help="learning algorithm, or your own as module:Name (default: the preset's)"
+    )
+    p.add_argument(
+        "--task", metavar=one_of(COURSES), help="or your own as module:Name, docs/your_own_code.md (default station_hold)"
+    )
     p.add_argument("--engine", metavar=one_of(("auto", *NAMES)), help="auto: mjx on a GPU, compiled or planar on a CPU")
     p.add_argument("--steps", type=float, help="control steps of 0.2 s, all fish together")
     p.add_argument("--envs", type=int, help="fish that swim at once")
@@ -60,6 +67,7 @@ def options() -> argparse.ArgumentParser:
     p.add_argument(
         "--randomise-effects", metavar="NAME,..", help="effects of the catalogue drawn in typical sizes for each episode"
     )
+    own_effects.option(p)
     p.add_argument("--reward", nargs="*", default=[], metavar="KEY=VALUE", help="weights of the reward: wG, wD, wS")
     p.add_argument("--out", type=Path, help="folder of the run (default runs/<preset>-<seed>)")
     p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
@@ -69,14 +77,23 @@ def options() -> argparse.ArgumentParser:
 
 def settings_from(args):
     """The preset with everything that was asked for on the command line. Raises ConfigError, UnknownName."""
-    from fishmj.train.settings import REWARD, change, preset
+    from fishmj import plugins
+    from fishmj.engines import own_effects
+    from fishmj.tasks.own import named
+    from fishmj.train.settings import ALGORITHMS, REWARD, change, preset
 
+    own_effects.join(args.effects)
     s = preset(args.preset or _by_device())
     algorithm, task, reward = {}, {}, {}
     top = {
         name: value for name in ("engine", "robot", "water", "seed", "command_path") if (value := getattr(args, name)) is not None
     }
-    if args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
+    if args.algo and args.algo not in ALGORITHMS:
+        plugins.load("algorithm", args.algo, ALGORITHMS)
+        if args.together:
+            raise ConfigError("--together trains fishmj's own algorithms only; train the seeds one after another")
+        s = replace(s, algo=args.algo, algorithm={})
+    elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
     if args.steps is not None:
         if not 1 <= args.steps < float("inf"):
@@ -98,6 +115,9 @@ def settings_from(args):
         task["turbulence"] = args.turbulence
     if args.intensity is not None:
         task["intensity"] = (0.0, args.intensity)
+    if args.task:
+        named(args.task)  # loaded here, from the command line; below it is a name
+        task["course"] = args.task
     if args.hide:
         task["hide"] = tuple(args.hide.split(","))
     if args.randomise_effects:
@@ -140,6 +160,7 @@ def _together(settings, seeds: list[int], args) -> list[dict]:
 
 def main(argv: list[str] | None = None) -> int:
     args = options().parse_args(argv)
+    from fishmj import plugins
     from fishmj.train.settings import change
 
     settings = settings_from(args)
@@ -150,7 +171,7 @@ def main(argv: list[str] | None = None) -> int:
         results, seeds = _together(settings, seeds, args), []
     for seed in seeds:
         one = change(settings, seed=seed)
-        folder = args.out or Path("runs") / f"{settings.preset}-{settings.algo}-{seed}"
+        folder = args.out or Path("runs") / f"{settings.preset}-{plugins.name_of(settings.algo)}-{seed}"
         folder = folder / f"seed-{seed}" if args.out and len(seeds) > 1 else folder
         if args.force and folder.exists() and not args.resume:
             shutil.rmtree(folder)

@@ -4,13 +4,15 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from fishmj import plugins
 from fishmj.engines import in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
+from fishmj.mjcf.structure import observation_of, structure_of
 from fishmj.policy import Policy
 from fishmj.tasks.station_hold import visible
 from fishmj.train.networks import scale
-from fishmj.train.settings import Settings
+from fishmj.train.settings import ALGORITHMS, Settings
 
 
 def pick_engine(name: str) -> str:
@@ -56,6 +58,10 @@ def algorithm(settings: Settings, env):
         from fishmj.train import ppo
 
         return ppo.PPO(env, made("setting of ppo", ppo.Config, settings.algorithm), settings.steps)
+    if settings.algo != "sac":  # of the user's own: only what this process has loaded
+        from fishmj.train.own import OwnAlgorithm
+
+        return OwnAlgorithm(settings.algo, env, own_config(settings), settings.steps, settings)
     from fishmj.train import sac
 
     return sac.SAC(env, made("setting of sac", sac.Config, settings.algorithm), settings.steps)
@@ -68,6 +74,20 @@ def made(what: str, kind, table: dict):
         if key not in known:
             raise UnknownName(what, key, known)
     return kind(**table)
+
+
+def own_config(settings: Settings):
+    """Settings of an algorithm of one's own. Raises OwnCodeError, UnknownName."""
+    from fishmj.train.own import config_of
+
+    return made(f"setting of {settings.algo}", config_of(settings.algo), settings.algorithm)
+
+
+def activation_of(settings: Settings) -> str:
+    """Activation of the actor's hidden layers."""
+    if settings.algo in ALGORITHMS:
+        return settings.algorithm.get("activation", {"ppo": "tanh"}.get(settings.algo, "relu"))
+    return getattr(own_config(settings), "activation", "tanh")
 
 
 def policy_of(actor, settings: Settings, meta: dict) -> Policy:
@@ -83,14 +103,15 @@ def policy_of(actor, settings: Settings, meta: dict) -> Policy:
     header = {
         "robot": robot.name,
         "joints": joints,
-        "observation": "target_x target_y velocity_x velocity_y yaw_rate joint*J joint_rate*J, body frame, SI",
+        "structure": structure_of(robot),
+        "observation": observation_of(joints),
         "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": scale(joints).tolist(),
-        "activation": settings.algorithm.get("activation", {"ppo": "tanh"}.get(settings.algo, "relu")),
+        "activation": activation_of(settings),
         "memory": memory,
         "control_dt": robot.timing.control_dt,
         "command_path": settings.command_path,
-        "algorithm": settings.algo,
+        "algorithm": settings.algo if settings.algo in ALGORITHMS else plugins.name_of(settings.algo),
         "seed": settings.seed,
         "origin": "synthetic",  # trained in simulation only
         **meta,

@@ -125,7 +125,7 @@ class PPO:
             value = self.value(t.critic, obs, seen)
             backup = c.reward_scale * after.reward + c.gamma * ahead
             backup = jnp.where(after.diverged, value, backup)  # no advantage: a dropped end teaches nothing
-            late = (after.count > 75) & ~done
+            late = (after.count > self.env.limit // 2) & ~done
             figures = (after.reward, after.distance, late, done, after.terminated, after.diverged)
             return after, (obs, seen, u, logp, value, backup, done, figures)
 

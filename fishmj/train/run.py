@@ -117,7 +117,7 @@ class Run:
         """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
         figures = self.assess(self.training.actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
-        better = is_better(figures, self.best)
+        better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
         self.best = figures if better else self.best
         return {f"tune_{k}": v for k, v in figures.items()}, better
 
@@ -176,9 +176,10 @@ class Run:
                     path.rename(path.with_suffix(".damaged"))
 
 
-def is_better(figures: dict, best: dict | None) -> bool:
-    """Whether an assessment beats the best so far: staying in the tank counts first (99 % will do), then holding close."""
-    rank = lambda f: (min(0.99, f["stayed"]), -f["rmse_last10"])  # noqa: E731
+def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:
+    """Whether an assessment beats the best so far: staying in the tank counts first (99 % will do), then holding close; under a
+    reward of the task's own its return alone."""
+    rank = lambda f: (f["return"],) if own_reward else (min(0.99, f["stayed"]), -f["rmse_last10"])  # noqa: E731
     return best is None or rank(figures) >= rank(best)
 
 

@@ -174,7 +174,7 @@ class SAC:
             wait = lambda carry: (carry, jnp.zeros(self.per_step))  # noqa: E731
             (actor, critics, targets, log_alpha, optimisers), loss = jax.lax.cond(warm, wait, learn, carry)
             done = env.terminated | env.truncated | env.diverged
-            late = (env.count > 75) & ~done
+            late = (env.count > self.env.limit // 2) & ~done
             figures = (env.reward, env.distance, late, done, env.terminated, env.diverged, loss.mean())
             return Training(actor, critics, targets, log_alpha, optimisers, m, env, t.key, t.updates + 1), figures
 

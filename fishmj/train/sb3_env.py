@@ -26,8 +26,9 @@ class Shoal(VecEnv):
     def __init__(self, settings: Settings, n: int, box: str = "train", reward_scale: float = 1.0):
         task, robot = dict(settings.task), robot_for(settings)
         self.memory, hide = task.pop("memory", 1), task.pop("hide", ())
+        course = task.pop("course", "station_hold")
         options = {**task, **settings.reward, "robot": robot, "box": box}
-        self.fish = FishVectorEnv(n, engine=pick_engine(settings.engine), autoreset_mode="SameStep", **options)
+        self.fish = FishVectorEnv(n, course, engine=pick_engine(settings.engine), autoreset_mode="SameStep", **options)
         self.joints, self.reward_scale = robot.n_joints, reward_scale
         self.factor = np.array(visible(self.joints, hide), np.float32) / scale(self.joints).astype(np.float32)
         one = observation_space(self.fish.rules).high / scale(self.joints)

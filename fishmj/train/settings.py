@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
+from fishmj import plugins
 from fishmj.errors import ConfigError, UnknownName
 
 ALGORITHMS = ("ppo", "sac", "sb3-sac")
@@ -74,7 +75,7 @@ def change(settings: Settings, **changes) -> Settings:
         k: {**getattr(settings, k), **changes.pop(k)} for k in ("task", "algorithm", "reward") if k in changes
     }
     made = replace(settings, **merged, **changes)
-    if made.algo not in ALGORITHMS:
+    if made.algo not in ALGORITHMS and made.algo not in plugins.loaded("algorithm"):
         raise UnknownName("algorithm", made.algo, ALGORITHMS)
     for key in made.reward:
         if key not in REWARD:

@@ -21,7 +21,7 @@ from fishmj.train.settings import Settings, as_dict, change
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
     """Train one policy a seed side by side; returns the summaries that `Run.go` would give."""
-    _, learner, assess = learner_of(settings)
+    env, learner, assess = learner_of(settings)
     start = time.monotonic()
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
@@ -48,7 +48,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
                 next_look += settings.assess_every
                 judged = {k: np.asarray(v, float) for k, v in look(training.actor, jax.random.key(20_000)).items()}
                 for i, lane in enumerate(lanes):
-                    lane.judge({k: round(float(v[i]), 5) for k, v in judged.items()}, training.actor, i, done)
+                    figures = {k: round(float(v[i]), 5) for k, v in judged.items()}
+                    lane.judge(figures, training.actor, i, done, getattr(env, "own_reward", None) is not None)
     for i, lane in enumerate(lanes):
         lane.export("last", training.actor, i, done)
     seconds = time.monotonic() - start
@@ -64,10 +65,10 @@ class Lane:
         self.board = Board(folder)
         store.write_json(folder / "settings.json", as_dict(settings))
 
-    def judge(self, figures: dict, actors, i: int, done: int) -> None:
+    def judge(self, figures: dict, actors, i: int, done: int, own_reward: bool) -> None:
         """Note an assessment; keep the actor, number i of the stacked ones, if it is the best so far."""
         self.board.write(done, {f"tune_{k}": v for k, v in figures.items()})
-        if is_better(figures, self.best):
+        if is_better(figures, self.best, own_reward):
             self.best = figures
             self.export("best", actors, i, done)
 

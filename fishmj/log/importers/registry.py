@@ -3,10 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from fishmj.errors import FishmjError, LogError, UnknownName
+from fishmj import plugins
+from fishmj.errors import FishmjError, LogError, OwnCodeError
 from fishmj.log.importers import flat_csv, mcap, rosbag2, servo_xl330, tail_fish, tendon_fish_markers, usv_coastdown
+from fishmj.log.importers.assemble import trial_of
 from fishmj.log.trial import Trial
+from fishmj.names import is_name, nearest
 
 
 @dataclass(frozen=True)
@@ -77,11 +81,15 @@ def sniff(path: str | Path) -> str:
     raise LogError(f"{path}: none of the known formats ({told}). Say which with --format, or write a trial folder")
 
 
-def read(path: str | Path, format: str | None = None, *, topics: str | Path | None = None) -> dict[str, Trial]:
+Format = str | Callable[[Path], "dict[str, Trial] | Trial"] | None
+
+
+def read(path: str | Path, format: Format = None, *, topics: str | Path | None = None) -> dict[str, Trial]:
     """Trials by name from a file or folder in a foreign format.
 
     Args:
-        format: one of `FORMATS`; found out when None.
+        format: one of `FORMATS`; one's own reader, `function(path)` or, as the user typed it, module:function, file.py:function
+            or an entry point of fishmj.importers (docs/your_own_code.md); found out when None.
         topics: for "mcap" and "rosbag2": the TOML that says which topic is which table.
 
     Raises:
@@ -89,9 +97,9 @@ def read(path: str | Path, format: str | None = None, *, topics: str | Path | No
         MissingExtra: the format needs a package that is not installed.
     """
     path = Path(path)
+    if callable(format) or (format is not None and format not in FORMATS):
+        return _own(path, format, topics)
     name = format or sniff(path)
-    if name not in FORMATS:
-        raise UnknownName("format", name, FORMATS)
     if topics and name not in MESSAGES:
         raise LogError(f"{path}: a topic mapping is for MCAP and rosbag2 recordings only, this is {name}; leave it out")
     if not path.exists():
@@ -100,3 +108,33 @@ def read(path: str | Path, format: str | None = None, *, topics: str | Path | No
     if not trials:
         raise LogError(f"{path}: nothing in format {name} ({FORMATS[name].about}) found there")
     return trials
+
+
+def _own(path: Path, format: Any, topics) -> dict[str, Trial]:
+    """Trials of a reader of the user's own."""
+    what = f"importer {format if isinstance(format, str) else getattr(format, '__name__', format)}"
+    reader = plugins.load("importer", format, FORMATS) if isinstance(format, str) else format
+    plugins.takes(what, reader, "read(path)", 1)
+    if topics:
+        raise LogError(f"{path}: a topic mapping is for MCAP recordings only; leave it out")
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
+    found = plugins.call(f"{what} on {path}", reader, path)
+    trials = {nearest(path.stem) or "trial": found} if isinstance(found, Trial) else found
+    if not isinstance(trials, dict) or not trials:
+        raise OwnCodeError(
+            f"{what}: gave {type(found).__name__} for {path}; expected a Trial, or a dict of name -> Trial with one at least"
+        )
+    checked = {}
+    for name, trial in trials.items():
+        if not (is_name(name) and isinstance(trial, Trial)):
+            raise OwnCodeError(
+                f"{what}: gave {name!r}: {type(trial).__name__}; expected names of letters, digits, '_', '.', '-', and Trials"
+            )
+        tables = {key: (columns, _place(f"{path}: {name}", key)) for key, columns in trial.tables.items()}
+        checked[name] = trial_of(name, trial.meta, tables, trial.notes)
+    return checked
+
+
+def _place(where: str, table: str) -> Callable[[int, str], str]:
+    return lambda row, column: f"{where}: table {table} row {row}: {column}"

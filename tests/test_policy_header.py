@@ -1,0 +1,326 @@
+"""A policy's header names robot, structure, observation and command path; another is refused, a hostile one is one line."""
+
+import copy
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import save
+
+from fishmj import console, controllers
+from fishmj.controllers.learned import Learned
+from fishmj.errors import ConfigError, FishmjError, StoreError
+from fishmj.evaluate.__main__ import main as evaluate
+from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.structure import observation_of, structure_of
+from fishmj.policy import SCHEMA, Policy, shipped
+from fishmj.store import write_tensors
+from fishmj.store.arrays import _digest
+
+ROBOT = load_robot("fish")
+SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
+
+
+def header(**changes) -> dict:
+    """A whole header as training writes it for the fish."""
+    robot = ROBOT
+    return {
+        "schema": SCHEMA, "robot": robot.name, "joints": robot.n_joints, "structure": structure_of(robot),
+        "observation": observation_of(robot.n_joints), "action": f"joint angle over {robot.servo.range:.6f} rad",
+        "scale": [1.0] * (5 + 2 * robot.n_joints), "activation": "relu", "memory": 1, "control_dt": robot.timing.control_dt,
+        "command_path": robot.timing.command_path, "algorithm": "ppo", "seed": 0, **changes,
+    }  # fmt: skip
+
+
+def arrays() -> dict:
+    """Weights of a small policy."""
+    rng, sizes = np.random.default_rng(0), [(8, 11), (3, 8)]
+    made = {f"w{i}": rng.normal(size=size).astype(np.float32) for i, size in enumerate(sizes)}
+    return made | {f"b{i}": np.zeros(size[0], np.float32) for i, size in enumerate(sizes)}
+
+
+def stored(path, meta, some=None):
+    """A policy file with any header, NaN and all, and its right checksum."""
+    some, text, path = arrays() if some is None else some, json.dumps(meta), path / "mine.safetensors"
+    some = {name: np.array(value, order="C") for name, value in some.items()}
+    path.write_bytes(save(some, {"fishmj": text, "sha256": _digest(some, text)}))
+    return str(path)
+
+
+def longer(factor: float):
+    """The fish with a longer head."""
+    head = ROBOT.links[0]
+    sections = tuple((s * factor, *rest) for s, *rest in head.sections)
+    return replace(ROBOT, links=(replace(head, length=head.length * factor, sections=sections), *ROBOT.links[1:]))
+
+
+# which robot
+
+
+def test_training_writes_the_whole_header():
+    from fishmj.train.learner import policy_of
+    from fishmj.train.settings import preset
+
+    actor = [(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))]
+    meta = policy_of(actor, preset("quick"), {}).meta
+    assert meta["structure"] == structure_of(ROBOT) and meta["observation"] == observation_of(3)
+    assert (
+        meta["robot"] == "swift" and meta["command_path"] == "linear" and meta["control_dt"] == 0.2 and len(meta["scale"]) == 11
+    )
+    assert [row["name"] for row in meta["observation"]][:6] == [
+        "target_x",
+        "target_y",
+        "velocity_x",
+        "velocity_y",
+        "yaw_rate",
+        "j1",
+    ]
+
+
+def test_the_robot_of_the_header_is_taken_without_a_word(tmp_path):
+    assert controllers.make(stored(tmp_path, header()), ROBOT).notes == ()
+
+
+def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
+    links = tuple(replace(link, mass=1.1 * link.mass) for link in longer(1.05).links)
+    robot = replace(ROBOT, name="swift.v2", links=links, servo=replace(ROBOT.servo, kp=9.0))
+    (note,) = controllers.make(stored(tmp_path, header()), robot).notes
+    assert "made for robot swift, steers swift.v2" in note
+
+
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        (longer(1.2), "made for a head of 0.215 m, the robot's is 0.258 m"),
+        (replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)), "made for servos of +-1.047 rad, the robot's have +-0.8 rad"),
+        (
+            replace(ROBOT, links=(ROBOT.links[0], ROBOT.links[2], ROBOT.links[1], ROBOT.links[3])),
+            "4 links (head, body1, body2, tail), the robot has 4 links (head, body2, body1, tail)",
+        ),
+        (replace(ROBOT, timing=replace(ROBOT.timing, control_dt=0.1)), "decides every 0.2 s, the robot every 0.1 s"),
+        (load_robot("tendon_fish"), "takes 11 observations and gives 3 actions; robot tendon_fish has 9 and 2"),
+    ],
+)
+@pytest.mark.parametrize("name", ["mine", "paper"])
+def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, name):
+    """Of the shipped `paper`, whose header is older, the structure of the robot that it names is known."""
+    source = stored(tmp_path, header()) if name == "mine" else name
+    with pytest.raises(ConfigError) as caught:
+        controllers.make(source, robot)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_other_observations_are_refused(tmp_path):
+    rows = observation_of(3)
+    rows[0], rows[1] = rows[1], rows[0]
+    with pytest.raises(ConfigError, match=r"sees target_y \[m\], target_x \[m\], .*; the robot gives target_x \[m\], target_y"):
+        controllers.make(stored(tmp_path, header(observation=rows)), ROBOT)
+
+
+def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_path):
+    old = {k: v for k, v in header(robot="another").items() if k not in ("structure",)} | {"observation": "target_x .., SI"}
+    assert "does not say which links" in controllers.make(stored(tmp_path, old), ROBOT).notes[0]
+    with pytest.raises(ConfigError, match="made for servos of"):
+        controllers.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
+    bare = {key: old[key] for key in ("schema", "scale", "activation")}
+    notes = " ".join(controllers.make(stored(tmp_path, bare), ROBOT).notes)
+    assert all(
+        said in notes for said in ("does not say which robot", "does not say which links", "does not say its command path")
+    )
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_policies_fit_the_shipped_fish_without_a_note(name):
+    assert controllers.make(name, ROBOT).notes == ()
+
+
+# command path
+
+HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
+
+
+def test_another_command_path_is_refused_unless_it_was_asked_for():
+    with pytest.raises(
+        ConfigError, match="trained on command path linear, the robot's is hold: --command-path linear, or --any-c"
+    ):
+        controllers.make("paper", HELD)
+    (note,) = controllers.make("paper", HELD, any_command_path=True).notes
+    assert note == "policy paper: trained on command path linear, steers on hold as asked"
+
+
+def test_a_command_path_on_the_command_line_is_consent_and_one_line_says_so(capsys):
+    assert console.run(evaluate, ["paper", "--command-path", "hold", *SHORT]) == console.OK
+    assert capsys.readouterr().err.count("trained on command path linear, steers on hold as asked") == 1
+
+
+def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys):
+    from fishmj.calib import calib_folder
+
+    text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
+    head, _, rest = text.partition("[timing]\n")
+    lines = [line for line in rest.splitlines() if not line.startswith("command_path")]
+    (tmp_path / "held.toml").write_text("\n".join([f'{head}[timing]\ncommand_path = "hold"', *lines]), encoding="utf-8")
+    argv = ["paper", "--robot", str(tmp_path / "held.toml"), *SHORT]
+    assert console.run(evaluate, argv) == console.BAD_INPUT
+    assert "the robot's is hold" in capsys.readouterr().err
+    assert console.run(evaluate, [*argv, "--any-command-path"]) == console.OK
+
+
+# hostile files
+
+BAD = [
+    ({"memory": 0}, "memory 0"),
+    ({"memory": True}, "memory True"),
+    ({"memory": 10**9}, "memory 1000000000"),
+    ({"memory": [1]}, "memory [1]"),
+    ({"scale": ["1"] * 11}, "scale ['1'"),
+    ({"scale": [float("nan")] * 11}, "scale [nan"),
+    ({"scale": [float("inf")] * 11}, "scale [inf"),
+    ({"scale": [True] * 11}, "scale [True"),
+    ({"scale": [10**400] * 11}, "scale [1"),
+    ({"scale": [1.0] * 100_000}, "scale a list of 100000"),
+    ({"scale": {"0": 1.0}}, "scale {"),
+    ({"activation": ["relu"]}, "activation ['relu']"),
+    ({"activation": {"relu": 1}}, "activation {'relu': 1}"),
+    ({"activation": "<b>" * 1000}, "activation '<b>"),
+    ({"robot": "<script>alert(1)</script>"}, "robot '<script>"),
+    ({"robot": "../../etc/passwd"}, "robot '../../etc/passwd'"),
+    ({"robot": "a\nb"}, "robot 'a\\nb'"),
+    ({"robot": ["swift"]}, "robot ['swift']"),
+    ({"name": "x\x00y"}, "name 'x\\x00y'"),
+    ({"name": "a/b"}, "name 'a/b'"),
+    ({"command_path": 3}, "command_path 3"),
+    ({"command_path": "lin\near"}, "command_path 'lin\\near'"),
+    ({"control_dt": float("nan")}, "control_dt nan"),
+    ({"control_dt": 0}, "control_dt 0"),
+    ({"joints": "three"}, "joints 'three'"),
+    ({"joints": 10**9}, "joints 1000000000"),
+    ({"structure": "fish"}, "structure 'fish'"),
+    ({"structure": {"links": []}}, "structure {'links': []}"),
+    ({"structure": structure_of(ROBOT) | {"lengths": [0.1, "x", 0.1, 0.1]}}, "expected names, positive lengths"),
+    ({"structure": structure_of(ROBOT) | {"lengths": [float("inf")] * 4}}, "expected names, positive lengths"),
+    ({"structure": structure_of(ROBOT) | {"lengths": [0.1]}}, "4 links, 1 lengths and 3 joints"),
+    ({"structure": structure_of(ROBOT) | {"links": ["a", "b<", "c", "d"]}}, "expected names"),
+    ({"observation": [{"name": "x", "unit": "m"}]}, "observation [{'name': 'x', 'unit': 'm'}]; expected 11 rows"),
+    ({"observation": [3] * 11}, "observation [3"),
+    ({"observation": "x" * 100_000}, "observation 'xxx"),
+    ({"algorithm": "<img>"}, "algorithm '<img>'"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), BAD, ids=[said[:24].replace("\n", " ") for _, said in BAD])
+def test_a_bad_key_is_one_short_line_with_the_file(tmp_path, change, said):
+    path = stored(tmp_path, header(**change))
+    with pytest.raises(ConfigError) as caught:
+        Policy.load(path)
+    text = str(caught.value)
+    assert path in text and said in text and "\n" not in text and "<script>" not in text.replace(repr(change.get("robot")), "")
+    assert len(text) < 400
+
+
+def test_memory_null_is_no_memory(tmp_path):
+    policy = Policy.load(stored(tmp_path, header(memory=None)))
+    assert policy.memory == 1 and policy(np.zeros((2, 11))).shape == (2, 3)
+
+
+@pytest.mark.parametrize("meta", [[], "policy", 3, None, [[[]]]])
+def test_a_header_that_is_no_table_is_refused(tmp_path, meta):
+    with pytest.raises(FishmjError, match="schema|header"):
+        Policy.load(stored(tmp_path, meta))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a: a.update(w0=a["w0"].astype(np.int32)), "weights are no floating-point numbers"),
+        (lambda a: a.update(w0=np.zeros((0, 11), np.float32), b0=np.zeros(0, np.float32)), "layer 0 has weights (0, 11)"),
+        (lambda a: a.update(w1=np.zeros((8, 8, 8), np.float32)), "layer 1 has weights (8, 8, 8)"),
+        (lambda a: a.update(b1=np.float32(1.0)), "layer 1 has weights (3, 8) and bias ()"),
+        (lambda a: a.update({f"x{i}": np.zeros(1) for i in range(500)}), "expected w0, b0"),
+    ],
+)
+def test_arrays_that_are_no_layers_are_one_short_line(tmp_path, change, said):
+    some = arrays()
+    change(some)
+    with pytest.raises(ConfigError) as caught:
+        Policy.load(stored(tmp_path, header(), some))
+    assert said in str(caught.value) and len(str(caught.value)) < 500
+
+
+def raw(path, table: dict, data: bytes = b""):
+    """A safetensors file by hand."""
+    text = json.dumps(table).encode()
+    (path / "raw.safetensors").write_bytes(struct.pack("<Q", len(text)) + text + data)
+    return path / "raw.safetensors"
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"dtype": "F32", "shape": [10**9, 10**9], "data_offsets": [0, 4]},
+        {"dtype": "F32", "shape": [1], "data_offsets": [0, 2**62]},
+        {"dtype": "F32", "shape": [-1], "data_offsets": [0, 4]},
+        {"dtype": "F999", "shape": [1], "data_offsets": [0, 4]},
+        {"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]},
+    ],
+)
+def test_a_declared_shape_that_the_file_does_not_hold_is_refused_before_it_is_made(tmp_path, entry):
+    table = {"w0": entry, "__metadata__": {"fishmj": json.dumps(header()), "sha256": "0" * 64}}
+    with pytest.raises(StoreError):
+        Policy.load(raw(tmp_path, table, b"\0" * 4))
+
+
+def test_a_header_nested_without_end_is_refused(tmp_path):
+    import hashlib
+
+    deep = "[" * 100_000 + "]" * 100_000
+    table = {"__metadata__": {"fishmj": deep, "sha256": hashlib.sha256(deep.encode()).hexdigest()}}
+    with pytest.raises(StoreError, match="damaged or not a fishmj tensor file"):
+        Policy.load(raw(tmp_path, table))
+
+
+def test_weights_too_large_to_multiply_are_one_line(tmp_path):
+    some = {k: np.full_like(v, 3e38) * (1 if k[0] == "w" else 0) for k, v in arrays().items()}
+    some["w1"][:, ::2] *= -1
+    brain = Learned(ROBOT, stored(tmp_path, header(), some))
+    brain.reset(1)
+    with np.errstate(all="ignore"), pytest.raises(ConfigError, match="its answer is not finite"):
+        brain(np.ones((1, 11)))
+
+
+def test_a_file_name_that_is_no_name_is_cleaned_for_reports(tmp_path):
+    path = tmp_path / "<b>my policy&.safetensors"
+    write_tensors(path, arrays(), header())
+    assert controllers.make(str(path), ROBOT).name == "b_my_policy"
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=8,
+)
+KEYS = sorted(set(header()) - {"schema"})
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.dictionaries(st.sampled_from(KEYS), JSON, min_size=1, max_size=3), st.sampled_from([None, "structure"]), JSON)
+def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
+    """Generated values under the known keys, and inside the structure: a controller or a FishmjError, nothing else."""
+    meta = copy.deepcopy(header(**changes))
+    if part and isinstance(meta.get(part), dict):
+        meta[part][sorted(meta[part])[0] if meta[part] else "links"] = value
+    policy = Policy([(arrays()[f"w{i}"], arrays()[f"b{i}"]) for i in range(2)], meta)
+    try:
+        policy.check("generated")
+        policy.reset(1)
+        assert policy(np.zeros((1, 11))).shape == (1, 3)
+        from fishmj.controllers.learned import body_of
+        from fishmj.policy_header import fit
+
+        fit(policy.meta, body_of(ROBOT), any_path=False, known={})
+    except FishmjError as error:
+        assert "\n" not in str(error) and len(str(error)) < 1200
