@@ -25,6 +25,7 @@ from fishmj.options import Distinct as Distinct
 from fishmj.options import Listed as Listed
 from fishmj.options import Number as Number
 from fishmj.options import device as device
+from fishmj.options import name as name
 from fishmj.options import number as number
 from fishmj.options import out_file as out_file
 from fishmj.options import out_folder as out_folder
@@ -44,7 +45,14 @@ EXITS = {
 }
 TRACEBACK = "FISHMJ_TRACEBACK"  # environment: 1 shows the traceback of every error
 LONGEST = 1000  # characters of an error's line
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.EIO}  # of a file system, with or without a name
+_FULL = {
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EROFS,
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.EIO,
+}  # of a file system, with or without a name
 
 Main = Callable[[list[str]], int | None]
 
@@ -121,7 +129,8 @@ class Help(argparse.RawDescriptionHelpFormatter):
 
     def _get_help_string(self, action) -> str:
         text, default = action.help or "", action.default
-        if "default" in text or default in (None, False, argparse.SUPPRESS) or not (action.option_strings or action.nargs):
+        said = "default" in text or default is None or default is False or default is argparse.SUPPRESS
+        if said or not (action.option_strings or action.nargs):
             return text
         if isinstance(default, list | tuple):
             default = " ".join(map(str, default))

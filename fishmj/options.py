@@ -14,6 +14,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from fishmj.names import is_name, nearest
+
 SHOWN = 60  # characters of an argument that an error repeats
 
 
@@ -102,6 +104,14 @@ def path(text: str) -> Path:
     if not text.strip():
         raise argparse.ArgumentTypeError(f"got {text!r}, expected a file or folder")
     return Path(text).expanduser() if text.startswith("~") else Path(text)
+
+
+def name(text: str) -> str:
+    """The `type=` of an option that takes a name which stands in paths and pages (`fishmj.names`)."""
+    if not is_name(text):
+        near = f", for example {nearest(text)!r}" if nearest(text) else ""
+        raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to 64 letters, digits, '_', '.' or '-'{near}")
+    return text
 
 
 def device(text: str) -> str:

@@ -1,20 +1,29 @@
-"""Segments of the flow solver: what a water is fitted to (the same as `hydro_fit collect`), and logs with hidden effects.
-
-python -m fishmj.campaign [--preview ...]        as `hydro_fit collect`
-python -m fishmj.campaign hidden --sets 48 ...   data sets in which effects are hidden
-"""
+"""Data by the flow solver: segments that a water is fitted to, and logs in which effects or numbers are hidden."""
 
 from fishmj import console
+from fishmj.console import Command
 
-
-def main(argv: list[str]) -> int:
-    if argv[:1] == ["hidden"]:
-        from fishmj.campaign import hidden_command
-
-        return hidden_command.main(argv[1:])
-    from fishmj.campaign import command
-
-    return command.main(argv)
+main = console.Group(
+    "campaign",
+    __doc__ or "",
+    {
+        "collect": Command(
+            "fishmj.campaign.command",
+            "segments that a water is fitted to (the same as fishmj hydro_fit collect)",
+            "fishmj campaign collect --preview --out runs/preview",
+        ),
+        "hidden": Command(
+            "fishmj.campaign.hidden_command",
+            "data sets in which effects are hidden",
+            "fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --out runs/hidden --truth truth.json",
+        ),
+        "hidden_trials": Command(
+            "fishmj.campaign.hidden_trials",
+            "calibration trials of a robot drawn anew, its numbers sealed",
+            "fishmj campaign hidden_trials --water second --out runs/trials",
+        ),
+    },
+)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,11 @@
-"""`python -m fishmj.log`: bring recordings in, and check data sets.
-
-python -m fishmj.log import SRC --out DATASET [--format F] [--topics MAP.toml]
-python -m fishmj.log check DATASET
-"""
+"""`python -m fishmj.log`: bring recordings in, and check data sets."""
 
 import sys
-from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console
+from fishmj.console import Command
 from fishmj.errors import LogError
 from fishmj.log import importers
 from fishmj.log.dataset import read_dataset, write_dataset
@@ -19,26 +15,14 @@ from fishmj.log.trial import Trial
 from fishmj.store.manifest import MANIFEST
 
 
-def main(argv: list[str]) -> int:
-    parser = console.parser("log", "Bring recordings in, and check data sets.", json=False)
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    bring = verbs.add_parser(
-        "import", help="foreign recordings -> a data set of trial folders with a manifest", allow_abbrev=False
-    )
+def bring_in(argv: list[str]) -> int:
+    """Import, write, and say what came in."""
+    bring = console.parser("log import", "Foreign recordings -> a data set of trial folders with a manifest.")
     bring.add_argument("source", type=Path, help="file or folder")
     bring.add_argument("--out", type=Path, required=True, help="the data set to write; must not exist")
     bring.add_argument("--format", choices=sorted(importers.FORMATS), help="found out when not said")
     bring.add_argument("--topics", type=Path, help="MCAP: the TOML that says which topic is which table")
-    look = verbs.add_parser("check", help="read a data set or a trial, audit its clocks", allow_abbrev=False)
-    look.add_argument("data", type=Path, help="data set, trial folder or samples.csv")
-    for sub in (bring, look):
-        sub.add_argument("--json", action="store_true", help="print one JSON object last")
-    args = parser.parse_args(argv)
-    return bring_in(args) if args.verb == "import" else inspect(args)
-
-
-def bring_in(args: Namespace) -> int:
-    """Import, write, and say what came in."""
+    args = bring.parse_args(argv)
     if args.out.exists():
         raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
     name = args.format or importers.sniff(args.source)
@@ -53,8 +37,11 @@ def bring_in(args: Namespace) -> int:
     return console.OK
 
 
-def inspect(args: Namespace) -> int:
+def inspect(argv: list[str]) -> int:
     """Exit 0: everything reads; 1: some trials break the schema (all are listed)."""
+    look = console.parser("log check", "Read a data set or a trial, audit its clocks; exit 1 where a trial breaks the schema.")
+    look.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
+    args = look.parse_args(argv)
     audits, broken = [], {}
     for name, load in _trials(args.data).items():
         try:
@@ -95,6 +82,18 @@ def _row(name: str, trial: Trial) -> dict:
     start, end = trial.span
     tables = ", ".join(f"{table} {len(columns['t'])}" for table, columns in trial.tables.items())
     return {"trial": name, "tables (rows)": tables, "seconds": round(end - start, 3), "notes": len(trial.notes)}
+
+
+main = console.Group(
+    "log",
+    "Bring recordings in, and check data sets.",
+    {
+        "import": Command(
+            bring_in, "foreign recordings -> a data set of trial folders with a manifest", "fishmj log import SRC --out DATASET"
+        ),
+        "check": Command(inspect, "read a data set or a trial, audit its clocks", "fishmj log check DATASET"),
+    },
+)
 
 
 if __name__ == "__main__":
