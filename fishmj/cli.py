@@ -84,7 +84,7 @@ def usage() -> str:
             *(f"  {code:>3}  {meaning}" for code, meaning in console.EXITS.items()),
             "",
             "fishmj VERB is python -m fishmj.VERB. --json prints one JSON object last, of an error too.",
-            "Reports and pages that are there are replaced; data sets, trials and runs only where --overwrite or --force says so.",
+            "Reports and pages that are there are replaced; data sets, trials and runs only with --overwrite or --force.",
             f"{console.TRACEBACK}=1 in the environment shows the traceback of every error.",
         ]
     )

@@ -24,6 +24,7 @@ from fishmj.options import SHOWN, shown
 from fishmj.options import Distinct as Distinct
 from fishmj.options import Listed as Listed
 from fishmj.options import Number as Number
+from fishmj.options import OneOf as OneOf
 from fishmj.options import device as device
 from fishmj.options import name as name
 from fishmj.options import number as number
@@ -92,9 +93,9 @@ def _speak_any_text() -> None:
 
 
 def _refuse_nul(argv: Sequence[str]) -> None:
-    for place, text in enumerate(argv, 1):
-        if "\0" in text:
-            raise UsageError(f"argument {place}, {shown(text)}: holds a NUL character; no name or number has one")
+    for place, given in enumerate(argv, 1):
+        if "\0" in given:
+            raise UsageError(f"argument {place}, {shown(given)}: holds a NUL character; no name or number has one")
 
 
 def _of_the_machine(error: Exception) -> str:
@@ -104,7 +105,8 @@ def _of_the_machine(error: Exception) -> str:
         return f"{where}{error.strerror or error}; choose another file or folder, or make room"
     said = str(error)
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in said or "out of memory" in said.lower():
-        return f"not enough memory ({shown(said.partition(chr(10))[0], 200) or 'no details'}); ask for less at once, or a larger machine"
+        details = shown(said.partition("\n")[0], 200) if said else "no details"
+        return f"not enough memory ({details}); ask for less at once, or take a larger machine"
     return ""
 
 

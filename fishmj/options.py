@@ -106,6 +106,20 @@ def path(text: str) -> Path:
     return Path(text).expanduser() if text.startswith("~") else Path(text)
 
 
+@dataclass(frozen=True)
+class OneOf:
+    """The `type=` of one value of a list of known names, for `Listed`; elsewhere `choices=` does it."""
+
+    known: tuple[str, ...]
+
+    def __call__(self, text: str) -> str:
+        if text not in self.known:
+            near = get_close_matches(text, self.known, 1, 0.5)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {', '.join(self.known)}")
+        return text
+
+
 def name(text: str) -> str:
     """The `type=` of an option that takes a name which stands in paths and pages (`fishmj.names`)."""
     if not is_name(text):

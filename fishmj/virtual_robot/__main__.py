@@ -1,38 +1,47 @@
-"""`python -m fishmj.virtual_robot`: make trials of a robot in which effects are hidden.
-
-python -m fishmj.virtual_robot --plant command_latency=0.038 --logs 12 --seed 7 --out data --truth truth.json
-python -m fishmj.virtual_robot --plant random --plant random --seed 8 --out data2 --truth truth2.json
-python -m fishmj.virtual_robot --list
-"""
+"""`python -m fishmj.virtual_robot`: make trials of a robot in which effects are hidden."""
 
 import time
+from argparse import ArgumentTypeError
 from itertools import cycle, islice
-from pathlib import Path
 
 from fishmj import console, excitation
 from fishmj.errors import ConfigError
 
+EXAMPLES = """examples:
+  fishmj virtual_robot --plant command_latency=0.038 --logs 12 --seed 7 --out data --truth truth.json
+  fishmj virtual_robot --plant random --plant random --seed 8 --out data2 --truth truth2.json
+  fishmj virtual_robot --list"""
+MOST_LOGS = 100_000
+
+
+def options() -> console.Parser:
+    """The arguments of `virtual_robot`."""
+    summary = "Synthetic trials of a second, independent robot in which effects are hidden."
+    parser = console.parser("virtual_robot", summary, examples=EXAMPLES)
+    add = parser.add_argument
+    plant = "what is hidden, SI; may be repeated; random, random_odd; by default nothing"
+    add("--plant", type=console.text, action="append", default=[], metavar="EFFECT[=value]", help=plant)
+    runs = "designed, casual, dry, all, or ids with commas"
+    add("--excitations", type=console.text, default="designed", metavar="LIST", help=runs)
+    logs = "number of trials; beyond the list they are replicates. Default: the list once"
+    add("--logs", type=console.whole(1, MOST_LOGS), metavar="N", help=logs)
+    add("--seed", type=console.SEED, default=0, help="robot and noise")
+    add("--noise", type=console.number(0, 100), default=1.0, help="factor on every sensor's noise")
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of unmeasured constants")
+    add("--medium", default="water", choices=("water", "air"), help="air: hung on a thread, no camera")
+    flow = "ordered stream, m/s and rad"
+    add("--flow", type=stream, default="0,0", metavar="SPEED,DIRECTION", help=flow)
+    add("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
+    add("--out", type=console.out_folder, help="data set folder; refused when it is there; needed unless --list")
+    add("--truth", type=console.out_file, help="file for what was planted, outside the data set; needed unless --list")
+    add("--overwrite", action="store_true", help="replace the data set and the truth that are there")
+    add("--list", action="store_true", help="name effects and excitations and stop")
+    return parser
+
 
 def main(argv: list[str]) -> int:
-    parser = console.parser("virtual_robot", "Synthetic trials of a second, independent robot in which effects are hidden.")
-    parser.add_argument(
-        "--plant", action="append", default=[], metavar="EFFECT[=value]", help="SI; may be repeated; random, random_odd"
-    )
-    parser.add_argument(
-        "--excitations", default="designed", metavar="LIST", help="designed, casual, dry, all, or ids with commas"
-    )
-    parser.add_argument("--logs", type=int, help="number of trials; beyond the list they are replicates. Default: the list once")
-    parser.add_argument("--seed", type=int, default=0, help="robot and noise")
-    parser.add_argument("--noise", type=float, default=1.0, help="factor on every sensor's noise")
-    parser.add_argument("--nuisance", type=float, default=0.1, help="relative half width of unmeasured constants")
-    parser.add_argument("--medium", default="water", choices=("water", "air"))
-    parser.add_argument("--flow", default="0,0", metavar="SPEED,DIRECTION", help="ordered stream, m/s and rad")
-    parser.add_argument("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
-    parser.add_argument("--out", type=Path, help="data set folder")
-    parser.add_argument("--truth", type=Path, help="file for what was planted, outside the data set")
-    parser.add_argument("--overwrite", action="store_true")
-    parser.add_argument("--list", action="store_true", help="name effects and excitations and stop")
-    args = parser.parse_args(argv)
+    """The verb `virtual_robot`. Returns the exit code."""
+    args = options().parse_args(argv)
     if args.list:
         return _list(args.json)
     if args.out is None or args.truth is None:
@@ -41,9 +50,7 @@ def main(argv: list[str]) -> int:
     from fishmj.virtual_robot.trials import generate
     from fishmj.virtual_robot.weighing import page
 
-    effects, runs, flow = parse(args.plant, args.seed), _runs(args.excitations, args.logs), _flow(args.flow)
-    if args.noise < 0:
-        raise ConfigError(f"--noise {args.noise}: a factor, 0 or more")
+    effects, runs, flow = parse(args.plant, args.seed), _runs(args.excitations, args.logs), args.flow
     begin = time.perf_counter()
     trials = generate(effects, runs, args.seed, args.noise, args.nuisance, medium=args.medium, flow=flow)
     facts = {"seed": args.seed, "noise": args.noise, "nuisance": args.nuisance, "medium": args.medium, "excitations": runs}
@@ -67,17 +74,19 @@ def _runs(text: str, logs: int | None) -> list[str]:
     listed = list(shelf.get(text, [name.strip() for name in text.split(",")]))
     for name in listed:
         excitation.get(name)
-    if logs is not None and logs < 1:
-        raise ConfigError(f"--logs {logs}: at least one trial")
     return list(islice(cycle(listed), len(listed) if logs is None else logs))
 
 
-def _flow(text: str) -> tuple[float, float]:
-    try:
-        speed, direction = map(float, text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"--flow {text}: expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)") from error
-    return speed, direction
+def stream(text: str) -> tuple[float, float]:
+    """`0.2,3.14`: speed [m/s] and direction [rad].
+
+    Raises:
+        ArgumentTypeError: no two numbers in their ranges.
+    """
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
+    return console.number(0, 4)(parts[0]), console.number(-10, 10)(parts[1])
 
 
 def _list(json: bool) -> int:
