@@ -167,8 +167,11 @@ def findings(results: list[Result]) -> dict:
 
 
 def report(results: list[Result], args) -> int:
-    """Tables to the terminal, files where asked."""
-    summaries = [summary(r) for r in results]
+    """Tables to the terminal, files where asked: the figures first, so that no reader who leaves early takes them away."""
+    found = findings(results)
+    summaries = found["results"]
+    if args.out is not None:
+        save(args.out, results, found)
     console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
     console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
     for s in summaries:
@@ -178,7 +181,6 @@ def report(results: list[Result], args) -> int:
     for a, b in pairs:
         console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; * = the interval excludes 0")
         console.say(tables.paired(a, b))
-    found = findings(results)
     if args.out is not None:
         console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log)}")
     if args.json:

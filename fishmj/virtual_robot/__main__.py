@@ -46,11 +46,12 @@ def main(argv: list[str]) -> int:
         return _list(args.json)
     if args.out is None or args.truth is None:
         raise ConfigError("virtual_robot: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
-    from fishmj.virtual_robot.dataset import parse, write_hidden
+    from fishmj.virtual_robot.dataset import check_places, parse, write_hidden
     from fishmj.virtual_robot.trials import generate
     from fishmj.virtual_robot.weighing import page
 
     effects, runs, flow = parse(args.plant, args.seed), _runs(args.excitations, args.logs), args.flow
+    check_places(args.out, args.truth, args.overwrite)
     begin = time.perf_counter()
     trials = generate(effects, runs, args.seed, args.noise, args.nuisance, medium=args.medium, flow=flow)
     facts = {"seed": args.seed, "noise": args.noise, "nuisance": args.nuisance, "medium": args.medium, "excitations": runs}

@@ -64,13 +64,10 @@ def write_hidden(
     """Write the data set, with a page of weighings if there is one, then its truth.
 
     Raises:
-        ConfigError: the truth would lie inside the data set. StoreError: a file is there already, or the disk refuses.
+        ConfigError: as of `check_places`. StoreError: the disk refuses.
     """
     folder, truth = Path(folder), Path(truth)
-    if truth.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
-    if truth.exists() and not overwrite:
-        raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
+    check_places(folder, truth, overwrite)
     if overwrite:
         (folder / measurements.FILE).unlink(missing_ok=True)  # of another robot
     named = {trial.name: trial for trial in trials}
@@ -83,6 +80,20 @@ def write_hidden(
         "manifest_sha256": sha256(folder / "manifest.json"),
     }
     write_json(truth, sealed)
+
+
+def check_places(folder: Path, truth: Path, overwrite: bool = False) -> None:
+    """Whether data set and truth may be written there; asked before the trials are made.
+
+    Raises:
+        ConfigError: the truth would lie inside the data set, or one of the two is there already.
+    """
+    if truth.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
+    if truth.exists() and not overwrite:
+        raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise ConfigError(f"--out {folder} is not empty; choose another folder or pass --overwrite")
 
 
 def _number(text: str, value: str) -> float:
