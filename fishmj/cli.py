@@ -5,6 +5,7 @@ first line of its docstring, read without importing it.
 """
 
 import ast
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -41,8 +42,7 @@ def present() -> dict[str, str]:
 
 
 def _has_main(path: Path) -> bool:
-    text = path.read_text(encoding="utf-8")
-    return "main" in text and any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in ast.parse(text).body)
+    return re.search(r"^def main\(", path.read_text(encoding="utf-8"), re.MULTILINE) is not None
 
 
 def _summary(path: Path) -> str:

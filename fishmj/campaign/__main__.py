@@ -1,4 +1,4 @@
-"""Data by the flow solver: segments that a water is fitted to, and logs in which effects or numbers are hidden."""
+"""Logs of the flow solver in which effects or numbers are hidden (`hydro_fit collect` has what a water is fitted to)."""
 
 from fishmj import console
 from fishmj.console import Command
@@ -7,11 +7,6 @@ main = console.Group(
     "campaign",
     __doc__ or "",
     {
-        "collect": Command(
-            "fishmj.campaign.command",
-            "segments that a water is fitted to (the same as fishmj hydro_fit collect)",
-            "fishmj campaign collect --preview --out runs/preview",
-        ),
         "hidden": Command(
             "fishmj.campaign.hidden_command",
             "data sets in which effects are hidden",

@@ -1,8 +1,8 @@
 """Calibration trials of a robot whose numbers nobody wrote down, and the sealed file that holds them.
 
-    python -m fishmj.campaign.hidden_trials --water second                     seconds; all water is the second robot's
-    python -m fishmj.campaign.hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
-    python -m fishmj.campaign.hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
+    python -m fishmj.campaign hidden_trials --water second                     seconds; all water is the second robot's
+    python -m fishmj.campaign hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
+    python -m fishmj.campaign hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
 
 Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
 weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be

@@ -257,7 +257,7 @@ def report(robot: Robot, folder: Path, args) -> Path:
 
 
 WRITTEN = {
-    "all": "as of fit and report",
+    "all": "as of fit and report; default data/water",
     "fit": "the model, in place of one that is worse; default data/water",
     "calibrate": "the model with its new error bar, in place of the old; default data/water",
     "check": "where the model is looked for, nothing is written; default data/water",
