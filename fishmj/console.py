@@ -240,7 +240,7 @@ def say(*lines: str) -> None:
 
 def warn(message: str) -> None:
     """Print one line on stderr that does not stop the command."""
-    print(f"fishmj: {message}", file=sys.stderr, flush=True)
+    print(f"fishmj: {_one_line(message)}", file=sys.stderr, flush=True)
 
 
 def emit_json(value: Any) -> None:

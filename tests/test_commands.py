@@ -273,7 +273,7 @@ evaluate drit | Did you mean 'drift'
 evaluate pd --speeds 0,0.01,0.02,0.03,0.04 --repeats 1000 --duration 600 --los 0,1,2,3,4,5,6,7,8,9,10 | GB of memory
 train --reward wG=nan | expected
 train --reward wG | expected
-train --reward wg=1 | Did you mean 'wG'
+train --reward wGG=1 | Did you mean 'wG'
 train --reward wG=1 wG=2 | twice
 train --steps -1 | --steps
 train --steps 1e12 | --steps
@@ -331,7 +331,7 @@ lbm_oracle drift --n 0 | --n
 lbm_oracle drift --water honey | Known
 campaign hidden --sets 0 | --sets
 campaign hidden --effects nosuch --dry-run | nosuch
-campaign hidden_trials --water thrid | Did you mean 'third'
+campaign hidden_trials --water secnd | Did you mean 'second'
 virtual_robot | --out
 virtual_robot --flow 1 | SPEED,DIRECTION
 virtual_robot --flow nan,0 | --flow
@@ -353,7 +353,7 @@ nosuch | Known
 LINES = [tuple(part.strip() for part in line.rsplit("|", 1)) for line in BAD.strip().splitlines()]
 
 
-@pytest.mark.parametrize(("line", "said"), [row for row in LINES if row[1] != "-" and "third" not in row[1]])
+@pytest.mark.parametrize(("line", "said"), [row for row in LINES if row[1] != "-"])
 def test_a_bad_command_is_one_clear_line(line, said):
     argv = shlex.split(line)
     err = refused(argv)
@@ -371,13 +371,17 @@ TAKE_A_NAME = ("replay", "log check", "evaluate", "effects", "hydro_fit correct"
 @pytest.mark.parametrize("bad", TEXTS_OF_ALL_KINDS, ids=range(len(TEXTS_OF_ALL_KINDS)))
 @pytest.mark.parametrize("line", TAKE_A_NAME)
 def test_any_text_for_a_name_is_one_line(bad, line):
+    if bad == "--" and line in ("bench", "effects", "lbm_oracle cases"):
+        pytest.skip("no name is needed: all of them")
+    if bad in ("..", "/") and line == "log check":
+        pytest.skip("a folder that can be checked, and fails")
     refused([*line.split(), bad])
 
 
 @pytest.mark.parametrize("option", ["--robot", "--water", "--out"])
 @pytest.mark.parametrize("bad", ["a\0b", "b" * 5000, "é" * 300, "\udcff/x.toml", "x.toml", ".", "/"])
 def test_any_text_for_a_file_is_one_line_or_is_taken(option, bad):
-    if option == "--out" and bad in ("x.toml", ".", "/"):
+    if option == "--out" and bad in ("x.toml", ".", "/", "\udcff/x.toml"):
         pytest.skip("a place to write")
     refused(["evaluate", "drift", option, bad, "--duration", "1", "--repeats", "1"])
 
@@ -463,5 +467,5 @@ def test_a_default_of_zero_or_of_a_list_is_shown():
     parser.add_argument("--seed", type=console.SEED, default=0, help="of 100 % of the draws".replace("%", "%%"))
     parser.add_argument("--sizes", type=console.number(0, 9), nargs="+", default=[1.0, 2.5], help="in m")
     parser.add_argument("--own", type=console.number(0, 9), help="default the robot's")
-    text = parser.format_help()
+    text = " ".join(parser.format_help().split())
     assert "of 100 % of the draws (default: 0)" in text and "in m (default: 1.0 2.5)" in text and text.count("default") == 3

@@ -9,7 +9,7 @@ from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, controllers
 from fishmj.campaign.collect import Local
 from fishmj.campaign.command import ON_GPU
 from fishmj.campaign.rounds import correct
@@ -40,13 +40,14 @@ def main(argv: list[str]) -> int:
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
-    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
+    controllers.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
     if (grid := {meta["grid"]["domain"] for meta in first.about.values()}) != {args.domain}:
         console.warn(
             f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {args.domain}: two waters in one fit"
         )
 
+    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
     pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)
     refit = lambda model, solver: refitted(robot, model, first, solver)  # noqa: E731

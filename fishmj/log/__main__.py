@@ -42,6 +42,8 @@ def inspect(argv: list[str]) -> int:
     look = console.parser("log check", "Read a data set or a trial, audit its clocks; exit 1 where a trial breaks the schema.")
     look.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
     args = look.parse_args(argv)
+    if not args.data.exists():
+        raise LogError(f"{args.data}: no such file or folder; expected a data set, a trial folder or a samples.csv")
     audits, broken = [], {}
     for name, load in _trials(args.data).items():
         try:
