@@ -95,9 +95,9 @@ def test_truth_inside_the_data_set_is_refused(tmp_path):
         (["--plant", "tether=strong"], "no finite number"),
         (["--plant", "tether:length=1"], "parameter of tether"),
         (["--excitations", "chrip"], "chirp"),
-        (["--logs", "0"], "at least one trial"),
+        (["--logs", "0"], "expected a whole number from 1"),
         (["--flow", "fast"], "SPEED,DIRECTION"),
-        (["--noise", "-1"], "factor"),
+        (["--noise", "-1"], "expected a number from 0 to 100"),
     ],
 )
 def test_bad_input_exits_2_with_one_line(words, says, tmp_path, capsys):
