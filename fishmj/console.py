@@ -1,10 +1,11 @@
 """What every command line shares: errors as exit codes, one JSON object last, tables, a progress line with the time left.
 
-Exit codes: 0 an answer, 1 a check that fails, 2 bad input, 3 too short or too quiet to tell, 70 a fault of fishmj itself,
-130 interrupted by the user. This module is the only one that prints.
+Parsers whose errors are one line, types of options with a range, groups of commands. `EXITS` says what the exit codes mean.
+This module is the only one that prints.
 """
 
 import argparse
+import errno
 import json
 import math
 import os
@@ -14,12 +15,45 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from pathlib import Path
-from typing import IO, Any, NoReturn
+from importlib import import_module
+from typing import IO, Any, NamedTuple, NoReturn
 
-from fishmj.errors import DescriptionError, FishmjError, UsageError
+from fishmj.errors import DescriptionError, FishmjError, UnknownName, UsageError
+from fishmj.options import SEED as SEED
+from fishmj.options import SHOWN, shown
+from fishmj.options import Distinct as Distinct
+from fishmj.options import Listed as Listed
+from fishmj.options import Number as Number
+from fishmj.options import OneOf as OneOf
+from fishmj.options import device as device
+from fishmj.options import name as name
+from fishmj.options import number as number
+from fishmj.options import out_file as out_file
+from fishmj.options import out_folder as out_folder
+from fishmj.options import path as path
+from fishmj.options import text as text
+from fishmj.options import whole as whole
 
 OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 70, 130, 141
+EXITS = {
+    OK: "an answer",
+    FAILED_CHECK: "a check that fails, or a result that is not complete",
+    BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory",
+    CANNOT_TELL: "too short, too quiet or too different to tell",
+    FAULT: "a fault of fishmj itself, with its traceback",
+    INTERRUPTED: "interrupted by the user (Ctrl-C); what was finished is kept",
+    PIPE_CLOSED: "the reader of the output is gone (a closed pipe)",
+}
+TRACEBACK = "FISHMJ_TRACEBACK"  # environment: 1 shows the traceback of every error
+LONGEST = 1000  # characters of an error's line
+_FULL = {
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EROFS,
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.EIO,
+}  # of a file system, with or without a name
 
 Main = Callable[[list[str]], int | None]
 
@@ -31,14 +65,14 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
+    _speak_any_text()
     try:
+        _refuse_nul(argv)
         return int(main(argv) or OK)
-    except DescriptionError as error:
-        return _fail(argv, error.shown[0], type(error).__name__, BAD_INPUT, error)
-    except FishmjError as error:
-        if os.environ.get("FISHMJ_TRACEBACK"):
-            traceback.print_exc()
-        return _fail(argv, " ".join(str(error).split()), type(error).__name__, BAD_INPUT)
+    except (FishmjError, argparse.ArgumentTypeError) as error:
+        kind = type(error).__name__ if isinstance(error, FishmjError) else UsageError.__name__
+        many = error if isinstance(error, DescriptionError) else None
+        return _fail(argv, many.shown[0] if many else str(error), kind, BAD_INPUT, many=many)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else OK if stop.code is None else _fail(argv, str(stop.code), "exit", 1)
     except KeyboardInterrupt:
@@ -47,30 +81,95 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
         sys.stdout = None  # the reader is gone: nothing to flush at exit
         return PIPE_CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
+        if message := _of_the_machine(error):
+            return _fail(argv, message, type(error).__name__, BAD_INPUT)
         traceback.print_exc()
-        return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT)
+        return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT, told=True)
 
 
-def _fail(argv: Sequence[str], message: str, kind: str, code: int, many: DescriptionError | None = None) -> int:
-    for line in many.shown if many else (message,):
-        print(f"fishmj: {printable(line)}", file=sys.stderr)
+def _speak_any_text() -> None:
+    """A name that the terminal cannot show is printed escaped."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _refuse_nul(argv: Sequence[str]) -> None:
+    for place, given in enumerate(argv, 1):
+        if "\0" in given:
+            raise UsageError(f"argument {place}, {shown(given)}: holds a NUL character; no name or number has one")
+
+
+def _of_the_machine(error: Exception) -> str:
+    """What to say of an error that the file system or the memory made; empty for every other."""
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
+        where = f"{shown(str(error.filename), 200)}: " if error.filename is not None else ""
+        return f"{where}{error.strerror or error}; choose another file or folder, or make room"
+    said = str(error)
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in said or "out of memory" in said.lower():
+        details = shown(said.partition("\n")[0], 200) if said else "no details"
+        return f"not enough memory ({details}); ask for less at once, or take a larger machine"
+    return ""
+
+
+def _fail(
+    argv: Sequence[str], message: str, kind: str, code: int, *, told: bool = False, many: DescriptionError | None = None
+) -> int:
+    """Say it on stderr, one line (of a bad description one an error), and as JSON where that was asked for."""
+    if os.environ.get(TRACEBACK) == "1" and not told and sys.exc_info()[0] is not None:
+        traceback.print_exc()
+    message = _one_line(message)
+    for line in map(_one_line, many.shown) if many else (message,):
+        print(f"fishmj: {line}", file=sys.stderr)
     if "--json" in argv:
         emit_json({"error": message, "kind": kind, "exit": code} | ({"errors": list(many.errors)} if many else {}))
     return code
 
 
+def _one_line(text: str) -> str:
+    """One line that a terminal can show, its middle left out where it is very long."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+
+
+class Help(argparse.RawDescriptionHelpFormatter):
+    """Help texts with the default of each option behind them."""
+
+    def _get_help_string(self, action) -> str:
+        text, default = action.help or "", action.default
+        said = "default" in text or default is None or default is False or default is argparse.SUPPRESS
+        if said or not (action.option_strings or action.nargs):
+            return text
+        if isinstance(default, list | tuple):
+            default = " ".join(map(str, default))
+        return f"{text} (default: {default})".replace("%", "%%") if str(default) else text
+
+
 class Parser(argparse.ArgumentParser):
-    """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text."""
+    """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text.
+
+    The help shows every default, and below it the example that the parser or its `Group` gives.
+    """
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **{"formatter_class": Help, "allow_abbrev": False} | options)
+        self._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|infinity|nan)$", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{self.prog.removeprefix('fishmj ')}: {message}; see {self.prog} --help")
+
+    def format_help(self) -> str:
+        if self.epilog is None and self.prog in _EXAMPLES:
+            self.epilog = f"example:\n  {_EXAMPLES[self.prog]}"
+        return super().format_help()
 
     def parse_args(self, args=None, namespace=None):
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
             options = [o for o in self._option_string_actions if o.startswith("--")]
             near = get_close_matches(unknown[0].partition("=")[0], options, 1, 0.6)
-            self.error(f"unknown argument {' '.join(unknown)}" + (f"; did you mean {near[0]}?" if near else ""))
+            shown = " ".join(text if len(text) <= SHOWN else text[:SHOWN] + "..." for text in unknown[:5])
+            self.error(f"unknown argument {shown}" + (f"; did you mean {near[0]}?" if near else ""))
         return found
 
     def _check_value(self, action, value) -> None:
@@ -78,79 +177,65 @@ class Parser(argparse.ArgumentParser):
             known = [str(c) for c in action.choices]
             near = get_close_matches(str(value), known, 1, 0.5)
             hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise argparse.ArgumentError(action, f"got {value!r}.{hint} Known: {', '.join(known)}")
+            raise argparse.ArgumentError(action, f"got {shown(str(value))}.{hint} Known: {', '.join(known)}")
 
 
-def parser(verb: str, summary: str, *, json: bool = True) -> Parser:
-    """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise."""
-    made = Parser(prog=f"fishmj {verb}", description=summary, allow_abbrev=False)
+def parser(verb: str, summary: str, *, json: bool = True, examples: str | None = None) -> Parser:
+    """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise; `examples` stand below the help."""
+    made = Parser(prog=f"fishmj {verb}", description=summary, epilog=examples)
     if json:
         made.add_argument("--json", action="store_true", help="print one JSON object last")
     return made
 
 
-def number(low: float, high: float = math.inf, *, above: bool = False) -> Callable[[str], float]:
-    """The `type=` of an option that takes a finite number from `low` (with `above`: beyond it) to `high`."""
-    expected = f"a number {'above' if above else 'from'} {low:g}" + (
-        f" to {high:g}" if high < math.inf else "" if above else " up"
-    )
+class Command(NamedTuple):
+    """One command of a group: a module with `main(argv)` by its name, or the function itself."""
 
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and low <= value <= high) or (above and value == low):
-            raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}")
-        return value
-
-    return parse
+    run: str | Main
+    summary: str
+    example: str
 
 
-def whole(low: int, high: int | None = None) -> Callable[[str], int]:
-    """The `type=` of an option that takes a whole number from `low` to `high`."""
-    expected = f"a whole number from {low} " + (f"to {high}" if high is not None else "up")
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}") from None
-        if value < low or (high is not None and value > high):
-            raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}")
-        return value
-
-    return parse
+_EXAMPLES: dict[str, str] = {}  # program -> its example, for the help of a command that a group offers
 
 
-def out_file(text: str) -> Path:
-    """The `type=` of an option that names a file to write: refused before the work starts where that cannot be."""
-    path = Path(text)
-    if path.is_dir():
-        raise argparse.ArgumentTypeError(f"{path}: is a folder; name a file to write")
-    _writable(path, path.parent)
-    return path
+class Group:
+    """The commands of a verb, as its `main`: `--help` lists them, an unknown one gets the nearest name, none is bad input.
 
+    A name may be two words (`converge fish`). Nothing is imported but the command that is called.
+    """
 
-def out_folder(text: str) -> Path:
-    """The `type=` of an option that names a folder to write into: refused before the work starts where that cannot be."""
-    path = Path(text)
-    if path.exists() and not path.is_dir():
-        raise argparse.ArgumentTypeError(f"{path}: is a file; name a folder to write into")
-    _writable(path, path)
-    return path
+    def __init__(self, verb: str, summary: str, commands: Mapping[str, Command]):
+        self.verb, self.summary, self.commands = verb, summary, dict(commands)
+        _EXAMPLES.update({f"fishmj {verb} {name}": command.example for name, command in commands.items()})
 
+    def __call__(self, argv: list[str]) -> int | None:
+        if not argv or argv[0] in ("-h", "--help", "help"):
+            say(self.usage())
+            return OK if argv else BAD_INPUT
+        words = 2 if " ".join(argv[:2]) in self.commands else 1
+        name = " ".join(argv[:words])
+        if name.startswith("-"):
+            raise UsageError(f"{self.verb}: expected a command before {shown(name)}. Known: {', '.join(self.commands)}")
+        return self.load(name)(argv[words:])
 
-def _writable(path: Path, folder: Path) -> None:
-    """Whether a file can be made in `folder`, which may not exist yet; writes nothing."""
-    try:
-        there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
-    except OSError as error:  # a name too long, or one that the file system cannot hold
-        raise argparse.ArgumentTypeError(f"{str(path)[:80]}: {error.strerror}; choose another name") from error
-    if not there.is_dir():
-        raise argparse.ArgumentTypeError(f"{path}: {there} is a file, so nothing can be written below it; choose another place")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise argparse.ArgumentTypeError(f"{path}: {there} cannot be written by this user; choose another place")
+    def load(self, name: str) -> Main:
+        """The function of a command.
+
+        Raises:
+            UnknownName: there is none of this name.
+        """
+        if name not in self.commands:
+            raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
+        run = self.commands[name].run
+        return import_module(run).main if isinstance(run, str) else run
+
+    def usage(self) -> str:
+        """Every command with one line, and its example below."""
+        wide = max(map(len, self.commands))
+        rows = [(f"  {name:<{wide}}  {c.summary}", f"  {'':<{wide}}  {c.example}") for name, c in self.commands.items()]
+        head = f"usage: fishmj {self.verb} COMMAND [options]     fishmj {self.verb} COMMAND --help"
+        return "\n".join([head, "", self.summary, "", *(line for row in rows for line in row)])
 
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -169,7 +254,7 @@ def say(*lines: str) -> None:
 
 def warn(message: str) -> None:
     """Print one line on stderr that does not stop the command."""
-    print(f"fishmj: {printable(message)}", file=sys.stderr, flush=True)
+    print(f"fishmj: {_one_line(message)}", file=sys.stderr, flush=True)
 
 
 def confirmed(question: str) -> bool:

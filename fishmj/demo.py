@@ -1,8 +1,5 @@
 """Train a fish from scratch, judge it in 24 currents, write a replay and a report: the first ten minutes."""
 
-import argparse
-import textwrap
-from pathlib import Path
 from typing import Any
 
 from fishmj import console
@@ -12,18 +9,22 @@ ARRIVALS, HOLDING = 23, 0.10  # of 24 trials; m
 SMOKE = {"steps": 150_000, "assess_every": 150_000, "assess_episodes": 32}  # runs every part, learns next to nothing
 
 
-def options(argv: list[str]) -> argparse.Namespace:
-    p = console.parser("demo", "Train station holding from scratch, judge it, watch it.")
-    p.formatter_class = argparse.RawDescriptionHelpFormatter
-    p.epilog = textwrap.dedent("""
-        The policy sees 11 numbers in its own frame and never the current. It trains in gusts and is judged on MuJoCo in
-        24 trials of 60 s: three flow speeds, eight directions, 10 % gusts, randomised robot, noise, latencies.
-        Exit 1: fewer than 23 of 24 trials arrive, or it holds worse than 0.10 m at 0.2 m/s.
-    """)
-    p.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder for everything (default runs/demo)")
-    p.add_argument("--seed", type=int, default=0)
+ABOUT = """The policy sees 11 numbers in its own frame and never the current. It trains in gusts and is judged on MuJoCo in
+24 trials of 60 s: three flow speeds, eight directions, 10 % gusts, randomised robot, noise, latencies.
+Exit 1: fewer than 23 of 24 trials arrive, or it holds worse than 0.10 m at 0.2 m/s.
+
+example:
+  fishmj demo --out runs/demo"""
+
+
+def options() -> console.Parser:
+    """The arguments of `demo`."""
+    p = console.parser("demo", "Train station holding from scratch, judge it, watch it.", examples=ABOUT)
+    out = "folder for everything; an earlier demo in it is replaced"
+    p.add_argument("--out", type=console.out_folder, default="runs/demo", help=out)
+    p.add_argument("--seed", type=console.whole(0, 2**32 - 1), default=0, help="of the training")
     p.add_argument("--smoke", action="store_true", help="every part in short; the policy will not be good and is not checked")
-    return p.parse_args(argv)
+    return p
 
 
 def learn(args) -> dict:
@@ -89,7 +90,7 @@ def verdict(result) -> dict:
 
 
 def main(argv: list[str]) -> int:
-    args = options(argv)
+    args = options().parse_args(argv)
     training = learn(args)
     if training["stopped"]:
         return console.INTERRUPTED

@@ -49,7 +49,7 @@ def test_a_wrong_controller_is_exit_2_with_the_nearest_name(capsys):
 )
 def test_wrong_settings_are_exit_2(capsys, wrong):
     code, _, err = run_command(capsys, "drift", *wrong)
-    assert code == 2 and "unknown" in err
+    assert code == 2 and "Known: " in err
 
 
 def test_the_command_prints_tables_and_one_json_object_last(capsys, tmp_path):
@@ -83,3 +83,43 @@ def test_markdown_tables_become_html():
     assert pages.as_html("| a | b |\n|---|--:|\n| x<y | 1 |") == (
         "<table><thead><tr><th>a</th><th>b</th></tr></thead><tbody><tr><td>x&lt;y</td><td>1</td></tr></tbody></table>"
     )
+
+
+SHORT = ("--speeds", "0.2", "--los", "180", "--repeats", "1", "--engine", "compiled", "--duration", "2")
+
+
+def test_a_part_that_cannot_be_written_takes_no_other_with_it(capsys, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(report, "write_logs", full)
+    code, out, err = run_command(capsys, "drift", *SHORT, "--out", str(tmp_path / "o"), "--log")
+    assert code == 2 and "Not written: logs of drift: [Errno 28] No space left on device" in err
+    last = err.splitlines()[-1]
+    assert last.startswith("fishmj: ") and "Traceback" not in err and "by flow speed" in out
+    assert {path.name for path in (tmp_path / "o").iterdir()} == {"results.json", "trials.csv", "report.html"}
+
+
+def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_path, monkeypatch):
+    class Broken:
+        name = "broken"
+
+        def reset(self, n): ...
+
+        def __call__(self, obs):
+            return np.full((len(obs), 10, 3), np.nan)
+
+    make = command.controllers.make
+    monkeypatch.setattr(command.controllers, "make", lambda name, robot: Broken() if name == "pd" else make(name, robot))
+    code, _, err = run_command(capsys, "drift", "pd", *SHORT, "--out", str(tmp_path / "o"))
+    assert code == 2 and "controller broken" in err
+    kept = json.loads((tmp_path / "o" / "results.json").read_text(encoding="utf-8"))
+    assert [r["controller"] for r in kept["results"]] == ["drift"] and (tmp_path / "o" / "trials.csv").is_file()
+
+
+def test_hours_of_the_solver_on_a_cpu_that_nobody_asked_for_are_not_begun(capsys, monkeypatch):
+    from fishmj.lbm_oracle import device
+
+    monkeypatch.setattr(device, "device_of", lambda name: "cpu")
+    code, _, err = run_command(capsys, "drift", "--water", "lbm")
+    assert code == 1 and "nothing was run" in err and "--device cpu" in err

@@ -9,7 +9,7 @@ import pytest
 
 from fishmj import controllers, engines
 from fishmj.engines import tanks
-from fishmj.errors import ConfigError
+from fishmj.errors import UsageError
 from fishmj.evaluate import figures, rank, rank_command, trials, two_waters
 from fishmj.flow import stack
 from fishmj.hydro_fit.__main__ import main
@@ -219,7 +219,7 @@ def test_the_same_water_twice_has_no_gap(solver, tmp_path):
 
 @pytest.mark.parametrize("wrong", [["--trials", "0"], ["--trials", "73"], ["--tanks", "0"]])
 def test_impossible_numbers_are_one_clear_error(wrong, tmp_path):
-    with pytest.raises(ConfigError, match=wrong[0]):
+    with pytest.raises(UsageError, match=wrong[0]):
         command(tmp_path, *wrong)
 
 

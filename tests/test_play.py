@@ -1,16 +1,21 @@
 """Claims about the live fish: keys change the current and the target, MeshCat shows it, the swim is saved as a log."""
 
+import contextlib
+import http.client
 import json
 import math
 import os
 import pty
 import re
+import socket
+import struct
 import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fishmj import log
+from fishmj import console, log
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
@@ -18,7 +23,7 @@ from fishmj.mjcf.skin import posed, skin
 from fishmj.play import Pond
 from fishmj.play.__main__ import main, swim
 from fishmj.play.keyboard import Keyboard, press
-from fishmj.replay.live import LiveView, arrow, ring, slices_of
+from fishmj.replay.live import LiveView, Server, arrow, ring, slices_of
 
 
 class Screen:
@@ -194,4 +199,76 @@ def test_the_server_answers_and_holds_the_fish_and_dies_with_the_view():
         assert urllib.request.urlopen(view.url, timeout=10).status == 200
         page = view.page()
         assert page.count("viewer.handle_command_bytearray") > 2 * len(view.slices)
-    assert view._vis.window.server_proc.poll() is not None
+    assert view.server.process.poll() is not None
+
+
+# ------------------------------------------------------------------------------------------------ who may reach the scene
+def listening(process: int) -> set[tuple[str, int]]:
+    """(address, port) on which a process listens, from /proc."""
+    sockets = set()
+    for handle in Path(f"/proc/{process}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if (target := os.readlink(handle)).startswith("socket:["):
+                sockets.add(target[8:-1])
+    found = set()
+    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/{process}/net/{table}").read_text().splitlines()[1:]:
+            local, state, inode = (line.split()[i] for i in (1, 3, 9))
+            if state == "0A" and inode in sockets:
+                words, port = local.split(":")
+                raw = b"".join(struct.pack("=I", int(words[i : i + 8], 16)) for i in range(0, len(words), 8))
+                found.add((socket.inet_ntop(family, raw), int(port, 16)))
+    return found
+
+
+@pytest.fixture(scope="module")
+def server():
+    made = Server()
+    yield made
+    made.close()
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").is_file(), reason="reads the sockets of a process from /proc")
+def test_the_server_listens_on_this_machine_alone(server):
+    found = listening(server.process.pid)
+    assert len(found) == 2 and {address for address, _ in found} == {"127.0.0.1"}, "pages and commands"
+    for _, port in found:
+        with pytest.raises(OSError, match="refused"):
+            socket.create_connection(("127.0.0.2", port), timeout=5)
+
+
+def test_a_page_that_came_by_a_foreign_name_is_refused(server):
+    port = int(server.url.split(":")[2].partition("/")[0])
+    key = {"Sec-WebSocket-Key": "x" * 22 + "==", "Sec-WebSocket-Version": "13", "Upgrade": "websocket", "Connection": "Upgrade"}
+
+    def status(host: str, path: str = "/static/", **headers: str) -> int:
+        asked = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        with contextlib.closing(asked):
+            asked.request("GET", path, headers={"Host": host, **headers})
+            return asked.getresponse().status
+
+    here, foreign = f"127.0.0.1:{port}", f"evil.example:{port}"
+    assert [status(here), status(f"localhost:{port}"), status("[::1]")] == [200, 200, 200]
+    assert [status(foreign), status("evil.example")] == [403, 403]
+    assert status(here, "/", Origin=f"http://{here}", **key) == 101, "the viewer itself"
+    assert status(here, "/", Origin="http://evil.example", **key) == 403
+    assert status(foreign, "/", Origin=f"http://{foreign}", **key) == 403, "a name of theirs that points here"
+
+
+def test_the_server_ends_when_its_parent_does():
+    made = Server()
+    made.process.stdin.close()  # what the system does when the parent dies
+    assert made.process.wait(10) == 0
+    made.process.stdout.close()
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no such host", "1.2.3.4.5", "a" * 300])
+def test_an_address_of_another_machine_is_one_line_before_anything_is_made(host, capsys):
+    assert console.run(main, ["--host", host, "--headless-seconds", "1"]) == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "cannot listen on" in said and said.count("\n") == 1
+
+
+def test_a_saved_swim_is_not_replaced_unasked(tmp_path, capsys):
+    assert console.run(main, ["--save", str(tmp_path), "--headless-seconds", "1"]) == console.BAD_INPUT
+    assert "--overwrite" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -19,7 +19,7 @@ from fishmj.virtual_robot.dataset import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOM = ROOT / "fishmj" / "virtual_robot"
-ALLOWED = {"virtual_robot", "errors", "names", "units", "store", "calib", "log", "console", "mjcf", "excitation"}
+ALLOWED = {"virtual_robot", "errors", "units", "store", "calib", "log", "console", "mjcf", "excitation"}
 STRANGERS = ("hydro_fit", "effects", "engines", "gap", "lbm_oracle", "sim", "flow", "tasks", "controllers", "calibrate")
 
 
@@ -95,9 +95,9 @@ def test_truth_inside_the_data_set_is_refused(tmp_path):
         (["--plant", "tether=strong"], "no finite number"),
         (["--plant", "tether:length=1"], "parameter of tether"),
         (["--excitations", "chrip"], "chirp"),
-        (["--logs", "0"], "a whole number from 1 to 1000"),
+        (["--logs", "0"], "expected a whole number from 1"),
         (["--flow", "fast"], "SPEED,DIRECTION"),
-        (["--noise", "-1"], "a number from 0 to 100"),
+        (["--noise", "-1"], "expected a number from 0 to 100"),
     ],
 )
 def test_bad_input_exits_2_with_one_line(words, says, tmp_path, capsys):

@@ -21,12 +21,27 @@ def _measured(bench: Benchmark, quick: bool) -> dict:
         return {"name": bench.name, "failed": f"{type(error).__name__}: {error}"}
 
 
-def main(argv: list[str]) -> int:
-    parser = console.parser("bench", "Throughput of this machine, one JSON line a benchmark, each beside its baseline.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
+EXAMPLES = """examples:
+  fishmj bench --list                            what there is
+  fishmj bench engine_compiled --quick           does it run at all
+"""
+
+
+def options() -> console.Parser:
+    """The arguments of `bench`."""
+    summary = "Throughput of this machine, one JSON line a benchmark, each beside its baseline."
+    parser = console.parser("bench", summary, examples=EXAMPLES)
+    parser.add_argument(
+        "names", type=console.text, nargs="*", action=console.Distinct, metavar="NAME", help="of --list; default: all"
+    )
     parser.add_argument("--list", action="store_true", help="name the benchmarks and stop")
     parser.add_argument("--quick", action="store_true", help="small batches, three rounds: does it run at all")
-    args = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """The verb `bench`. Returns the exit code."""
+    args = options().parse_args(argv)
     if args.list:
         rows = [{"name": b.name, "unit": b.unit, "what": b.summary} for b in known().values()]
         console.say(console.table(rows))

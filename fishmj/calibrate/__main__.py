@@ -1,55 +1,20 @@
-"""Calibrate a fish against its logs: servo, latency, slip, mass.
-
-fishmj calibrate servo   --out fish.calibrated.toml      sine, square and impulse, in air and water
-fishmj calibrate latency --out fish.calibrated.toml      the same trials: commands, camera
-fishmj calibrate slip    --out fish.calibrated.toml      swims at two beats and a coast-down; prints the profile over s
-fishmj calibrate mass    --out fish.calibrated.toml      a page of weighings
-fishmj calibrate score   --model fish.calibrated.toml    synthetic trials only: fitted against the sealed values
-fishmj calibrate check   --robots 16                     how far off it is, on robots drawn anew
-"""
+"""Calibrate a fish against its logs: servo, latency, slip, mass."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from fishmj import console
-from fishmj.errors import UnknownName
+from fishmj.console import Command
 
-OTHERS = ("score", "check")
+RATIOS = "0,0.9,0.95,0.98,0.99,0.998,1"
 
 
-def main(argv: list[str]) -> int:
-    from fishmj.calibrate.logs import shipped
-    from fishmj.calibrate.verbs import VERBS, default_report
+def fit(verb: str, argv: list[str]) -> int:
+    """One of the calibrations: servo, latency, slip, mass."""
+    from fishmj.calibrate.verbs import VERBS
 
-    if not argv or argv[0] in ("-h", "--help"):
-        console.say(__doc__ or "")
-        return console.OK if argv else console.BAD_INPUT
-    verb, *rest = argv
-    if verb == "score":
-        from fishmj.campaign import hidden_score
-
-        return hidden_score.main(rest)
-    if verb == "check":
-        return drawn(rest)
-    if verb not in VERBS:
-        raise UnknownName("calibration", verb, [*VERBS, *OTHERS])
-    parser = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
-    add = parser.add_argument
-    data = "data set of trials; for mass, the folder of measurements.toml (default: the shipped ones)"
-    add("--data", type=Path, default=shipped(), help=data)
-    add("--model", default="fish", help="the fish to start from: shipped name or TOML file (default fish)")
-    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
-    add("--out", type=_model_file, help="fish file (.toml) to write, or to go on with when it is there; default none")
-    report = f"folder for report.html and pictures (default {default_report(verb)})"
-    add("--report", type=console.out_folder, default=default_report(verb), help=report)
-    if verb == "slip":
-        add("--grid", help="grid of the solver's table: paper, window, laptop; default: the trials', else window")
-        add("--recompute", action="store_true", help="run the solver and print a new entry of the table")
-        ratios = "slip ratios to run, each 0 to 1 (default 0,0.9,0.95,0.98,0.99,0.998,1)"
-        add("--ratios", type=_ratios, default=_ratios("0,0.9,0.95,0.98,0.99,0.998,1"), help=ratios)
-        add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="of --recompute (default cpu)")
-        add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="side by side, of --recompute (default 1)")
-    args = parser.parse_args(rest)
+    args = options(verb).parse_args(argv)
     answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
@@ -60,6 +25,48 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
+def options(verb: str) -> console.Parser:
+    """The arguments of a calibration."""
+    from fishmj.calibrate.logs import shipped
+    from fishmj.calibrate.verbs import VERBS, default_report
+
+    made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
+    add = made.add_argument
+    add("--data", type=console.path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
+    add("--model", type=console.text, default="fish", help="the fish to start from: shipped name or TOML file")
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    add(
+        "--out",
+        type=_model_file,
+        help="fish file (.toml) to write, or to go on with when it is there; by default none is written",
+    )
+    add(
+        "--report",
+        type=console.out_folder,
+        default=str(default_report(verb)),
+        help="folder for report.html and pictures; those that are there are replaced",
+    )
+    if verb == "slip":
+        add(
+            "--grid",
+            type=console.text,
+            help="grid of the solver's table: paper, window, laptop; default: the trials', else window",
+        )
+        add("--recompute", action="store_true", help="run the solver and print a new entry of the table")
+        ratios = console.Listed(console.number(0, 1), 20)
+        add("--ratios", type=ratios, default=RATIOS, metavar="S,..", help="with --recompute: slip ratios to run")
+        add("--device", type=console.device, default="cpu", help="with --recompute: auto, cpu, cuda")
+        add("--tanks", type=console.whole(1, 64), default=1, help="with --recompute: swims side by side")
+    return made
+
+
+def score(argv: list[str]) -> int:
+    """Fitted numbers against the sealed ones."""
+    from fishmj.campaign import hidden_score
+
+    return hidden_score.main(argv)
+
+
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
     from fishmj.calibrate.check import check
@@ -68,9 +75,8 @@ def drawn(argv: list[str]) -> int:
     from fishmj.gap.watch import shown
 
     parser = console.parser("calibrate check", "Calibrate robots drawn anew, whose numbers are known: errors and coverage.")
-    add = parser.add_argument
-    add("--robots", type=console.whole(1, 1000), default=8, metavar="N", help="how many, 1 to 1000 (default 8)")
-    add("--seed", type=console.whole(0, 2**31 - 1), default=100, metavar="N", help="of the first (default 100)")
+    parser.add_argument("--robots", type=console.whole(1, 1000), default=8, help="how many are drawn; a robot takes minutes")
+    parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
     args = parser.parse_args(argv)
     seeds = range(args.seed, args.seed + args.robots)
     with shown(args.robots, "robots", "robots") as bar:
@@ -97,10 +103,32 @@ def _model_file(text: str) -> Path:
     return path
 
 
-def _ratios(text: str) -> list[float]:
-    """The `type=` of --ratios."""
-    one = console.number(0, 1)
-    return [one(part.strip()) for part in text.split(",")]
+main = console.Group(
+    "calibrate",
+    __doc__ or "",
+    {
+        "servo": Command(
+            partial(fit, "servo"),
+            "sine, square and impulse, in air and water",
+            "fishmj calibrate servo --out fish.calibrated.toml",
+        ),
+        "latency": Command(
+            partial(fit, "latency"), "the same trials: commands, camera", "fishmj calibrate latency --out fish.calibrated.toml"
+        ),
+        "slip": Command(
+            partial(fit, "slip"),
+            "swims at two beats and a coast-down; prints the profile over s",
+            "fishmj calibrate slip --out fish.calibrated.toml",
+        ),
+        "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
+        "score": Command(
+            score,
+            "synthetic trials only: fitted against the sealed values",
+            "fishmj calibrate score --model fish.calibrated.toml",
+        ),
+        "check": Command(drawn, "how far off it is, on robots drawn anew", "fishmj calibrate check --robots 16"),
+    },
+)
 
 
 if __name__ == "__main__":

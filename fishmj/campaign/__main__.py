@@ -1,20 +1,24 @@
-"""Segments of the flow solver: what a water is fitted to (the same as `hydro_fit collect`), and logs with hidden effects.
-
-python -m fishmj.campaign [--preview ...]        as `hydro_fit collect`
-python -m fishmj.campaign hidden --sets 48 ...   data sets in which effects are hidden
-"""
+"""Logs of the flow solver in which effects or numbers are hidden (`hydro_fit collect` has what a water is fitted to)."""
 
 from fishmj import console
+from fishmj.console import Command
 
-
-def main(argv: list[str]) -> int:
-    if argv[:1] == ["hidden"]:
-        from fishmj.campaign import hidden_command
-
-        return hidden_command.main(argv[1:])
-    from fishmj.campaign import command
-
-    return command.main(argv)
+main = console.Group(
+    "campaign",
+    __doc__ or "",
+    {
+        "hidden": Command(
+            "fishmj.campaign.hidden_command",
+            "data sets in which effects are hidden",
+            "fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --out runs/hidden --truth truth.json",
+        ),
+        "hidden_trials": Command(
+            "fishmj.campaign.hidden_trials",
+            "calibration trials of a robot drawn anew, its numbers sealed",
+            "fishmj campaign hidden_trials --water second --out runs/trials",
+        ),
+    },
+)
 
 
 if __name__ == "__main__":

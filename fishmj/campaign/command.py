@@ -17,7 +17,7 @@ from fishmj.campaign.plan import Plan
 from fishmj.campaign.tank import Setup
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import Robot, load_robot
 
 ON_GPU = 12  # tanks of two million cells that fill one
@@ -26,26 +26,34 @@ PATIENCE = 300.0  # s of water: more is not begun on a CPU that nobody asked for
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `collect`; `--json` is the caller's."""
-    parser.add_argument("--fish", default="fish", metavar="NAME|FILE", help="description of the robot")
-    parser.add_argument(
-        "--out", "--data", metavar="FOLDER", help="data set to write or continue; data/hydro/<fish>[-...] by default"
+    add = parser.add_argument
+    add("--fish", type=console.text, default="fish", metavar="NAME|FILE", help="description of the robot")
+    add(
+        "--out",
+        "--data",
+        type=console.out_folder,
+        metavar="FOLDER",
+        help="data set to write, or to continue when it is there; data/hydro/<fish>[-...] by default",
     )
-    parser.add_argument(
-        "--scale", type=float, default=1.0, metavar="X", help="as many times the episodes; 1 is the whole campaign"
-    )
+    scale = console.number(0, 100, above=True)
+    add("--scale", type=scale, default=1.0, metavar="X", help="as many times the episodes; 1 is the whole campaign")
     parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
-    parser.add_argument("--fresh-test", type=int, metavar="SEED", help="new test episodes and nothing else")
-    parser.add_argument(
-        "--slip", type=float, action="append", default=[], metavar="S", help="only segments of this slip ratio; may be repeated"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the draws")
-    parser.add_argument("--policy", action="append", default=[], metavar="NAME|FILE", help="what steers on-policy episodes")
-    parser.add_argument("--domain", help="box of water: window (default), paper, laptop, window_fine, ...")
-    parser.add_argument("--dt", type=float, metavar="S", help="another time step")
-    parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
-    parser.add_argument("--tanks", type=int, metavar="N", help=f"segments side by side on a device; {ON_GPU} on a GPU, else 1")
-    parser.add_argument("--ray", metavar="ADDRESS", help="run on a Ray cluster: an address, auto, or local:N for N workers here")
-    parser.add_argument("--budget", type=float, metavar="SECONDS", help="of wall time; what is finished then is kept")
+    fresh = "new test episodes and nothing else; by default those of the campaign"
+    add("--fresh-test", type=console.whole(1, 2**32 - 1), metavar="SEED", help=fresh)
+    slip = "only segments of this slip ratio; may be repeated; by default all"
+    add("--slip", type=console.number(0, 1), action="append", default=[], metavar="S", help=slip)
+    add("--seed", type=console.SEED, default=0, help="of the draws")
+    steers = "what steers on-policy episodes; may be repeated; by default the shipped policies that are made for the fish"
+    add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
+    add("--domain", choices=NAMES, help="box of water; by default window, laptop with --preview")
+    add("--dt", type=console.number(1e-5, 0.02), metavar="S", help="another time step; by default the domain's")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    tanks = f"segments side by side on a device; by default {ON_GPU} on a GPU, else 1"
+    add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
+    ray = "run on a Ray cluster: an address, auto, or local:N for N workers here; by default without one"
+    add("--ray", type=console.text, metavar="ADDRESS", help=ray)
+    budget = "wall time after which no segment is begun; by default none; what is finished then is kept"
+    add("--budget", type=console.number(0, 1e7), metavar="SECONDS", help=budget)
     parser.add_argument("--retry", action="store_true", help="run segments that stopped early again")
     parser.add_argument("--dry-run", action="store_true", help="print the plan and stop")
 
@@ -121,8 +129,6 @@ def default_folder(plan: Plan) -> Path:
 def pool_of(args: argparse.Namespace, device: str) -> Pool:
     """Tanks here, or workers of a Ray cluster."""
     tanks = args.tanks
-    if tanks is not None and tanks < 1:
-        raise ConfigError(f"collect: {tanks} tanks; expected at least 1")
     if args.ray:
         from fishmj.campaign.ray_pool import RayPool
 

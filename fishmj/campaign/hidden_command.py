@@ -17,7 +17,7 @@ from fishmj.campaign.hidden_run import Job
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.log.folder import write_trial
 from fishmj.store import Manifest, read_json, write_json
 from fishmj.virtual_robot.dataset import parse
@@ -32,19 +32,21 @@ PATIENCE = 300.0  # s of water that a CPU begins unasked
 def main(argv: list[str]) -> int:
     parser = console.parser("campaign hidden", "Data sets of the flow solver in which effects are hidden.")
     add = parser.add_argument
-    add("--sets", type=int, default=1, metavar="N")
-    add("--effects", nargs="+", default=["none"], metavar="none|random|NAME[=value]", help="one a set, round and round")
-    add("--excitations", default="designed", help="designed, casual, all, or ids with commas")
-    add("--seconds", type=float, help="cut every experiment to this length")
-    add("--seed", type=int, default=0, help="of set 0; set i has seed + i")
-    add("--noise", type=float, default=1.0, help="factor on the sensors' noise")
-    add("--nuisance", type=float, default=0.1, help="relative half width of what nobody measured")
-    add("--slip", type=float, default=1.0, help="ratio of the hull, quoted at the paper's grid")
-    add("--domain", default="window_coarse", help="box of water: window_coarse, window, paper, laptop (a preview)")
-    add("--device", default="auto")
-    add("--tanks", type=int, help=f"experiments side by side; {ON_GPU} on a GPU, else 1")
-    add("--out", type=Path, help="folder of data sets")
-    add("--truth", type=Path, help="file for what is hidden, outside of it")
+    add("--sets", type=console.whole(1, 10_000), default=1, metavar="N", help="data sets, a robot each")
+    named = "none|random|NAME[=value]"
+    add("--effects", type=console.text, nargs="+", default=["none"], metavar=named, help="one a set, round and round")
+    add("--excitations", type=console.text, default="designed", help="designed, casual, all, or ids with commas")
+    cut = "cut every experiment to this length; by default they are run to their end"
+    add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
+    add("--seed", type=console.SEED, default=0, help="of set 0; set i has seed + i")
+    add("--noise", type=console.number(0, 100), default=1.0, help="factor on the sensors' noise")
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of what nobody measured")
+    add("--slip", type=console.number(0, 1), default=1.0, help="ratio of the hull, quoted at the paper's grid")
+    add("--domain", choices=NAMES, default="window_coarse", help="box of water; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--tanks", type=console.whole(1, 256), help=f"experiments side by side; by default {ON_GPU} on a GPU, else 1")
+    add("--out", type=console.out_folder, help="folder of data sets; goes on with what is there; needed unless --dry-run")
+    add("--truth", type=console.out_file, help="file for what is hidden, outside of --out; needed as --out is")
     add("--dry-run", action="store_true", help="print plan and cost, and stop")
     args = parser.parse_args(argv)
     plan = plan_of(args)
@@ -102,10 +104,8 @@ def plan_of(args) -> dict[str, list[Job]]:
     """Jobs of every set, by its name.
 
     Raises:
-        ConfigError, UnknownName: no set, no such effect, excitation or domain.
+        ConfigError, UnknownName: no such effect, excitation or domain.
     """
-    if args.sets < 1:
-        raise ConfigError(f"--sets {args.sets}; at least one")
     runs = [_cut(excitation.get(name), args.seconds) for name in _ids(args.excitations)]
     box = preset(args.domain)
     plan = {}

@@ -12,10 +12,9 @@ from fishmj.store import Manifest, read_json, sha256
 def main(argv: list[str]) -> int:
     """Compare the [calibration.*] blocks of a fish file with the seal."""
     parser = console.parser("calibrate score", "Fitted numbers against the sealed ones of synthetic trials.")
-    parser.add_argument(
-        "--data", type=Path, default=hidden_trials.OUT if hidden_trials.OUT.is_dir() else calib_folder() / "trials"
-    )
-    parser.add_argument("--model", default="fish.calibrated.toml", help="fish file with [calibration] blocks")
+    shipped = hidden_trials.OUT if hidden_trials.OUT.is_dir() else calib_folder() / "trials"
+    parser.add_argument("--data", type=console.path, default=shipped, help="data set of synthetic trials with its seal")
+    parser.add_argument("--model", type=console.text, default="fish.calibrated.toml", help="fish file with [calibration] blocks")
     args = parser.parse_args(argv)
     rows = score(args.data, args.model)
     console.say(console.table(rows))

@@ -1,8 +1,8 @@
 """Calibration trials of a robot whose numbers nobody wrote down, and the sealed file that holds them.
 
-    python -m fishmj.campaign.hidden_trials --water second                     seconds; all water is the second robot's
-    python -m fishmj.campaign.hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
-    python -m fishmj.campaign.hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
+    python -m fishmj.campaign hidden_trials --water second                     seconds; all water is the second robot's
+    python -m fishmj.campaign hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
+    python -m fishmj.campaign hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
 
 Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
 weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be
@@ -18,6 +18,7 @@ from pathlib import Path
 
 from fishmj import console, excitation
 from fishmj.excitation import PERIOD, Excitation
+from fishmj.lbm_oracle.domain import NAMES
 from fishmj.log import Trial, write_dataset
 from fishmj.store import Manifest, sha256, write_json
 from fishmj.virtual_robot import draws
@@ -176,15 +177,16 @@ def seal(out: Path, seed: int, values: dict[str, float], generators: dict[str, s
 def main(argv: list[str]) -> int:
     parser = console.parser("campaign hidden_trials", "Calibration trials of a robot drawn anew, its numbers sealed.")
     add = parser.add_argument
-    add("--out", type=Path, default=OUT)
+    add("--out", type=console.out_folder, default=str(OUT), help="data set to write; refused when it is there")
     add("--water", choices=GENERATORS, default="second", help="whose water: the second robot's, the solver's for swims, for all")
-    add("--repeats-swims", type=int, default=REPEATS, metavar="N")
-    add("--seconds", type=float, help="cut the swims to this length")
-    add("--domain", default="paper", help="box of the flow solver")
-    add("--device", default="cpu")
-    add("--tanks", type=int, default=1)
-    add("--seed", type=int, help="of the robot; drawn by the system when not given")
-    add("--overwrite", action="store_true")
+    add("--repeats-swims", type=console.whole(1, 100), default=REPEATS, metavar="N", help="of every swim")
+    cut = "cut the swims to this length; by default they are run to their end"
+    add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
+    add("--domain", choices=NAMES, default="paper", help="box of the flow solver")
+    add("--device", type=console.device, default="cpu", help="of the flow solver: auto, cpu, cuda or cuda:N")
+    add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side in the solver")
+    add("--seed", type=console.SEED, help="of the robot; by default drawn by the system")
+    add("--overwrite", action="store_true", help="replace the data set that is there")
     args = parser.parse_args(argv)
     seed = secrets.randbits(48) if args.seed is None else args.seed
     swimming, wet = GENERATORS[args.water]

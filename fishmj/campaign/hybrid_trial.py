@@ -23,13 +23,12 @@ from fishmj.campaign.segment import Segment
 from fishmj.campaign.stretch import Path as Along
 from fishmj.campaign.stretch import Solver
 from fishmj.campaign.tank import Setup
-from fishmj.errors import ConfigError
 from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.store import read_json, write_json
@@ -44,24 +43,25 @@ SHOWN = ("episode", "before_m", "after_m", "hybrid_m", "covered", "wall_s", "off
 def main(argv: list[str]) -> int:
     """The verb `hybrid`; exit code 1 where the correction misses its aim."""
     parser = console.parser("hydro_fit hybrid", "Correct a surrogate by short stretches of the flow solver while it swims.")
-    parser.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    parser.add_argument("--model", default="swift", help="the fitted surrogate: name or .toml; its base is used")
-    parser.add_argument("--noslip", help="that of a hull along which no water slides; default the model's name and -noslip")
-    parser.add_argument("--wrong", choices=WRONG, default="both", help="what is wrong about the surrogate")
-    parser.add_argument("--episodes", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each episode")
-    parser.add_argument("--every", type=float, default=Hybrid.every, help="s from stretch to stretch; each is 2 s")
-    parser.add_argument(
-        "--first", type=float, default=Hybrid.first, help="s before the first stretch; at 0 the fish need not be led"
-    )
-    parser.add_argument(
-        "--lead", type=float, default=Hybrid.lead, help="s of a stretch for which the fish is led, where it is not at rest"
-    )
-    parser.add_argument("--domain", default="window")
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--tanks", type=int, default=1, help="continuous runs side by side; 12 fill a GPU")
-    parser.add_argument("--seed", type=int, default=1, help="of the fresh test episodes")
-    parser.add_argument("--out", default="runs/hybrid", help="folder of continuous swims and figures")
+    add = parser.add_argument
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    add("--model", type=console.text, default="swift", help="the fitted surrogate: name or .toml; its base is used")
+    noslip = "that of a hull along which no water slides; default the model's name and -noslip"
+    add("--noslip", type=console.text, help=noslip)
+    add("--wrong", choices=WRONG, default="both", help="what is wrong about the surrogate")
+    add("--episodes", type=console.whole(1, 1000), default=10, help="swims that are compared")
+    add("--seconds", type=console.number(STRETCH, 600), default=20.0, help="of each episode")
+    add("--every", type=console.number(STRETCH, 600), default=Hybrid.every, help="s from stretch to stretch; each is 2 s")
+    first = "s before the first stretch; at 0 the fish need not be led"
+    add("--first", type=console.number(0, 600), default=Hybrid.first, help=first)
+    lead = "s of a stretch for which the fish is led, where it is not at rest"
+    add("--lead", type=console.number(0, STRETCH), default=Hybrid.lead, help=lead)
+    add("--domain", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--tanks", type=console.whole(1, 256), default=1, help="continuous runs side by side; 12 fill a GPU")
+    add("--seed", type=console.whole(1, 2**32 - 1), default=1, help="of the fresh test episodes")
+    out = "folder of continuous swims and figures; goes on with what is there"
+    add("--out", type=console.out_folder, default="runs/hybrid", help=out)
     args = parser.parse_args(argv)
     robot, out = load_robot(args.fish), Path(args.out)
     setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
@@ -87,13 +87,7 @@ def surrogate_of(args) -> HydroModel:
 
 
 def episodes_of(robot: Robot, args) -> list[Segment]:
-    """Free swims in still water from fresh test episodes, as long as asked for.
-
-    Raises:
-        ConfigError: fewer than one episode, or too short for a stretch.
-    """
-    if args.episodes < 1 or args.seconds < STRETCH:
-        raise ConfigError(f"hybrid: {args.episodes} episodes of {args.seconds} s; expected 1 or more of {STRETCH:g} s or more")
+    """Free swims in still water from fresh test episodes, as long as asked for."""
     scale = max(1.0, args.episodes / 6)
     made = [s for s in plans.fresh_test(robot, seed=args.seed, scale=scale).segments if s.block in ("straight", "turning")]
     made = [s for s in made if s.slip == plans.DEFAULT_SLIP and not s.replicate_of][: args.episodes]

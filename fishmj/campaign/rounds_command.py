@@ -9,7 +9,7 @@ from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, controllers
 from fishmj.campaign.collect import Local
 from fishmj.campaign.command import ON_GPU
 from fishmj.campaign.rounds import correct
@@ -17,7 +17,7 @@ from fishmj.campaign.tank import Setup
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.mjcf.description import Robot, load_robot
 
 SWIMS = 600.0  # s of swims in a fit
@@ -26,25 +26,28 @@ SWIMS = 600.0  # s of swims in a fit
 def main(argv: list[str]) -> int:
     """Exit code 1 where the returns do not agree after the last round."""
     parser = console.parser("hydro_fit correct", "Correct a surrogate where a policy takes it.")
-    parser.add_argument("policy", metavar="POLICY", help="name of a controller or a policy file")
-    parser.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    parser.add_argument("--model", default="swift", help="the surrogate to begin with: name or .toml")
-    parser.add_argument("--data", help="data set that it was fitted to; default data/hydro/<robot>; it is read only")
-    parser.add_argument("--out", default="runs/correct", help="folder of the rounds and of the corrected model")
-    parser.add_argument("--rounds", type=int, default=4)
-    parser.add_argument("--episodes", type=int, default=6)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--domain", default="window")
-    parser.add_argument("--device", default="auto")
+    add = parser.add_argument
+    add("policy", type=console.text, metavar="POLICY", help="name of a controller or a policy file")
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    add("--model", type=console.text, default="swift", help="the surrogate to begin with: name or .toml")
+    add("--data", type=console.path, help="data set that it was fitted to; default data/hydro/<robot>; it is read only")
+    out = "folder of the rounds and of the corrected model; goes on with what is there"
+    add("--out", type=console.out_folder, default="runs/correct", help=out)
+    add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
+    add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
+    add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
+    add("--domain", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
-    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
+    controllers.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
     if (grid := {meta["grid"]["domain"] for meta in first.about.values()}) != {args.domain}:
         console.warn(
             f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {args.domain}: two waters in one fit"
         )
 
+    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
     pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)
     refit = lambda model, solver: refitted(robot, model, first, solver)  # noqa: E731

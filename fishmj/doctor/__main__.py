@@ -9,8 +9,14 @@ from fishmj.doctor import examine
 MARKS = {"ok": "ok  ", "note": "note", "no": "no  ", "bad": "BAD "}
 
 
+def options() -> console.Parser:
+    """The arguments of `doctor`."""
+    summary = "What works on this machine, what will not, and the line that mends it; exit 1 where a core package is not right."
+    return console.parser("doctor", summary, examples="example:\n  fishmj doctor --json")
+
+
 def main(argv: list[str]) -> int:
-    args = console.parser("doctor", "What works on this machine, what will not, and the line that mends it.").parse_args(argv)
+    args = options().parse_args(argv)
     findings = examine()
     section = ""
     for finding in findings:

@@ -1,4 +1,4 @@
-"""`python -m fishmj.effects [NAME] [--json]`: the catalogue, or one entry in full."""
+"""`python -m fishmj.effects [NAME] [--json]`: the catalogue of imperfections, or one entry in full."""
 
 import sys
 
@@ -6,13 +6,17 @@ from fishmj import console, effects
 from fishmj.effects import describe
 
 
+def options() -> console.Parser:
+    """The arguments of `effects`."""
+    summary = "The catalogue of imperfections: what each is, how large, where it shows, what looks like it."
+    parser = console.parser("effects", summary, examples="example:\n  fishmj effects command_latency")
+    parser.add_argument("name", type=console.text, nargs="?", help="one effect in full; by default the table of all")
+    return parser
+
+
 def main(argv: list[str]) -> int:
     """Print the table, or one effect."""
-    parser = console.parser(
-        "effects", "The catalogue of imperfections: what each is, how large, where it shows, what looks like it."
-    )
-    parser.add_argument("name", nargs="?", help="one effect in full")
-    args = parser.parse_args(argv)
+    args = options().parse_args(argv)
     chosen = [effects.get(args.name)] if args.name else list(effects.catalogue().values())
     if args.json:
         records = [describe.record(e) for e in chosen]

@@ -1,84 +1,86 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
+from importlib.util import find_spec
 
 from fishmj import console, controllers, engines
+from fishmj.cores import memory_bytes
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
 from fishmj.evaluate.driver import run
+from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
+from fishmj.lbm_oracle.domain import NAMES
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
 WATERS = ("structured", "surrogate", "lbm")
 FALLBACKS = ("compiled", "planar")
+BYTES = 150  # of a tick and joint of a trial at the height of a judgement, about (see `affordable`)
+ROOM = 0.8  # of the memory of the machine
+EXAMPLES = """examples:
+  fishmj evaluate dob                                      the decided 72 trials
+  fishmj evaluate paper dob --turbulence gust --out runs/gust --plots     two, paired, with pictures
+  fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
+"""
 
 
-def options(argv: list[str]):
-    """Parsed arguments."""
-    parser = console.parser("evaluate", __doc__)
+def options() -> console.Parser:
+    """The arguments of `evaluate`."""
+    parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
-    known = ", ".join(controllers.NAMES)
-    add(
-        "controllers",
-        nargs="+",
-        metavar="CONTROLLER",
-        help=f"{known}, a shipped policy, a policy file, or your own as module:Name or file.py:Name (docs/your_own_code.md)",
-    )
-    add("--robot", default="fish", help="shipped name or TOML file")
-    add("--water", default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")
-    add("--domain", default="paper", help="box of water of --water lbm: paper, flow_tank, window, laptop (a preview)")
-    add("--slip", type=float, default=1.0, help="slip ratio of --water lbm at the paper's grid")
-    add("--device", default="auto", help="of --water lbm: auto, cpu, cuda")
-    add("--tanks", type=int, default=1, help="trials of --water lbm that run side by side; 12 or more keep one GPU busy")
-    add("--turbulence", default="default", help=", ".join(PRESETS))
-    add("--intensity", type=float, default=None, help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
-    add("--speeds", type=numbers, default=None, metavar="M/S,..", help="default 0.1,0.2,0.3")
-    add("--los", type=numbers, default=None, metavar="DEG,..", help="default 0,45,..,315; 0 = target straight upstream")
-    add("--repeats", type=int, default=None, help="default 3")
-    add("--heading", default="upstream", help=", ".join(protocol.HEADINGS))
-    add("--engine", default="batch", help=f"{', '.join(engines.NAMES)}; the judge is batch (MuJoCo C)")
-    add("--duration", type=float, default=None, help="s, default 60")
-    add("--seed", type=int, default=0)
-    add("--seeds", default="judge", help="judge, or tune for choosing gains and checkpoints")
+    brains = f"{', '.join(controllers.NAMES)}, a shipped policy, a policy file, or your own as module:Name or file.py:Name"
+    add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    add("--water", type=console.text, default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")
+    add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
+    add("--slip", type=console.number(0, 1), default=1.0, help="slip ratio of --water lbm at the paper's grid")
+    add("--device", type=console.device, default="auto", help="of --water lbm: auto, cpu, cuda or cuda:N")
+    tanks = "trials of --water lbm that run side by side; 12 or more keep one GPU busy"
+    add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
+    add("--turbulence", choices=tuple(PRESETS), default="default", help="of the current")
+    add("--intensity", type=console.number(0, 0.99), help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
+    speeds = console.Listed(console.number(0, 1))
+    add("--speeds", type=speeds, metavar="M/S,..", help="of the current; default 0.1,0.2,0.3")
+    los = console.Listed(console.number(-360, 360), 360)
+    add("--los", type=los, metavar="DEG,..", help="default 0,45,..,315; 0 = target straight upstream")
+    add("--repeats", type=console.whole(1, 1000), metavar="N", help="of every speed and direction; default 3")
+    add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start")
+    add("--engine", choices=engines.NAMES, default="batch", help="the judge is batch (MuJoCo C)")
+    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
+    add("--seed", type=console.SEED, default=0, help="of all draws")
+    add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
     add(
         "--command-path",
-        default=None,
-        help=f"{', '.join(COMMAND_PATHS)}; default the robot's; asked for, policies of another steer too",
+        choices=COMMAND_PATHS,
+        help="how commands travel between policy steps; default the robot's. Asked for, policies of another steer too",
     )
-    add(
-        "--any-command-path",
-        action="store_true",
-        help="policies steer on the robot's command path, whatever they were trained on",
-    )
+    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
     own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
-    add("--out", type=Path, default=None, metavar="DIR", help="report.html, results.json, trials.csv")
+    out = "folder for report.html, results.json, trials.csv; those that are there are replaced; by default nothing is written"
+    add("--out", type=console.out_folder, metavar="DIR", help=out)
     add("--plots", action="store_true", help="with --out: pictures too, also in the report")
-    add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay")
-    return parser.parse_args(argv)
-
-
-def numbers(text: str) -> list[float]:
-    """`0.1,0.2` -> [0.1, 0.2]."""
-    return [float(part) for part in text.split(",") if part]
+    add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay; those there are replaced")
+    return parser
 
 
 def main(argv: list[str]) -> int:
-    args = options(argv)
+    """The verb `evaluate`. Returns the exit code."""
+    args = options().parse_args(argv)
     own_effects.join(args.effects)
     if args.water not in WATERS and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, WATERS)
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
+    if args.plots and find_spec("matplotlib") is None:
+        raise MissingExtra("matplotlib", "all", "evaluate --plots")
     robot = load_robot(args.robot) if args.water == "lbm" else engines.in_water(load_robot(args.robot), args.water)
     if args.command_path is not None:
-        if args.command_path not in COMMAND_PATHS:
-            raise UnknownName("command path", args.command_path, COMMAND_PATHS)
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
     trials = protocol.trials(
         speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds, turbulence=args.turbulence,
@@ -89,18 +91,52 @@ def main(argv: list[str]) -> int:
     brains = controllers.several(args.controllers, robot, any_command_path=asked)  # a wrong name fails before anything runs
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
+    affordable(robot, trials, len(brains))
     if args.water == "lbm":
-        results = [judge_in_tanks(brain, robot, trials, args) for brain in brains]
+        if too_long(args, trials.duration * len(trials) * len(brains)):
+            return console.FAILED_CHECK
+        each = partial(judge_in_tanks, robot=robot, trials=trials, args=args)
     else:
-        engine = choose_engine(args.engine, robot)
-        results = [judge(brain, robot, trials, engine) for brain in brains]
+        each = partial(judge, robot=robot, trials=trials, engine=choose_engine(args.engine, robot))
+    results: list[Result] = []
+    for brain in brains:
+        results.append(each(brain))
+        if args.out is not None and len(results) < len(brains):  # what is finished is kept, whatever becomes of the rest
+            save(args.out, results, findings(results))
     return report(results, args)
+
+
+def affordable(robot, trials, brains: int) -> None:
+    """Refuse what this machine cannot hold.
+
+    Raises:
+        ConfigError: with the estimate.
+    """
+    ticks = trials.duration / robot.timing.bus_dt * len(trials)
+    need, there = ticks * brains * BYTES * (robot.n_joints + 3), memory_bytes()
+    if need > ROOM * there:
+        raise ConfigError(
+            f"evaluate: {len(trials)} trials of {trials.duration:g} s by {brains} controllers need about {need / 2**30:.3g} GB of"
+            f" memory, this machine has {there / 2**30:.3g} GB; take fewer --repeats, or a part by --speeds and --los"
+        )
+
+
+def too_long(args, water: float) -> bool:
+    """Hours of the flow solver on a CPU that the user may not have meant; says so."""
+    from fishmj.campaign.command import PATIENCE
+    from fishmj.lbm_oracle.device import device_of
+
+    if args.device != "auto" or water <= PATIENCE or str(device_of(args.device)) != "cpu":
+        return False
+    console.warn(
+        f"evaluate: {water:.0f} s of water and no accelerator: nothing was run. --device cpu runs it all the same;"
+        " --domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
+    )
+    return True
 
 
 def choose_engine(name: str, robot):
     """The engine asked for; without batched MuJoCo the next one that is installed, with a note."""
-    if name not in engines.NAMES:
-        raise UnknownName("engine", name, engines.NAMES)
     for option in (name, *FALLBACKS) if name == "batch" else (name,):
         try:
             made = engines.make(option, robot)
@@ -124,8 +160,6 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
     """One controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
     from fishmj.evaluate import tank
 
-    if args.tanks < 1:
-        raise ConfigError(f"evaluate: --tanks {args.tanks}; expected 1 or more")
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
         options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
@@ -133,9 +167,22 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
         return tank.judge(brain, robot, trials, args.out, progress=seen, **options)
 
 
+def findings(results: list[Result]) -> dict:
+    """What results.json holds."""
+    a = results[0]
+    return {
+        "condition": tables.condition(a),
+        "results": [summary(r) for r in results],
+        "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
+    }
+
+
 def report(results: list[Result], args) -> int:
-    """Tables to the terminal, files where asked."""
-    summaries = [summary(r) for r in results]
+    """Tables to the terminal, files where asked: the figures first, so that no reader who leaves early takes them away."""
+    found = findings(results)
+    summaries = found["results"]
+    if args.out is not None:
+        save(args.out, results, found)
     console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
     console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
     for s in summaries:
@@ -145,14 +192,7 @@ def report(results: list[Result], args) -> int:
     for a, b in pairs:
         console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; * = the interval excludes 0")
         console.say(tables.paired(a, b))
-    found = {
-        "condition": tables.condition(results[0]),
-        "results": summaries,
-        "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for a, b in pairs for d in compare(a, b)],
-    }
     if args.out is not None:
-        from fishmj.evaluate.report import write
-
         console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log)}")
     if args.json:
         console.emit_json(found)

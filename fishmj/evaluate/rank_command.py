@@ -12,7 +12,6 @@ Exit code 1 where a tolerance is missed, 3 where too few trials tell the control
 """
 
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from fishmj.evaluate import protocol, rank, tank, two_waters
 from fishmj.evaluate.rank_plot import picture
 from fishmj.hydro_fit.model import HydroModel, shipped
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_json
 
@@ -40,35 +39,32 @@ MEANING = {
 SAID = {True: "yes", False: "NO", None: "cannot be told"}
 
 
-def options(argv: list[str]):
-    """Parsed arguments."""
+def options() -> console.Parser:
+    """The arguments of `rank`."""
     parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
     add = parser.add_argument
-    add(
-        "controllers",
-        nargs="*",
-        metavar="CONTROLLER",
-        help=f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name",
-    )
-    add(
-        "--any-command-path",
-        action="store_true",
-        help="policies steer on the robot's command path, whatever they were trained on",
-    )
-    add("--fish", default="fish", help="a shipped name or a description (.toml)")
-    add("--model", help="the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one")
-    add("--engine", default="batch", help="of the surrogate: " + ", ".join(engines.NAMES))
-    add("--domain", default="window", help="box of the solver: paper, flow_tank, window, laptop (a preview)")
-    add("--device", default="auto", help="of the solver: auto, cpu, cuda")
-    add("--tanks", type=int, metavar="N", help=f"trials side by side in the solver; {ON_GPU} on a GPU, else 1")
-    add("--trials", type=int, default=24, metavar="N", help="of the decided 72, spread over speeds and directions; default 24")
-    add("--seconds", type=float, help="of a trial; default 60")
-    often = range(len(two_waters.AGAIN) + 1)
-    add("--again", type=int, default=0, choices=often, metavar="N", help="repeats in the solver, 8 in the surrogate; 3 is all")
-    add("--budget", type=float, help="s of wall clock after which no further trial is begun in the solver")
-    add("--seed", type=int, default=0, help="of the trials")
-    add("--out", type=Path, default=Path("runs") / "rank", metavar="DIR", help="finished trials, rank.json, rank.png")
-    return parser.parse_args(argv)
+    brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
+    add("controllers", type=console.text, nargs="*", metavar="CONTROLLER", help=brains)
+    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
+    add("--model", type=console.text, help=model)
+    add("--engine", choices=engines.NAMES, default="batch", help="of the surrogate")
+    add("--domain", choices=NAMES, default="window", help="box of the solver; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="of the solver: auto, cpu, cuda or cuda:N")
+    tanks = f"trials side by side in the solver; by default {ON_GPU} on a GPU, else 1"
+    add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
+    part = "of the decided 72, spread over speeds and directions"
+    add("--trials", type=console.whole(1, 72), default=24, metavar="N", help=part)
+    add("--seconds", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
+    often = console.whole(0, len(two_waters.AGAIN))
+    add("--again", type=often, default=0, metavar="N", help="repeats in the solver, 8 in the surrogate; 3 is all")
+    budget = "wall clock after which no further trial is begun in the solver; by default none"
+    add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
+    add("--seed", type=console.SEED, default=0, help="of the trials")
+    out = "finished trials, which are not run again, and rank.json, rank.png, in place of old ones"
+    add("--out", type=console.out_folder, default="runs/rank", metavar="DIR", help=out)
+    return parser
 
 
 def main(argv: list[str]) -> int:
@@ -77,7 +73,7 @@ def main(argv: list[str]) -> int:
     Raises:
         UnknownName, ConfigError: a controller, water, box or number that cannot be.
     """
-    args = options(argv)
+    args = options().parse_args(argv)
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
     names = list(dict.fromkeys(args.controllers)) or list(DEFAULT)
@@ -138,16 +134,8 @@ def default_model(fish: str) -> str:
 
 
 def chosen(args) -> protocol.Trials:
-    """The first `--trials` of the decided ones, in their spread order.
-
-    Raises:
-        ConfigError: none, or more than there are.
-    """
+    """The first `--trials` of the decided ones, in their spread order."""
     every = two_waters.spread(protocol.trials(seed=args.seed, duration=args.seconds))
-    if not 1 <= args.trials <= len(every):
-        raise ConfigError(f"rank: --trials {args.trials}; expected 1 to {len(every)}")
-    if args.tanks is not None and args.tanks < 1:
-        raise ConfigError(f"rank: --tanks {args.tanks}; expected 1 or more")
     return replace(every, items=every.items[: args.trials])
 
 

@@ -3,11 +3,13 @@
 import csv
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from fishmj import console
+from fishmj.errors import FishmjError, StoreError
 from fishmj.evaluate import metrics, tables
 from fishmj.evaluate.logs import write_logs
 from fishmj.evaluate.result import Result
@@ -34,20 +36,43 @@ MEANING = {
 
 
 def write(folder: Path, results: list[Result], found: dict, *, plots: bool = False, logs: bool = False) -> Path:
-    """Write everything into `folder`; returns the path of report.html."""
+    """Write everything into `folder`, the figures first; returns the path of report.html.
+
+    Raises:
+        StoreError: some of it could not be written or drawn; names each part and why. Every other part was.
+    """
+    shown: list[tuple[Path, str]] = []
+    failed: dict[str, Exception] = {}
+
+    def part(name: str, make: Callable[[], object]) -> None:
+        try:
+            make()
+        except (OSError, MemoryError, FishmjError) as error:
+            failed[name] = error
+
+    def draw() -> None:
+        from fishmj.evaluate.plots import pictures
+
+        shown.extend(pictures(results, folder))
+
+    part("results.json, trials.csv", lambda: save(folder, results, found))
+    if plots:
+        part("pictures", draw)
+    if logs:
+        for r in results:
+            part(f"logs of {r.controller}", lambda r=r: write_logs(r, folder / "logs"))
+    part("report.html", lambda: write_text(folder / "report.html", page(results, found, shown)))
+    if failed:
+        missing = "; ".join(f"{name}: {error or type(error).__name__}" for name, error in failed.items())
+        raise StoreError(f"{folder}: not complete, everything else is there. Not written: {missing}")
+    return folder / "report.html"
+
+
+def save(folder: Path, results: list[Result], found: dict) -> None:
+    """The figures alone: results.json and trials.csv, each in one step."""
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "results.json", json.dumps(console.plain(found), indent=1) + "\n")
     write_text(folder / "trials.csv", trials_csv(results))
-    shown = []
-    if plots:
-        from fishmj.evaluate.plots import pictures
-
-        shown = pictures(results, folder)
-    if logs:
-        for r in results:
-            write_logs(r, folder / "logs")
-    write_text(folder / "report.html", page(results, found, shown))
-    return folder / "report.html"
 
 
 def trials_csv(results: list[Result]) -> str:

@@ -1,40 +1,40 @@
-"""Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
-
-fishmj gap find DATA            what is missing, with its size, its rivals and the gap before and after
-fishmj gap plant EFFECT --out   data in which an effect is hidden
-fishmj gap next REPORT          the next most informative experiment
-fishmj gap apply REPORT         the next version of the model
-fishmj gap check MODEL          does a version still close the gap that it was written for
-fishmj gap bench                the blind benchmark
-fishmj gap fetch NAME           a public data set, checked
-fishmj gap measured NAME        the workflow on measured data of real robots
-"""
+"""Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink."""
 
 import sys
-from importlib import import_module
 
 from fishmj import console
-from fishmj.errors import UnknownName
+from fishmj.console import Command
 
-COMMANDS = {
-    "find": "find",
-    "plant": "plant",
-    "next": "next_experiment",
-    "apply": "apply",
-    "check": "check",
-    "bench": "bench.command",
-    "fetch": "fetch",
-    "measured": "measured.command",
-}
-
-
-def main(argv: list[str]) -> int:
-    if not argv or argv[0] in ("-h", "--help"):
-        console.say(__doc__ or "")
-        return console.OK if argv else console.BAD_INPUT
-    if argv[0] not in COMMANDS:
-        raise UnknownName("gap command", argv[0], COMMANDS)
-    return import_module(f"fishmj.gap.{COMMANDS[argv[0]]}").main(argv[1:])
+main = console.Group(
+    "gap",
+    __doc__ or "",
+    {
+        "find": Command(
+            "fishmj.gap.find",
+            "what is missing, with its size, its rivals and the gap before and after",
+            "fishmj gap find logs --out report",
+        ),
+        "plant": Command(
+            "fishmj.gap.plant", "data in which an effect is hidden", "fishmj gap plant coulomb_friction=0.1 --out logs"
+        ),
+        "next": Command("fishmj.gap.next_experiment", "the next most informative experiment", "fishmj gap next report"),
+        "apply": Command("fishmj.gap.apply", "the next version of the model, reversible", "fishmj gap apply report"),
+        "check": Command(
+            "fishmj.gap.check",
+            "whether a version still closes the gap that it was written for",
+            "fishmj gap check model.toml --data logs",
+        ),
+        "bench": Command(
+            "fishmj.gap.bench.command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
+        ),
+        "fetch": Command(
+            "fishmj.gap.fetch", "a public data set, every file checked", "fishmj gap fetch tail_fish --out data/tail_fish"
+        ),
+        "measured": Command(
+            "fishmj.gap.measured.command", "the workflow on measured data of real robots", "fishmj gap measured all"
+        ),
+    },
+)
 
 
 if __name__ == "__main__":

@@ -1,27 +1,18 @@
-"""Refit a fish's water to the flow solver: collect what is missing, fit, check on held-out episodes, report.
+"""Refit a fish's water to the flow solver: collect what is missing, fit, check on held-out episodes, report."""
 
-python -m fishmj.hydro_fit                        all four, for the shipped fish
-python -m fishmj.hydro_fit collect|fit|check|report
-python -m fishmj.hydro_fit calibrate --data FRESH  the error bar, by swims that no fit has seen
-python -m fishmj.hydro_fit ablation               what each part of the model is worth: fits without it, same held-out records
-python -m fishmj.hydro_fit hybrid                 a surrogate corrected by the solver while it swims
-python -m fishmj.hydro_fit correct POLICY         rounds of the policy's own states, solved and refitted
-python -m fishmj.hydro_fit rank                   controllers in the solver and in the fitted water, on the same trials
-"""
-
-import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from fishmj import console
-from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.console import Command
+from fishmj.errors import ConfigError, StoreError
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
 
-VERBS = ("collect", "fit", "calibrate", "check", "report", "ablation", "hybrid", "correct", "rank")
 _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
 PLACES = (DATA, _ROOT / "_data" / "hydro")  # checkout, installed wheel
@@ -29,27 +20,9 @@ SHIPPED = tuple(place / name for name in ("swift", "tendon_fish") for place in P
 FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the model had been made
 
 
-def main(argv: list[str]) -> int | None:
-    """Run one verb, or all of them in order."""
-    verb = argv[0] if argv and not argv[0].startswith("-") else "all"
-    if verb not in (*VERBS, "all"):
-        raise UnknownName("verb of hydro_fit", verb, VERBS)
-    rest = argv[1:] if verb != "all" else argv
-    if verb == "collect":
-        return collect(rest)
-    if verb == "hybrid":
-        from fishmj.campaign import hybrid_trial
-
-        return hybrid_trial.main(rest)
-    if verb == "correct":
-        from fishmj.campaign import rounds_command
-
-        return rounds_command.main(rest)
-    if verb == "rank":
-        from fishmj.evaluate import rank_command
-
-        return rank_command.main(rest)
-    args = options(verb).parse_args(rest)
+def run(verb: str, argv: list[str]) -> int | None:
+    """One of all, fit, calibrate, check, report, ablation."""
+    args = options(verb).parse_args(argv)
     robot = load_robot(args.fish)
     code = console.OK
     if verb == "all":
@@ -87,31 +60,35 @@ def data_of(robot: Robot, args) -> Path:
     return own
 
 
-def options(verb: str) -> argparse.ArgumentParser:
-    """The arguments of a verb."""
-    made = console.parser(f"hydro_fit {verb}" if verb != "all" else "hydro_fit", (__doc__ or "").splitlines()[0])
-    made.add_argument("--fish", default="fish", help="a shipped name or a description (.toml)")
-    made.add_argument(
-        "--data", help="data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one"
+def options(verb: str) -> console.Parser:
+    """The arguments of a command."""
+    made = console.parser(f"hydro_fit {verb}", COMMANDS[verb].summary[:1].upper() + COMMANDS[verb].summary[1:] + ".")
+    add = made.add_argument
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    add(
+        "--data",
+        type=console.path,
+        help="data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one",
     )
-    made.add_argument("--model", help="name or .toml of the water that is checked; default data/water/<robot>.toml")
-    made.add_argument("--out", help="folder of models and reports; default data/water")
-    made.add_argument("--name", help="of the model that is fitted; default the robot's")
-    made.add_argument("--slip", type=float, default=1.0, help="slip ratio of the records")
-    made.add_argument("--seed", type=int, default=0)
-    made.add_argument("--base", action="store_true", help="the strip model alone, without the learnt residual")
-    made.add_argument("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
+    add("--model", type=console.text, help="name or .toml of the water that is checked; default data/water/<robot>.toml")
+    add("--out", type=console.out_folder, help=f"folder of what is written: {WRITTEN[verb]}")
+    add("--name", type=console.name, help="of the model that is fitted; default the robot's")
+    add("--slip", type=console.number(0, 1), default=1.0, help="slip ratio of the records: 1 slides, 0 sticks")
+    add("--seed", type=console.SEED, default=0, help="of the draws of the fit")
+    add("--base", action="store_true", help="the strip model alone, without the learnt residual")
+    add("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
     if verb in ("fit", "all"):
-        made.add_argument("--swims", type=int, help="steps of learning by swims, 1000 by default; 0 learns from forces alone")
+        swims = console.whole(0, 100_000)
+        add("--swims", type=swims, help="steps of learning by swims, 1000 by default; 0 learns from forces alone")
     if verb == "ablation":
-        made.add_argument("--rows", type=lambda text: text.split(","), default=[], help="NAME,NAME; default the whole table")
-        made.add_argument(
-            "--seeds", type=lambda text: [int(seed) for seed in text.split(",")], default=[0], help="of learnt rows: 0,1,2"
-        )
+        add("--rows", type=console.Listed(console.text), default=[], metavar="NAME,..", help="rows of the table; default all")
+        add("--seeds", type=console.Listed(console.SEED), default="0", metavar="N,..", help="of learnt rows: 0,1,2")
     if verb == "all":
-        made.add_argument("--device", default="auto", help="of the flow solver: auto, cpu, cuda")
-        made.add_argument("--budget", type=float, help="s of wall clock for collecting")
-        made.add_argument("--ray", help="address of a Ray cluster that collects")
+        add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda")
+        add(
+            "--budget", type=console.number(0, 1e7), metavar="S", help="wall clock for collecting; by default as long as it takes"
+        )
+        add("--ray", type=console.text, help="address of a Ray cluster that collects; by default this machine does")
     return made
 
 
@@ -161,8 +138,6 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     from fishmj.hydro_fit.fit.prior import flat
     from fishmj.hydro_fit.fit.recipe import Fit, Settings
 
-    if args.swims is not None and args.swims < 0:
-        raise ConfigError(f"hydro_fit fit: --swims {args.swims}; expected 0 or more steps")
     several()
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
     train, val = fitted_parts(data, robot, args.slip)
@@ -279,6 +254,63 @@ def report(robot: Robot, folder: Path, args) -> Path:
 
     out = Path(args.out or FOLDERS[0]) / f"{robot.name}-report"
     return write(out, chosen(robot, args), robot, *held_out(robot, folder, args))
+
+
+WRITTEN = {
+    "all": "as of fit and report; default data/water",
+    "fit": "the model, in place of one that is worse; default data/water",
+    "calibrate": "the model with its new error bar, in place of the old; default data/water",
+    "check": "where the model is looked for, nothing is written; default data/water",
+    "report": "<robot>-report/ with report.html and report.json, in place of old ones; default data/water",
+    "ablation": "the table; finished rows there are not done again; default runs/hydro_fit/ablation-...",
+}
+COMMANDS = {
+    "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
+    "collect": Command(
+        "fishmj.campaign.command",
+        "segments of the flow solver that a water is fitted to",
+        "fishmj hydro_fit collect --preview --out runs/preview",
+    ),
+    "fit": Command(
+        partial(run, "fit"),
+        "fit the water to a data set; the model takes its place if it is not worse",
+        "fishmj hydro_fit fit --data runs/preview --out runs/water",
+    ),
+    "calibrate": Command(
+        partial(run, "calibrate"),
+        "the error bar of a model, by swims that no fit has seen",
+        "fishmj hydro_fit calibrate --data runs/bar",
+    ),
+    "check": Command(
+        partial(run, "check"),
+        "the model on held-out episodes; exit 1 where it misses a tolerance",
+        "fishmj hydro_fit check --prior",
+    ),
+    "report": Command(
+        partial(run, "report"), "report.html and report.json of a model", "fishmj hydro_fit report --out runs/water"
+    ),
+    "ablation": Command(
+        partial(run, "ablation"),
+        "what each part of the model is worth: fits without it, same held-out records",
+        "fishmj hydro_fit ablation --data data/hydro/swift --seeds 0,1,2",
+    ),
+    "hybrid": Command(
+        "fishmj.campaign.hybrid_trial",
+        "a surrogate corrected by the solver while it swims",
+        "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
+    ),
+    "correct": Command(
+        "fishmj.campaign.rounds_command",
+        "rounds of a policy's own states, solved and refitted",
+        "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
+    ),
+    "rank": Command(
+        "fishmj.evaluate.rank_command",
+        "controllers in the solver and in the fitted water, on the same trials",
+        "fishmj hydro_fit rank pd pi --domain laptop --device cpu --trials 6 --seconds 10",
+    ),
+}
+main = console.Group("hydro_fit", __doc__ or "", COMMANDS)
 
 
 if __name__ == "__main__":

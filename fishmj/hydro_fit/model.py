@@ -101,7 +101,7 @@ class HydroModel:
         if robot_hash(robot) != self.robot_sha256:
             raise ConfigError(
                 f"water {self.name!r} was fitted for robot {self.robot!r} {self.robot_sha256[:12]}, got {robot.name!r}"
-                f" {robot_hash(robot)[:12]}: another geometry, servo or timing; fit it: python -m fishmj.hydro_fit --fish FILE"
+                f" {robot_hash(robot)[:12]}: another body, servo or timing; fit it: python -m fishmj.hydro_fit all --fish FILE"
             )
         if abs(robot.timing.physics_dt - self.dt) > 1e-9:
             raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")

@@ -1,36 +1,47 @@
-"""The flow solver: known answers, convergence, gaits, force maps and drifts.
-
-A verb is a module of this folder with `main(argv)`; one that this build does not have is not offered.
-"""
-
-from importlib import import_module
-from importlib.util import find_spec
+"""The flow solver: known answers, convergence, gaits, force maps and drifts."""
 
 from fishmj import console
-from fishmj.errors import UnknownName
+from fishmj.console import Command
 
-VERBS = {
-    "cases": "fishmj.lbm_oracle.ladder",
-    "converge": "fishmj.lbm_oracle.converge",
-    "swim": "fishmj.lbm_oracle.swim",
-    "speeds": "fishmj.lbm_oracle.speeds",
-    "forcemap": "fishmj.lbm_oracle.forcemap",
-    "drift": "fishmj.lbm_oracle.drift",
-}
-
-
-def present() -> dict[str, str]:
-    return {verb: module for verb, module in VERBS.items() if find_spec(module) is not None}
-
-
-def main(argv: list[str]) -> int | None:
-    verbs = present()
-    if not argv or argv[0] in ("-h", "--help"):
-        console.say("usage: fishmj lbm_oracle {" + ", ".join(verbs) + "} [options]     fishmj lbm_oracle VERB --help")
-        return console.OK if argv else console.BAD_INPUT
-    if argv[0] not in verbs:
-        raise UnknownName("verb of lbm_oracle", argv[0], verbs)
-    return import_module(verbs[argv[0]]).main(argv[1:])
+main = console.Group(
+    "lbm_oracle",
+    __doc__ or "",
+    {
+        "cases": Command(
+            "fishmj.lbm_oracle.ladder", "known answers, each beside its reference", "fishmj lbm_oracle cases poiseuille couette"
+        ),
+        "converge": Command(
+            "fishmj.lbm_oracle.converge",
+            "order of convergence of the fluid on closed solutions",
+            "fishmj lbm_oracle converge --device cpu",
+        ),
+        "converge fish": Command(
+            "fishmj.lbm_oracle.converge_fish",
+            "cruise speed, drag and broadside force of the fish over grid, time step and slip ratio",
+            "fishmj lbm_oracle converge fish --what drag --grids 0.02 0.01 --out runs/converge",
+        ),
+        "swim": Command(
+            "fishmj.lbm_oracle.swim",
+            "a gait, free or tethered; writes a trial folder",
+            "fishmj lbm_oracle swim --preset laptop --beats 5 --out runs/a --fields runs/a_fields",
+        ),
+        "speeds": Command(
+            "fishmj.lbm_oracle.speeds",
+            "speed of the free fish over beat frequency, slip ratio and depth",
+            "fishmj lbm_oracle speeds --preset laptop --frequencies 1 --slips 1 --out runs/speeds",
+        ),
+        "forcemap": Command(
+            "fishmj.lbm_oracle.forcemap",
+            "steady forces on a held fish over joint angle and angle of attack",
+            "fishmj lbm_oracle forcemap --domain laptop --what joint --speeds 0.3 --out runs/forcemap",
+        ),
+        "drift": Command(
+            "fishmj.lbm_oracle.drift",
+            "passive markers in a turbulent current: tracks, headings, spread",
+            "fishmj lbm_oracle drift --water flow --n 4 --out runs/drift",
+        ),
+    },
+)
 
 
 if __name__ == "__main__":

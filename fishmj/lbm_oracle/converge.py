@@ -28,14 +28,10 @@ def study(name: str, device: str) -> list[dict]:
 
 
 def main(argv: list[str]) -> int:
-    if argv[:1] == ["fish"]:
-        from fishmj.lbm_oracle.converge_fish import main as fish
-
-        return fish(argv[1:])
     parser = console.parser(
-        "lbm_oracle converge", "Order of convergence on closed solutions (`fish`: another study); exit 1 off."
+        "lbm_oracle converge", "Order of convergence on closed solutions (`converge fish`: another study); exit 1 off order."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, cuda or auto")
+    parser.add_argument("--device", type=console.device, default="cpu", help="cpu, cuda or auto")
     args = parser.parse_args(argv)
     device = str(device_of(args.device))
     table = [row for name in ("taylor_green", "poiseuille") for row in study(name, device)]

@@ -25,7 +25,7 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import Domain, preset
+from fishmj.lbm_oracle.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.force_points import OK, Plan, Point, measure
 from fishmj.lbm_oracle.forcemap import stage
 from fishmj.lbm_oracle.gait import Gait
@@ -195,16 +195,24 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if lost else console.OK
 
 
-def _parser():
+def _parser() -> console.Parser:
     p = console.parser("lbm_oracle converge fish", "Cruise speed, drag and broadside force over grid, time step and slip ratio.")
-    p.add_argument("--what", nargs="+", choices=WHAT, default=list(WHAT))
-    p.add_argument("--grids", type=float, nargs="+", default=list(GRIDS), metavar="M", help="cells; the paper's is 0.02")
-    p.add_argument("--parts", type=int, nargs="+", default=list(PARTS), help="time steps, as parts of the paper's Courant number")
-    p.add_argument("--slips", type=float, nargs="+", default=list(SLIPS), help="quoted at the paper's grid: 1 slides, 0 sticks")
-    p.add_argument("--domain", default="window", help="whose box in metres: window, forcemap, laptop, paper, flow_tank")
-    p.add_argument("--beats", type=float, default=8.0, help="of the swim; the last two count")
-    p.add_argument("--settle", type=float, help="s before a force is averaged; by default 5 body lengths of water flow past")
-    p.add_argument("--seconds", type=float, help="s averaged over; by default 6 m of water flow past")
-    p.add_argument("--device", default="auto", help="auto, cpu or cuda")
-    p.add_argument("--out", default="runs/converge", metavar="FOLDER", help="CSV; continues what is there")
+    add, several = p.add_argument, {"nargs": "+", "action": console.Distinct}
+    add("--what", **several, choices=WHAT, default=list(WHAT), help="quantities")
+    add(
+        "--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help="cells; the paper's is 0.02"
+    )
+    parts = "time steps, as parts of the paper's Courant number"
+    add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
+    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
+    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    add("--domain", choices=NAMES, default="window", help="whose box in metres")
+    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
+    settle = "before a force is averaged; by default 5 body lengths of water flow past"
+    add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
+    seconds = "averaged over; by default 6 m of water flow past"
+    add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    out = "CSV; continues what is there"
+    add("--out", type=console.out_folder, default="runs/converge", metavar="FOLDER", help=out)
     return p

@@ -89,6 +89,7 @@ def _presets() -> dict[str, Domain]:
 
 
 PREVIEWS = ("laptop",)  # too coarse for a judgement
+NAMES = ("paper", "forcemap", "flow_tank", "window", "window_fine", "window_coarse", "laptop")
 
 
 def preset(name: str) -> Domain:

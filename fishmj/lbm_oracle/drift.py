@@ -19,7 +19,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import LENGTH, PRESETS, Flow
 from fishmj.lbm_oracle import guard, map_plots
-from fishmj.lbm_oracle.domain import Domain, preset
+from fishmj.lbm_oracle.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.tracers import Release, Sampler, carry, figures, trilinear
 from fishmj.store import write_json, write_text
@@ -143,20 +143,25 @@ def _domain(args) -> Domain:
     return domain if args.dx is None else domain.changed(dx=args.dx)
 
 
-def _parser():
+def _parser() -> console.Parser:
     p = console.parser("lbm_oracle drift", "Passive markers in a turbulent current: tracks, headings, spread.")
-    p.add_argument("--n", type=int, default=int(constant("tank", "drifts")), help="markers, one after another")
-    p.add_argument("--speed", type=float, default=0.2, help="of the current, m/s")
-    p.add_argument("--turbulence", default="default", help=", ".join(PRESETS))
-    p.add_argument("--intensity", type=float, default=constant("turbulence", "intensity"))
-    p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--seconds", type=float, help="longest drift; by default three times the mean passage")
-    p.add_argument("--interval", type=float, metavar="S", help="between releases; by default two integral lengths of water")
-    p.add_argument("--settle", type=float, metavar="S", help="before the first release; by default one passage of the box")
-    p.add_argument("--spin-box", type=float, default=WIDTH, metavar="M", help="width of a marker: its spin is averaged across it")
-    p.add_argument("--water", choices=("lbm", "flow"), default="lbm", help="the solver, or the prescribed flow itself")
-    p.add_argument("--domain", default="flow_tank", help="flow_tank, paper, forcemap, window, laptop")
-    p.add_argument("--dx", type=float, metavar="M", help="another cell, same size, dt in proportion")
-    p.add_argument("--device", default="auto", help="auto, cpu or cuda")
-    p.add_argument("--out", default="runs/drift", metavar="FOLDER", help="CSV, JSON and picture")
+    add, seconds = p.add_argument, console.number(0, 100_000)
+    add("--n", type=console.whole(1, 10_000), default=int(constant("tank", "drifts")), help="markers, one after another")
+    add("--speed", type=console.number(0, 4, above=True), default=0.2, help="of the current, m/s")
+    add("--turbulence", choices=PRESETS, default="default", help="of the current")
+    intensity = constant("turbulence", "intensity")
+    add("--intensity", type=console.number(0, 0.99), default=intensity, help="of the turbulence: u_rms / max(speed, 0.1 m/s)")
+    add("--seed", type=console.SEED, default=0, help="of the turbulence")
+    add("--seconds", type=seconds, metavar="S", help="longest drift; by default three times the mean passage")
+    add("--interval", type=seconds, metavar="S", help="between releases; by default two integral lengths of water")
+    add("--settle", type=seconds, metavar="S", help="before the first release; by default one passage of the box")
+    width = "width of a marker: its spin is averaged across it"
+    add("--spin-box", type=console.number(0, 10, above=True), default=WIDTH, metavar="M", help=width)
+    add("--water", choices=("lbm", "flow"), default="lbm", help="the solver, or the prescribed flow itself")
+    add("--domain", choices=NAMES, default="flow_tank", help="box of water; laptop is a preview")
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    out = "CSV, JSON and picture; those that are there are replaced"
+    add("--out", type=console.out_folder, default="runs/drift", metavar="FOLDER", help=out)
     return p

@@ -21,7 +21,7 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle import map_plots
-from fishmj.lbm_oracle.domain import PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.field_options import add_fields
 from fishmj.lbm_oracle.force_points import OK, Plan, Point, Table, measure
 from fishmj.lbm_oracle.point_fields import keep, panels, slice_path
@@ -84,8 +84,6 @@ def stage(domain: Domain, point: Point, **options) -> Stage:
 
 def _points(args) -> list[Point]:
     """Low speeds first: they take longest, so that the tanks run dry at about the same time."""
-    if not args.speeds or min(args.speeds) <= 0:
-        raise ConfigError(f"forcemap: speeds = {args.speeds} m/s; expected positive ones")
     made = []
     for speed in sorted(args.speeds):
         if args.what != "aoa":
@@ -111,25 +109,29 @@ def _pictured(args, point: Point) -> bool:
     return args.fields and abs(point.speed - PICTURED) < 1e-9
 
 
-def _parser():
+def _parser() -> console.Parser:
     p = console.parser("lbm_oracle forcemap", "Steady drag, lateral force and yaw moment of a held fish in a current.")
-    p.add_argument("--what", choices=("joint", "aoa", "both"), default="both", help="the map: joint angle, angle of attack")
-    p.add_argument("--angles", type=float, nargs="+", metavar="DEG", help="of the chosen map; the paper's range by default")
-    p.add_argument("--bent", type=float, default=BENT, metavar="DEG", help="joint angle of the map over angles of attack")
-    p.add_argument("--speeds", type=_numbers, default=SPEEDS, metavar="U,U,...", help="of the current, m/s")
-    p.add_argument("--seconds", type=float, help="averaged over; by default 6 m of water flow past")
-    p.add_argument("--settle", type=float, help="s before; by default 5 body lengths of water flow past")
-    p.add_argument("--domain", default="forcemap", help="forcemap, window, window_fine, laptop, paper, flow_tank")
-    p.add_argument("--dx", type=float, metavar="M", help="another cell, same size, dt in proportion")
-    p.add_argument("--robot", default="fish")
-    p.add_argument("--slip", type=float, default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
-    p.add_argument("--device", default="auto", help="auto, cpu or cuda")
-    p.add_argument("--tanks", type=int, default=1, metavar="N", help="points side by side; 4 to 8 fill a GPU")
-    p.add_argument("--fields", action="store_true", help=f"slices and pictures of the water at {PICTURED} m/s")
+    add = p.add_argument
+    add("--what", choices=("joint", "aoa", "both"), default="both", help="the map: joint angle, angle of attack")
+    angles = "of the chosen map; the paper's range by default"
+    add("--angles", type=console.number(-180, 180), nargs="+", action=console.Distinct, metavar="DEG", help=angles)
+    bent = "joint angle of the map over angles of attack"
+    add("--bent", type=console.number(-90, 90), default=BENT, metavar="DEG", help=bent)
+    speeds = console.Listed(console.number(0, 4, above=True))
+    add("--speeds", type=speeds, default=",".join(map(str, SPEEDS)), metavar="U,U,...", help="of the current, m/s")
+    seconds = "averaged over; by default 6 m of water flow past"
+    add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
+    settle = "before; by default 5 body lengths of water flow past"
+    add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
+    add("--domain", choices=NAMES, default="forcemap", help="box of water; laptop is a preview")
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--tanks", type=console.whole(1, 256), default=1, metavar="N", help="points side by side; 4 to 8 fill a GPU")
+    add("--fields", action="store_true", help=f"slices and pictures of the water at {PICTURED} m/s")
     add_fields(p, folder=False)
-    p.add_argument("--out", default="runs/forcemap", metavar="FOLDER", help="CSV and pictures; continues what is there")
+    out = "CSV and pictures; continues what is there"
+    add("--out", type=console.out_folder, default="runs/forcemap", metavar="FOLDER", help=out)
     return p
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in text.replace(",", " ").split())

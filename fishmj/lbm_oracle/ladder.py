@@ -7,11 +7,11 @@ from fishmj.lbm_oracle.device import device_of
 
 def main(argv: list[str]) -> int:
     parser = console.parser("lbm_oracle cases", "Known answers, each beside its reference; exit 1 on a miss.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="default: the quick ones")
+    parser.add_argument("names", type=console.text, nargs="*", metavar="NAME", help="default: the quick ones")
     parser.add_argument("--all", action="store_true", help="every case; on the CPU without those marked gpu")
     parser.add_argument("--quick", action="store_true", help="those that fit three minutes on two cores (the default)")
     parser.add_argument("--list", action="store_true", help="name the cases and stop")
-    parser.add_argument("--device", default="cpu", help="cpu, cuda or auto")
+    parser.add_argument("--device", type=console.device, default="cpu", help="cpu, cuda or auto")
     args = parser.parse_args(argv)
     if args.list:
         return _list(args.json)

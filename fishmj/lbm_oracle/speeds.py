@@ -17,7 +17,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.device import device_of
-from fishmj.lbm_oracle.domain import Domain, preset
+from fishmj.lbm_oracle.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.gait import Gait
 from fishmj.lbm_oracle.map_plots import swims
 from fishmj.lbm_oracle.stage import Stage
@@ -101,13 +101,18 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if lost else console.OK
 
 
-def _parser():
+def _parser() -> console.Parser:
     p = console.parser("lbm_oracle speeds", "Speed of the free fish over beat frequency, slip ratio and depth.")
-    p.add_argument("--preset", default="window_coarse", help="domain: window_coarse, window, laptop (a preview)")
-    p.add_argument("--frequencies", type=float, nargs="+", default=list(FREQUENCIES), metavar="HZ")
-    p.add_argument("--slips", type=float, nargs="+", default=list(SLIPS), help="quoted at the paper's grid: 1 slides, 0 sticks")
-    p.add_argument("--depths", type=float, nargs="+", metavar="M", help="of the water; the domain's own by default")
-    p.add_argument("--beats", type=float, default=8.0, help="of each swim; the last two count")
-    p.add_argument("--device", default="auto", help="auto, cpu or cuda")
-    p.add_argument("--out", default="runs/speeds", metavar="FOLDER", help="speeds.json and speeds.png; continues what is there")
+    add, several = p.add_argument, {"nargs": "+", "action": console.Distinct}
+    add("--preset", choices=NAMES, default="window_coarse", help="box of water; laptop is a preview")
+    beat = console.number(0.05, 10)
+    add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
+    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
+    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    depth = "of the water; the domain's own by default"
+    add("--depths", type=console.number(0.05, 10), **several, metavar="M", help=depth)
+    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    out = "speeds.json and speeds.png; continues what is there"
+    add("--out", type=console.out_folder, default="runs/speeds", metavar="FOLDER", help=out)
     return p

@@ -17,10 +17,10 @@ from math import degrees, radians
 import numpy as np
 
 from fishmj import console
-from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
+from fishmj.errors import OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle import state
-from fishmj.lbm_oracle.domain import PREVIEWS, preset
+from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.lbm_oracle.field_options import STRONG, add_fields
 from fishmj.lbm_oracle.gait import Gait
 from fishmj.lbm_oracle.rescue import LastGood
@@ -36,8 +36,8 @@ def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
     robot, gait = load_robot(args.robot), _gait(args)
     seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
-    if not seconds > 0:
-        raise ConfigError(f"swim: {seconds} s; expected a positive time or number of beats")
+    if args.out and args.out.exists() and not args.overwrite:
+        raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     run = _stage(args).run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         state.load(args.start, run.coupled)
@@ -199,41 +199,50 @@ def _stage(args) -> Stage:
     )
 
 
-def _parser():
+def _parser() -> console.Parser:
     p = console.parser("lbm_oracle swim", "A gait in the flow solver; writes a trial folder.")
-    p.add_argument("--preset", default="window", help="domain: window, laptop, paper, flow_tank, forcemap, window_fine")
-    p.add_argument("--robot", default="fish")
-    p.add_argument("--device", default="auto", help="auto, cpu or cuda")
-    p.add_argument("--frequency", type=float, default=1.0, metavar="HZ")
-    p.add_argument("--amplitude", type=float, nargs="+", default=[30.0], metavar="DEG", help="one, or one a joint")
-    p.add_argument("--lag", type=float, default=60.0, metavar="DEG", help="from joint to joint")
-    p.add_argument("--bias", type=float, nargs="+", default=[0.0], metavar="DEG")
-    p.add_argument("--ramp", type=float, default=1.0, metavar="S", help="smooth start")
-    p.add_argument("--beats", type=float, default=5.0)
-    p.add_argument("--seconds", type=float, help="instead of beats")
-    p.add_argument("--prescribed", action="store_true", help="joints follow the gait to the letter, without servos")
-    p.add_argument("--tethered", action="store_true", help="the root does not move")
-    p.add_argument("--root", default="planar", help="planar or free")
-    p.add_argument("--slip", type=float, default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
-    p.add_argument("--speed", type=float, default=0.0, help="of the current, m/s")
-    p.add_argument("--direction", type=float, default=180.0, metavar="DEG", help="where the water moves to")
-    p.add_argument("--turbulence", default="none", help=", ".join(PRESETS))
-    p.add_argument("--intensity", type=float, default=0.05)
-    p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--pose", type=float, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"))
-    p.add_argument("--depth", type=float, metavar="M")
-    p.add_argument("--bottom", default="slip", help="slip or wall")
-    p.add_argument("--dx", type=float, metavar="M")
-    p.add_argument("--dt", type=float, metavar="S")
-    p.add_argument("--latency", type=float, metavar="S", help="of commands; the robot's by default")
-    p.add_argument("--kernel", type=int, default=3, help="points of the immersed boundary's kernel: 3 or 4")
-    p.add_argument("--passes", type=int, default=2, help="of the direct forcing")
-    p.add_argument("--hydro-offset", type=float, metavar="CELLS", help="retraction of the markers; the measured one by default")
-    p.add_argument("--start", metavar="FILE", help="continue from a saved state")
-    p.add_argument("--save", metavar="FILE", help="save the state at the end")
-    p.add_argument("--out", metavar="FOLDER", help="trial folder to write")
-    p.add_argument("--overwrite", action="store_true", help="trial and fields of another run are replaced")
+    add, angle = p.add_argument, console.number(-360, 360)
+    add("--preset", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--frequency", type=console.number(0.01, 20), default=1.0, metavar="HZ", help="of the beat")
+    bend = console.number(-180, 180)
+    add("--amplitude", type=bend, nargs="+", default=[30.0], metavar="DEG", help="of the joints: one, or one a joint")
+    add("--lag", type=angle, default=60.0, metavar="DEG", help="from joint to joint")
+    add("--bias", type=bend, nargs="+", default=[0.0], metavar="DEG", help="mean of the joints: one, or one a joint")
+    add("--ramp", type=console.number(0, 100), default=1.0, metavar="S", help="smooth start")
+    add("--beats", type=console.number(0, 10_000, above=True), default=5.0, help="of the swim")
+    seconds = "of the swim; by default so many as --beats take"
+    add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
+    add("--prescribed", action="store_true", help="joints follow the gait to the letter, without servos")
+    add("--tethered", action="store_true", help="the root does not move")
+    add("--root", choices=("planar", "free"), default="planar", help="how the root moves")
+    add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    add("--speed", type=console.number(0, 4), default=0.0, help="of the current, m/s")
+    add("--direction", type=angle, default=180.0, metavar="DEG", help="where the water moves to")
+    add("--turbulence", choices=PRESETS, default="none", help="of the current")
+    add("--intensity", type=console.number(0, 0.99), default=0.05, help="of the turbulence: u_rms / max(speed, 0.1 m/s)")
+    add("--seed", type=console.SEED, default=0, help="of the turbulence")
+    place = console.number(-360, 360)
+    pose = "start of the fish: m, m, deg"
+    add("--pose", type=place, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"), help=pose)
+    add("--depth", type=console.number(0.05, 10), metavar="M", help="of the water; by default the domain's")
+    add("--bottom", choices=("slip", "wall"), default="slip", help="of the water")
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    add("--dt", type=console.number(1e-5, 0.1), metavar="S", help="another time step; by default the domain's")
+    add("--latency", type=console.number(0, 10), metavar="S", help="of commands; the robot's by default")
+    add("--kernel", type=console.whole(3, 4), default=3, help="points of the immersed boundary's kernel: 3 or 4")
+    add("--passes", type=console.whole(1, 100), default=2, help="of the direct forcing")
+    offset = "retraction of the markers; the measured one by default"
+    add("--hydro-offset", type=console.number(-5, 5), metavar="CELLS", help=offset)
+    add("--start", type=console.path, metavar="FILE", help="continue from a saved state; by default from rest")
+    add("--save", type=console.out_file, metavar="FILE", help="save the state at the end, in place of an old one; by default not")
+    out = "trial folder to write; by default none; one that is there is refused without --overwrite"
+    add("--out", type=console.out_folder, metavar="FOLDER", help=out)
+    add("--overwrite", action="store_true", help="trial and fields of another run are replaced")
     add_fields(p)
-    p.add_argument("--every", type=float, default=0.1, metavar="S", help="between two frames of the fields")
-    p.add_argument("--strong", type=float, default=STRONG, metavar="1/S", help="vorticity at the ends of the colour scale")
+    add("--every", type=console.number(0, 1000, above=True), default=0.1, metavar="S", help="between two frames of the fields")
+    strong = "vorticity at the ends of the colour scale"
+    add("--strong", type=console.number(0, 1e6, above=True), default=STRONG, metavar="1/S", help=strong)
     return p

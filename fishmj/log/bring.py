@@ -59,18 +59,9 @@ class Found:
     page: dict = field(default_factory=dict)
 
 
-def add(verbs) -> None:
-    """Register the verb."""
-    from argparse import RawDescriptionHelpFormatter
-
-    sub = verbs.add_parser(
-        "import",
-        help="recordings -> a data set of trial folders with a manifest",
-        description=ABOUT,
-        epilog=EXAMPLE,
-        formatter_class=RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+def options() -> console.Parser:
+    """The arguments of `log import`."""
+    sub = console.parser("log import", ABOUT, examples=EXAMPLE)
     sub.add_argument(
         "source", type=Path, nargs="+", help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders"
     )
@@ -117,8 +108,12 @@ def add(verbs) -> None:
         help="bad files are left out and listed; exit 2 only when nothing came in (the default)",
     )
     sub.add_argument("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
-    sub.add_argument("--json", action="store_true", help="print one JSON object last")
-    sub.set_defaults(call=run)
+    return sub
+
+
+def main(argv: list[str]) -> int:
+    """The command `log import`. Returns the exit code."""
+    return run(options().parse_args(argv))
 
 
 def run(args: Namespace) -> int:

@@ -14,30 +14,24 @@ from fishmj.store import Manifest
 from fishmj.store.manifest import MANIFEST
 
 
-def add(verbs) -> None:
-    """Register the verbs."""
-    look = verbs.add_parser(
-        "check",
-        help="read a data set or a trial, audit its clocks; one line a problem",
-        epilog="example: fishmj log check data/monday",
-        allow_abbrev=False,
-    )
-    look.add_argument("data", type=Path, help="data set, trial folder or samples.csv")
-    look.add_argument("--json", action="store_true", help="print one JSON object last")
-    look.set_defaults(call=inspect)
-    state = verbs.add_parser(
-        "manifest",
-        help="write manifest.json into a folder of trial folders, in place",
-        epilog="example: fishmj log manifest data/monday",
-        allow_abbrev=False,
-    )
-    state.add_argument("folder", type=Path, help="folder of trial folders; every trial is read and checked first")
-    state.add_argument("--json", action="store_true", help="print one JSON object last")
-    state.set_defaults(call=manifest)
+def check(argv: list[str]) -> int:
+    """The command `log check`. Exit 0: everything reads; 1: some trials or files are not as they should be (one line each)."""
+    parser = console.parser("log check", "Read a data set or a trial, audit its clocks; one line a problem, and exit 1.")
+    parser.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
+    return inspect(parser.parse_args(argv))
+
+
+def state(argv: list[str]) -> int:
+    """The command `log manifest`."""
+    parser = console.parser("log manifest", "Write manifest.json into a folder of trial folders, in place; each is read first.")
+    parser.add_argument("folder", type=console.path, help="folder of trial folders; a manifest that is there is replaced")
+    return manifest(parser.parse_args(argv))
 
 
 def inspect(args: Namespace) -> int:
-    """Exit 0: everything reads; 1: some files or trials are not as they should be (one line each)."""
+    """Read everything, say what is wrong with it."""
+    if not args.data.exists():
+        raise LogError(f"{args.data}: no such file or folder; expected a data set, a trial folder or a samples.csv")
     audits, broken = [], {}
     found, changed = _trials(args.data)
     for name, path in found.items():

@@ -5,22 +5,22 @@
 The fish meets the same noise, latencies and water as in the tasks; it does not sense the current that you make.
 """
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
 from itertools import cycle
-from pathlib import Path
 
 import numpy as np
 
 from fishmj import console, controllers, engines
+from fishmj.errors import ConfigError
 from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import load_robot
 from fishmj.play.keyboard import Keyboard, press
 from fishmj.play.pond import Pond
+from fishmj.replay.live import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures
 LATE = 0.2  # s behind real time from which on pictures are skipped
@@ -29,10 +29,10 @@ KEYS = """keys: up, down   current faster, slower            w a s d   target up
       r  start again                               q         quit"""
 EXAMPLES = (
     """examples:
-  python -m fishmj.play                                   the best shipped controller in a 0.2 m/s current
-  python -m fishmj.play --controller drift --speed 0.3    what the current does to a fish that does nothing
-  python -m fishmj.play --turbulence gust --intensity 0.1 --save runs/mine
-  python -m fishmj.replay runs/mine                       what you just did, as a page
+  fishmj play                                   the best shipped controller in a 0.2 m/s current
+  fishmj play --controller drift --speed 0.3    what the current does to a fish that does nothing
+  fishmj play --turbulence gust --intensity 0.1 --save runs/mine
+  fishmj replay runs/mine                       what you just did, as a page
 
 """
     + KEYS
@@ -92,47 +92,52 @@ def show_status(text: str) -> None:
     sys.stderr.flush()
 
 
-def trial_folder(text: str) -> Path:
-    """Where a trial may be written: a new folder, or one that holds a trial already; else refused before the swim."""
-    path = console.out_folder(text)
-    if path.is_dir() and not (path / META_FILE).is_file():
-        raise argparse.ArgumentTypeError(f"{path}: exists and is no trial (no {META_FILE}); choose another name")
-    return path
+def options() -> console.Parser:
+    """The arguments of `play`."""
+    parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.", examples=EXAMPLES)
+    add = parser.add_argument
+    best = "paper" if "paper" in controllers.shipped_policies() else "dob"
+    add(
+        "--controller",
+        type=console.text,
+        default=best,
+        help="controller, shipped policy, policy file, or your own as module:Name",
+    )
+    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
+    add("--robot", type=console.text, default="fish", help="description, name or TOML")
+    add("--engine", default="batch", choices=engines.NAMES, help="what moves the fish")
+    add("--speed", type=console.number(0, 1), default=0.2, metavar="M/S", help="of the current at the start")
+    add("--direction", type=console.number(-360, 360), default=180.0, metavar="DEG", help="the water moves towards it")
+    add("--turbulence", default="default", choices=tuple(PRESETS), help="of the current")
+    add("--intensity", type=console.number(0, 0.99), default=0.05, help="of the turbulence: u_rms / max(speed, 0.1 m/s)")
+    add("--seed", type=console.SEED, default=0, help="of turbulence and sensor noise")
+    host = "address that the page is served on; 0.0.0.0 lets everybody watch who can reach this machine"
+    add("--host", type=console.text, default=LOCAL, metavar="ADDRESS", help=host)
+    save = "write the swim as a trial folder at the end; by default not; one that is there is refused without --overwrite"
+    add("--save", type=console.out_folder, metavar="FOLDER", help=save)
+    add("--overwrite", action="store_true", help="replace the trial in --save")
+    alone = "swim S simulated seconds without keys, then stop; by default until q"
+    add("--headless-seconds", type=console.number(0, 86_400, above=True), metavar="S", help=alone)
+    return parser
 
 
 def main(argv: list[str] | None = None) -> int:
     """The verb `play`. Returns the exit code."""
-    parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.")
-    parser.epilog, parser.formatter_class = EXAMPLES, argparse.RawDescriptionHelpFormatter
-    best = "paper" if "paper" in controllers.shipped_policies() else "dob"
-    parser.add_argument(
-        "--controller",
-        default=best,
-        help="controller, shipped policy, policy file, or your own as module:Name (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs"
-    )
-    parser.add_argument("--robot", default="fish", help="description, name or TOML (default: %(default)s)")
-    parser.add_argument("--engine", default="batch", choices=engines.NAMES, help="default: %(default)s")
-    parser.add_argument("--speed", type=float, default=0.2, help="of the current at the start, m/s (default: %(default)s)")
-    parser.add_argument("--direction", type=float, default=180.0, help="the water moves towards it, deg (default: %(default)s)")
-    parser.add_argument("--turbulence", default="default", choices=PRESETS, help="default: %(default)s")
-    parser.add_argument("--intensity", type=float, default=0.05, help="of the turbulence (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of turbulence and sensor noise (default: %(default)s)")
-    parser.add_argument("--save", type=trial_folder, metavar="FOLDER", help="write the swim as a trial folder at the end")
-    parser.add_argument("--headless-seconds", type=float, metavar="S", help="swim S simulated seconds without keys, then stop")
-    args = parser.parse_args(argv)
+    args = options().parse_args(argv)
+    if args.save and args.save.exists() and not args.overwrite:
+        raise ConfigError(f"play: {args.save} is there already; choose another --save, or replace it with --overwrite")
+    if args.save and args.save.is_dir() and not (args.save / META_FILE).is_file():
+        raise ConfigError(f"play: {args.save} exists and is no trial (no {META_FILE}); choose another --save")
     direction = float(np.radians(args.direction))
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
+    check_host(args.host)
     robot = load_robot(args.robot)
     brain = controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
     pond = Pond(brain, robot, flow, args.engine)
-    from fishmj.replay.live import LiveView
-
     alone = args.headless_seconds is not None
-    with LiveView(pond.robot) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
-        console.say(f"open {view.url} in a browser", "" if alone else KEYS)
+    with LiveView(pond.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
+        reach = "this machine only" if args.host in (LOCAL, "localhost", "::1") else "whoever can reach this machine"
+        console.say(f"open {view.url} in a browser (served on {args.host}: {reach})", "" if alone else KEYS)
         try:
             swim(pond, view, keys, args.headless_seconds, (lambda text: None) if alone else show_status)
         except KeyboardInterrupt:

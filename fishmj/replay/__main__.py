@@ -1,6 +1,5 @@
 """`python -m fishmj.replay LOG [LOG2]`: a self-contained MeshCat page of one or more logs, or a top-view film."""
 
-import argparse
 import webbrowser
 from pathlib import Path
 
@@ -10,32 +9,41 @@ from fishmj.replay.film import write_mp4, write_png
 from fishmj.replay.html import write_html
 
 EXAMPLES = """examples:
-  python -m fishmj.replay runs/trial_07                       replay.html beside you
-  python -m fishmj.replay runs/sim runs/robot --open          two logs overlaid, in the browser
-  python -m fishmj.replay runs/trial_07 --mp4 swim.mp4        a top-view film too (no screen needed)
-  python -m fishmj.replay runs/trial_07 --out a.html --speed 0.25
-  python -m fishmj.replay runs/a --fields runs/a_fields       a flow-solver run with its vorticity
+  fishmj replay runs/trial_07                       replay.html beside you
+  fishmj replay runs/sim runs/robot --open          two logs overlaid, in the browser
+  fishmj replay runs/trial_07 --mp4 swim.mp4        a top-view film too (no screen needed)
+  fishmj replay runs/trial_07 --out a.html --speed 0.25
+  fishmj replay runs/a --fields runs/a_fields       a flow-solver run with its vorticity
 
 A LOG is a trial folder (meta.toml and tables) or a flat samples.csv; see docs/logs.md. Add #t=3.5&play=0&view=top to the
 address of a page to start it at 3.5 s, paused, seen from above. Keys in the page: space plays and pauses, the arrows step,
 f follows the fish, v shows and hides the vorticity."""
 
 
+def options() -> console.Parser:
+    """The arguments of `replay`."""
+    summary = "Write a replay of logs: one HTML file that needs no network. Files that are there are replaced."
+    parser = console.parser("replay", summary, examples=EXAMPLES)
+    add = parser.add_argument
+    logs = "trial folder or samples.csv; more than one are overlaid"
+    add("logs", type=console.path, nargs="+", action=console.Distinct, metavar="LOG", help=logs)
+    add("--out", type=console.out_file, default="replay.html", help="the page to write")
+    fields = "of the first log: vorticity slices by `lbm_oracle swim --fields`; by default none are shown"
+    add("--fields", type=console.path, metavar="FOLDER", help=fields)
+    add("--mp4", type=console.out_file, metavar="FILE", help="write a top-view film as well; by default none")
+    add("--png", type=console.out_file, metavar="FILE", help="write a top-view picture as well, at --at seconds; by default none")
+    add("--at", type=console.number(0, 1e6), default=0.0, metavar="S", help="time of the picture from the start")
+    add("--speed", type=console.number(0.01, 100), default=1.0, help="playing speed, 1 = real time")
+    robot = "description (name or TOML) of the fish, when the log's own is not the right one; by default the log's own"
+    add("--robot", type=console.text, help=robot)
+    add("--title", type=console.text, help="heading of the page; by default the names of the logs")
+    add("--open", action="store_true", help="open the page in the browser")
+    return parser
+
+
 def main(argv: list[str] | None = None) -> int:
     """The verb `replay`. Returns the exit code."""
-    parser = console.parser("replay", "Write a replay of logs: one HTML file that needs no network.")
-    parser.epilog, parser.formatter_class = EXAMPLES, argparse.RawDescriptionHelpFormatter
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="trial folder or samples.csv; more than one are overlaid")
-    parser.add_argument("--out", default="replay.html", help="the page to write (default: %(default)s)")
-    parser.add_argument("--fields", metavar="FOLDER", help="of the first log: vorticity slices by `lbm_oracle swim --fields`")
-    parser.add_argument("--mp4", metavar="FILE", help="write a top-view film as well")
-    parser.add_argument("--png", metavar="FILE", help="write a top-view picture as well, at --at seconds")
-    parser.add_argument("--at", type=float, default=0.0, metavar="S", help="time of the picture, s (default: %(default)s)")
-    parser.add_argument("--speed", type=float, default=1.0, help="playing speed, 1 = real time (default: %(default)s)")
-    parser.add_argument("--robot", help="description (name or TOML) of the fish, when the log's own is not the right one")
-    parser.add_argument("--title", help="heading of the page")
-    parser.add_argument("--open", action="store_true", help="open the page in the browser")
-    args = parser.parse_args(argv)
+    args = options().parse_args(argv)
     trials = [read_trial(path) for path in args.logs]
     title = args.title or " and ".join(trial.name or Path(path).stem for trial, path in zip(trials, args.logs, strict=True))
     written = [write_html(trials, args.out, args.robot, title, speed=args.speed, fields=args.fields)]

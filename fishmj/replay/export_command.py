@@ -3,7 +3,7 @@
 It lies here and not in `log` because it knows robots: Foxglove draws the links of the one that a trial names.
 """
 
-from argparse import Namespace, RawDescriptionHelpFormatter
+from argparse import Namespace
 from pathlib import Path
 
 from fishmj import console
@@ -15,9 +15,9 @@ from fishmj.mjcf.solids import solids
 from fishmj.replay.scene import named_robot
 
 EXAMPLES = """examples:
-  python -m fishmj.log export runs/trial_07 --to mcap --out trial_07.mcap        open it in Foxglove: 3D panel, plots by path
-  python -m fishmj.log export data/calm --to parquet --out calm_parquet          a folder a trial, a file a table
-  python -m fishmj.log export data/calm --to csv --out calm_csv --tables pose,joint
+  fishmj log export runs/trial_07 --to mcap --out trial_07.mcap        open it in Foxglove: 3D panel, plots by path
+  fishmj log export data/calm --to parquet --out calm_parquet          a folder a trial, a file a table
+  fishmj log export data/calm --to csv --out calm_csv --tables pose,joint
 """
 
 
@@ -29,22 +29,20 @@ def _place(text: str) -> Path:
     return console.out_folder(text) if Path(text).is_dir() else console.out_file(text)
 
 
-def add(verbs) -> None:
-    """Register the verb."""
-    parser = verbs.add_parser(
-        "export",
-        help="a trial or a data set -> MCAP (Foxglove), CSV or Parquet",
-        allow_abbrev=False,
-        epilog=EXAMPLES,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("data", type=Path, help="trial folder, samples.csv, data set or bundle (.npz)")
+def options() -> console.Parser:
+    """The arguments of `log export`."""
+    parser = console.parser("log export", "A trial or a data set -> MCAP (Foxglove), CSV or Parquet.", examples=EXAMPLES)
+    parser.add_argument("data", type=console.path, help="trial folder, samples.csv, data set or bundle (.npz)")
     parser.add_argument("--to", choices=export.FORMS, required=True, help="mcap and parquet need the extra `logs`")
     parser.add_argument("--out", type=_place, required=True, help="file (one trial to mcap) or folder; must not exist")
     parser.add_argument("--tables", metavar="A,B", help=f"only these (default: all): {', '.join(TABLES)}")
     parser.add_argument("--force", action="store_true", help="replace what an export wrote there before (default: refuse)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object last")
-    parser.set_defaults(call=send)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """The command `log export`. Returns the exit code."""
+    return send(options().parse_args(argv))
 
 
 def shape_of(trial: Trial) -> tuple[Solid, ...]:

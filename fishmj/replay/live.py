@@ -6,10 +6,14 @@ MeshCat's protocol moves rigid objects cheaply but not vertices, so the skin is 
 
 import contextlib
 import io
+import os
+import socket
+import subprocess
+import sys
 
 import numpy as np
 
-from fishmj.errors import MissingExtra
+from fishmj.errors import ConfigError, MissingExtra, StoreError
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, hinge_frames, skin
 from fishmj.replay.scene import ARRIVAL
@@ -18,25 +22,76 @@ LEVELS = 6  # steps of hinge share over a bend zone
 FLOOR = -0.4  # m
 TANK = 4.0  # m, side
 TRAIL = 400  # points kept
+LOCAL = "127.0.0.1"
+
+
+class Server:
+    """The process that serves the scene (`server.py`), on `host` alone; it ends with this one.
+
+    Raises:
+        ConfigError: `host` is no address of this machine. StoreError: the server does not start.
+    """
+
+    def __init__(self, host: str = LOCAL):
+        check_host(host)
+        command = [sys.executable, "-u", "-m", "fishmj.replay.server", host]
+        path = os.pathsep.join(filter(None, sys.path))
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": path},
+            text=True,
+            start_new_session=True,  # Ctrl-C is for the swim
+        )
+        said = [self.process.stdout.readline().strip() for _ in range(2)]  # type: ignore[union-attr]
+        if not all(said):
+            self.close()
+            raise StoreError(f"play: the MeshCat server on {host} did not start; see: {' '.join(command[:1] + command[2:])}")
+        self.commands, self.url = said
+
+    def close(self) -> None:
+        """Stop it."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(5)
+        for stream in (self.process.stdin, self.process.stdout):
+            stream.close()  # type: ignore[union-attr]
+
+
+def check_host(host: str) -> None:
+    """Whether this machine can listen on `host`.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise ConfigError(f"play: cannot listen on {host[:80]!r} ({error}); take one of this machine, or {LOCAL}") from error
 
 
 class LiveView:
-    """A MeshCat scene of one fish, its target and the current. `url` is the page to open.
+    """A MeshCat scene of one fish, its target and the current. `url` is the page to open, `host` who may reach it.
 
     Raises:
-        MissingExtra: meshcat is not installed.
+        MissingExtra: meshcat is not installed. ConfigError: `host` is no address of this machine.
     """
 
-    def __init__(self, robot: Robot):
+    def __init__(self, robot: Robot, host: str = LOCAL):
         try:
             import meshcat
             import meshcat.geometry as shapes
         except ImportError as error:
             raise MissingExtra("meshcat", "all", "play") from error
         self._shapes = shapes
-        with contextlib.redirect_stdout(io.StringIO()):  # the server announces itself; the caller says it in its own words
-            self._vis = meshcat.Visualizer()
-        self.url = self._vis.url()
+        self.server = Server(host)
+        self.url = self.server.url
+        with contextlib.redirect_stdout(io.StringIO()):  # MeshCat announces itself; the caller says it in its own words
+            self._vis = meshcat.Visualizer(zmq_url=self.server.commands)
         self.skin = skin(robot, spacing=0.008, around=20, smooth=True)
         self.slices = slices_of(self.skin)
         self._trail: list[np.ndarray] = []
@@ -93,12 +148,7 @@ class LiveView:
 
     def close(self) -> None:
         """Stop the server that this view started."""
-        server = self._vis.window.server_proc
-        if server is not None and server.poll() is None:
-            server.terminate()
-            server.wait(5)
-            server.stdout.close()
-            server.stderr.close()
+        self.server.close()
 
     def __enter__(self) -> "LiveView":
         return self

@@ -2,28 +2,28 @@
 
 import argparse
 import shutil
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError
 
 CRITICS = ("plain", "privileged")
-EXAMPLES = """
-examples
+SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
+EXAMPLES = """examples:
   fishmj train                                   a policy for your laptop in a minute or two
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac --steps 300000         soft actor-critic
   fishmj train --memory 8                        the policy sees its last eight observations
+  fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
-  fishmj train --resume --out runs/quick-0       go on after Ctrl-C
-  fishmj evaluate runs/quick-0/best.safetensors  judge what came out
+  fishmj evaluate runs/quick-ppo-0/best.safetensors  judge what came out
 """
 
 
-def options() -> argparse.ArgumentParser:
+def options() -> console.Parser:
+    """The arguments of `train`."""
     from fishmj.engines import NAMES, own_effects
     from fishmj.flow import PRESETS as FLOWS
     from fishmj.mjcf.description import COMMAND_PATHS
@@ -31,48 +31,64 @@ def options() -> argparse.ArgumentParser:
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
-    one_of = lambda names: "{" + ",".join(names) + "}"  # noqa: E731  (checked later: then a slip gets the closest name)
-    p = console.parser("train", "Learn to hold station in a current that the fish cannot sense.")
-    p.formatter_class = argparse.RawDescriptionHelpFormatter
-    p.epilog = textwrap.dedent(EXAMPLES)
-    p.add_argument(
-        "--preset", metavar=one_of(PRESETS), help="quick: CPU, paper: GPU, paper-sac: the paper's budget (default: by device)"
-    )
-    p.add_argument(
-        "--algo", metavar=one_of(ALGORITHMS), help="learning algorithm, or your own as module:Name (default: the preset's)"
-    )
-    p.add_argument(
-        "--task", metavar=one_of(COURSES), help="or your own as module:Name, docs/your_own_code.md (default station_hold)"
-    )
-    p.add_argument("--engine", metavar=one_of(("auto", *NAMES)), help="auto: mjx on a GPU, compiled or planar on a CPU")
-    p.add_argument("--steps", type=float, help="control steps of 0.2 s, all fish together")
-    p.add_argument("--envs", type=int, help="fish that swim at once")
-    p.add_argument("--seed", type=int, default=0, help="seed of the run (default 0)")
-    p.add_argument("--seeds", help="several runs, for example 0,1,2")
-    p.add_argument(
-        "--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)"
-    )
-    p.add_argument("--memory", type=int, help="observations that the policy sees (default 1: memoryless, as the paper's)")
-    p.add_argument("--critic", metavar=one_of(CRITICS), help="privileged: the critic sees the flow, the policy does not (PPO)")
-    p.add_argument("--hidden", help="layer widths, for example 256,256")
-    p.add_argument("--learning-rate", type=float)
-    p.add_argument("--turbulence", metavar=one_of(FLOWS), help="turbulence to train in")
-    p.add_argument("--intensity", type=float, help="largest turbulence intensity; each episode draws from 0 to it")
-    p.add_argument(
-        "--command-path", metavar=one_of(COMMAND_PATHS), help="how commands travel between policy steps (default linear)"
-    )
-    p.add_argument("--robot", help="fish, tendon_fish, or a TOML file")
-    p.add_argument("--water", help="structured (default), surrogate, or the TOML of a fitted water")
-    p.add_argument("--hide", help=f"observation groups set to zero, for ablations: {', '.join(GROUPS)}")
-    p.add_argument(
-        "--randomise-effects", metavar="NAME,..", help="effects of the catalogue drawn in typical sizes for each episode"
-    )
+    p = console.parser("train", "Learn to hold station in a current that the fish cannot sense.", examples=EXAMPLES)
+    add = p.add_argument
+    preset = "quick: CPU, paper: GPU, paper-sac: the paper's budget (default: quick on a CPU, else paper)"
+    add("--preset", choices=tuple(PRESETS), help=preset)
+    algo = f"learning algorithm: {', '.join(ALGORITHMS)}, or your own as module:Name (default: the preset's)"
+    add("--algo", type=console.text, metavar="NAME", help=algo)
+    task = f"{', '.join(COURSES)}, or your own as module:Name, docs/your_own_code.md (default station_hold)"
+    add("--task", type=console.text, metavar="NAME", help=task)
+    engine = "auto: mjx on a GPU, compiled or planar on a CPU (default: the preset's, auto)"
+    add("--engine", choices=("auto", *NAMES), help=engine)
+    steps = "control steps of 0.2 s, all fish together (default: the preset's)"
+    add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
+    add("--envs", type=console.whole(1, 2**20), metavar="N", help="fish that swim at once (default: the preset's)")
+    add("--seed", type=SEED, default=0, help="of the run")
+    add("--seeds", type=console.Listed(SEED), metavar="N,..", help="several runs, for example 0,1,2 (default: --seed)")
+    together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
+    add("--together", action="store_true", help=together)
+    memory = "observations that the policy sees (default: the preset's, 1: memoryless, as the paper's)"
+    add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
+    critic = "privileged: the critic sees the flow, the policy does not; PPO only (default: plain)"
+    add("--critic", choices=CRITICS, help=critic)
+    widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
+    add("--hidden", type=widths, metavar="N,..", help="layer widths, for example 256,256 (default: the preset's)")
+    add("--learning-rate", type=console.number(0, 1, above=True), help="of the algorithm (default: the preset's)")
+    add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: the preset's, gust)")
+    intensity = "largest turbulence intensity; each episode draws from 0 to it (default: the preset's)"
+    add("--intensity", type=console.number(0, 0.99), help=intensity)
+    way = "how commands travel between policy steps (default: linear)"
+    add("--command-path", choices=COMMAND_PATHS, help=way)
+    add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: the preset's, fish)")
+    water = "structured, surrogate, or a fitted water by name or TOML file (default: the preset's, structured)"
+    add("--water", type=console.text, help=water)
+    hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
+    add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
+    drawn = "effects of the catalogue drawn in typical sizes for each episode (default: none)"
+    add("--randomise-effects", type=console.Listed(console.text), metavar="NAME,..", help=drawn)
     own_effects.option(p)
-    p.add_argument("--reward", nargs="*", default=[], metavar="KEY=VALUE", help="weights of the reward: wG, wD, wS")
-    p.add_argument("--out", type=Path, help="folder of the run (default runs/<preset>-<seed>)")
+    reward = "weights of the reward: wG, wD, wS (default: the paper's)"
+    add("--reward", type=weight, nargs="*", default=[], metavar="KEY=VALUE", help=reward)
+    out = "folder of the run, refused when it holds one; with several seeds, of all (default: runs/<preset>-<algo>-<seed>)"
+    add("--out", type=console.out_folder, help=out)
     p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
-    p.add_argument("--force", action="store_true", help="overwrite a run that is there")
+    p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     return p
+
+
+def weight(text: str) -> tuple[str, float]:
+    """`wG=0.5` -> ("wG", 0.5).
+
+    Raises:
+        ArgumentTypeError: no such weight, or no finite number.
+    """
+    from fishmj.train.settings import REWARD
+
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: expected {'=, '.join(REWARD)}= and a number")
+    return console.OneOf(REWARD)(key), console.number(-1e6, 1e6)(value)
 
 
 def settings_from(args):
@@ -80,11 +96,11 @@ def settings_from(args):
     from fishmj import plugins
     from fishmj.engines import own_effects
     from fishmj.tasks.own import named
-    from fishmj.train.settings import ALGORITHMS, REWARD, change, preset
+    from fishmj.train.settings import ALGORITHMS, change, preset
 
     own_effects.join(args.effects)
     s = preset(args.preset or _by_device())
-    algorithm, task, reward = {}, {}, {}
+    algorithm, task, reward = {}, {}, dict(args.reward)
     top = {
         name: value for name in ("engine", "robot", "water", "seed", "command_path") if (value := getattr(args, name)) is not None
     }
@@ -95,19 +111,17 @@ def settings_from(args):
         s = replace(s, algo=args.algo, algorithm={})
     elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
+    if len(reward) < len(args.reward):
+        raise ConfigError("--reward: one weight stands there twice; name each once")
     if args.steps is not None:
-        if not 1 <= args.steps < float("inf"):
-            raise ConfigError(f"--steps {args.steps:g}: expected a number of control steps, 1 or more")
         top |= {"steps": int(args.steps), "assess_every": min(s.assess_every, max(1, int(args.steps) // 4))}
     if args.envs is not None:
         algorithm["envs"] = args.envs
     if args.learning_rate is not None:
         algorithm["learning_rate"] = args.learning_rate
     if args.hidden:
-        algorithm["hidden"] = tuple(whole("--hidden", args.hidden))
+        algorithm["hidden"] = tuple(args.hidden)
     if args.critic:
-        if args.critic not in CRITICS:
-            raise UnknownName("critic", args.critic, CRITICS)
         algorithm["privileged"] = args.critic == "privileged"
     if args.memory is not None:
         task["memory"] = args.memory
@@ -119,24 +133,10 @@ def settings_from(args):
         named(args.task)  # loaded here, from the command line; below it is a name
         task["course"] = args.task
     if args.hide:
-        task["hide"] = tuple(args.hide.split(","))
+        task["hide"] = tuple(args.hide)
     if args.randomise_effects:
-        task["effects"] = tuple(args.randomise_effects.split(","))
-    for item in args.reward:
-        key, _, value = item.partition("=")
-        try:
-            reward[key] = float(value)
-        except ValueError as error:
-            raise ConfigError(f"--reward {item!r}: expected {'=, '.join(REWARD)}= and a number") from error
+        task["effects"] = tuple(args.randomise_effects)
     return change(s, algorithm=algorithm, task=task, reward=reward, **top)
-
-
-def whole(option: str, text: str) -> list[int]:
-    """`0,1,2` as integers. Raises ConfigError."""
-    try:
-        return [int(v) for v in text.split(",")]
-    except ValueError as error:
-        raise ConfigError(f"{option} {text!r}: expected whole numbers with commas between them, for example 0,1,2") from error
 
 
 def _by_device() -> str:
@@ -145,36 +145,60 @@ def _by_device() -> str:
     return "quick" if jax.default_backend() == "cpu" else "paper"
 
 
-def _together(settings, seeds: list[int], args) -> list[dict]:
-    from fishmj.errors import ConfigError
-    from fishmj.train.together import train_together
+def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
+    """The folder of every seed's run, looked at before the first one starts.
 
-    folder = args.out or Path("runs") / f"{settings.preset}-{settings.algo}"
-    if args.resume:
-        raise ConfigError("--together cannot resume; train the seeds one after another")
-    if folder.exists() and not args.force:
-        raise ConfigError(f"{folder} is there already; add --force to overwrite it, or choose another --out")
-    shutil.rmtree(folder, ignore_errors=True)
-    return train_together(settings, seeds, folder)
+    Raises:
+        ConfigError: one holds a run that nobody asked to go on with or to remove, or something else that is not to be removed.
+        ArgumentTypeError: one cannot be written.
+    """
+    from fishmj import plugins
+    from fishmj.store import Checkpoints
+
+    algo = plugins.name_of(settings.algo)
+    if args.together:
+        if args.resume:
+            raise ConfigError("--together cannot resume; train the seeds one after another")
+        every = args.out or Path("runs") / f"{settings.preset}-{algo}"
+        if every.exists() and not args.force:
+            raise ConfigError(f"{every} is there already; add --force to overwrite it, or choose another --out")
+        found = dict.fromkeys(seeds, every)
+    else:
+        alone = lambda seed: args.out or Path("runs") / f"{settings.preset}-{algo}-{seed}"  # noqa: E731
+        apart = bool(args.out) and len(seeds) > 1
+        found = {seed: alone(seed) / f"seed-{seed}" if apart else alone(seed) for seed in seeds}
+    for folder in dict.fromkeys(found.values()):
+        console.out_folder(str(folder))
+        began = any((folder / name).exists() for name in ("settings.json", "checkpoints"))
+        if Checkpoints(folder / "checkpoints").paths() and not (args.resume or args.force):
+            raise ConfigError(
+                f"{folder} already holds a run; add --resume to go on, --force to remove it, or choose another --out"
+            )
+        several = args.together and any(folder.glob("seed-*/settings.json"))
+        if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
+            raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
+    return found
 
 
 def main(argv: list[str] | None = None) -> int:
+    """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
-    from fishmj import plugins
     from fishmj.train.settings import change
 
     settings = settings_from(args)
-    seeds = whole("--seeds", args.seeds) if args.seeds else [settings.seed]
+    seeds = args.seeds or [settings.seed]
+    folders = folders_of(args, settings, seeds)
+    if args.force and not args.resume:
+        for folder in dict.fromkeys(folders.values()):
+            shutil.rmtree(folder, ignore_errors=True)
     results = []
     learner = None
     if args.together:
-        results, seeds = _together(settings, seeds, args), []
+        from fishmj.train.together import train_together
+
+        results, seeds = train_together(settings, seeds, folders[seeds[0]]), []
     for seed in seeds:
-        one = change(settings, seed=seed)
-        folder = args.out or Path("runs") / f"{settings.preset}-{plugins.name_of(settings.algo)}-{seed}"
-        folder = folder / f"seed-{seed}" if args.out and len(seeds) > 1 else folder
-        if args.force and folder.exists() and not args.resume:
-            shutil.rmtree(folder)
+        one, folder = change(settings, seed=seed), folders[seed]
         if one.algo == "sb3-sac":
             from fishmj.train.sb3 import train_sb3
 

@@ -1,45 +1,48 @@
-"""`python -m fishmj.virtual_robot`: make trials of a robot in which effects are hidden.
+"""`python -m fishmj.virtual_robot`: make trials of a robot in which effects are hidden."""
 
-python -m fishmj.virtual_robot --plant command_latency=0.038 --logs 12 --seed 7 --out data --truth truth.json
-python -m fishmj.virtual_robot --plant random --plant random --seed 8 --out data2 --truth truth2.json
-python -m fishmj.virtual_robot --list
-"""
-
-import argparse
-import math
 import time
+from argparse import ArgumentTypeError
 from itertools import cycle, islice
+from math import pi
 
 from fishmj import console, excitation
 from fishmj.errors import ConfigError
 
-MOST_LOGS, LAST_SEED, FASTEST = 1000, 2**31 - 1, 1.0  # trials, seed, m/s
+EXAMPLES = """examples:
+  fishmj virtual_robot --plant command_latency=0.038 --logs 12 --seed 7 --out data --truth truth.json
+  fishmj virtual_robot --plant random --plant random --seed 8 --out data2 --truth truth2.json
+  fishmj virtual_robot --list"""
+MOST_LOGS, FASTEST = 1000, 1.0  # trials, m/s
+
+
+def options() -> console.Parser:
+    """The arguments of `virtual_robot`."""
+    summary = "Synthetic trials of a second, independent robot in which effects are hidden."
+    parser = console.parser("virtual_robot", summary, examples=EXAMPLES)
+    add = parser.add_argument
+    plant = "what is hidden, SI; may be repeated; random, random_odd; by default nothing"
+    add("--plant", type=console.text, action="append", default=[], metavar="EFFECT[=value]", help=plant)
+    runs = "designed, casual, dry, all, or ids with commas"
+    add("--excitations", type=console.text, default="designed", metavar="LIST", help=runs)
+    logs = "number of trials; beyond the list they are replicates. Default: the list once"
+    add("--logs", type=console.whole(1, MOST_LOGS), metavar="N", help=logs)
+    add("--seed", type=console.SEED, default=0, help="robot and noise")
+    add("--noise", type=console.number(0, 100), default=1.0, help="factor on every sensor's noise")
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of unmeasured constants")
+    add("--medium", default="water", choices=("water", "air"), help="air: hung on a thread, no camera")
+    flow = "ordered stream, m/s and rad"
+    add("--flow", type=stream, default="0,0", metavar="SPEED,DIRECTION", help=flow)
+    add("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
+    add("--out", type=console.out_folder, help="data set folder; refused when it is there; needed unless --list")
+    add("--truth", type=console.out_file, help="file for what was planted, outside the data set; needed unless --list")
+    add("--overwrite", action="store_true", help="replace the data set and the truth that are there")
+    add("--list", action="store_true", help="name effects and excitations and stop")
+    return parser
 
 
 def main(argv: list[str]) -> int:
-    parser = console.parser("virtual_robot", "Synthetic trials of a second, independent robot in which effects are hidden.")
-    parser.add_argument(
-        "--plant", action="append", default=[], metavar="EFFECT[=value]", help="SI; may be repeated; random, random_odd"
-    )
-    parser.add_argument(
-        "--excitations", default="designed", metavar="LIST", help="designed, casual, dry, all, or ids with commas"
-    )
-    add = parser.add_argument
-    add(
-        "--logs", type=console.whole(1, MOST_LOGS), metavar="N", help="trials; beyond the list replicates. Default: the list once"
-    )
-    add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help="robot and noise, from 0 (default 0)")
-    add("--noise", type=console.number(0, 100), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
-    nuisance = "relative half width of unmeasured constants, 0 to 0.5 (default 0.1)"
-    add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
-    add("--medium", default="water", choices=("water", "air"), help="water, or air: hung on a thread (default water)")
-    add("--flow", type=_flow, default=(0.0, 0.0), metavar="SPEED,DIRECTION", help="ordered stream, m/s and rad (default 0,0)")
-    add("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
-    add("--out", type=console.out_folder, help="data set folder")
-    add("--truth", type=console.out_file, help="file for what was planted, outside the data set")
-    add("--overwrite", action="store_true", help="replace a data set of the same trials")
-    parser.add_argument("--list", action="store_true", help="name effects and excitations and stop")
-    args = parser.parse_args(argv)
+    """The verb `virtual_robot`. Returns the exit code."""
+    args = options().parse_args(argv)
     if args.list:
         return _list(args.json)
     if args.out is None or args.truth is None:
@@ -80,16 +83,16 @@ def _runs(text: str, logs: int | None) -> list[str]:
     return list(islice(cycle(listed), len(listed) if logs is None else logs))
 
 
-def _flow(text: str) -> tuple[float, float]:
-    """The `type=` of --flow."""
-    try:
-        speed, direction = map(float, text.split(","))
-    except ValueError:
-        speed, direction = math.nan, math.nan
-    if not (0 <= speed <= FASTEST and abs(direction) <= 2 * math.pi):
-        expected = f"SPEED,DIRECTION such as 0.2,3.14: 0 to {FASTEST:g} m/s, -6.28 to 6.28 rad"
-        raise argparse.ArgumentTypeError(f"got {text[:40]!r}, expected {expected}")
-    return speed, direction
+def stream(text: str) -> tuple[float, float]:
+    """`0.2,3.14`: speed [m/s] and direction [rad].
+
+    Raises:
+        ArgumentTypeError: no two numbers in their ranges.
+    """
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
+    return console.number(0, FASTEST)(parts[0]), console.number(-2 * pi, 2 * pi)(parts[1])
 
 
 def _list(json: bool) -> int:

@@ -1,0 +1,172 @@
+"""Types of command-line options: numbers of a range, lists, names, and outputs that are checked before the work starts.
+
+Each is the `type=` of an argparse option; what it refuses is an `ArgumentTypeError` that says what was expected. A command takes
+them from `fishmj.console`, which offers them all.
+"""
+
+import argparse
+import math
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from fishmj.names import is_name, nearest
+
+SHOWN = 60  # characters of an argument that an error repeats
+
+
+def shown(text: str, most: int = SHOWN) -> str:
+    """An argument as an error repeats it."""
+    return repr(text if len(text) <= most else f"{text[: most - 3]}...")
+
+
+@dataclass(frozen=True)
+class Number:
+    """The `type=` of an option that takes a finite number of a range; `whole` and `number` make it."""
+
+    low: float
+    high: float
+    above: bool = False  # beyond `low`
+    whole: bool = False
+
+    def __call__(self, text: str) -> Any:
+        try:
+            value = int(text) if self.whole else float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and self.low <= value <= self.high) or (self.above and value == self.low):
+            raise argparse.ArgumentTypeError(f"got {shown(text)}, expected {self.expected}")
+        return value
+
+    @property
+    def expected(self) -> str:
+        """The range in words."""
+        show = (lambda x: f"{x:.0f}") if self.whole else (lambda x: f"{x:g}")
+        head = f"a {'whole ' if self.whole else ''}number {'above' if self.above else 'from'} {show(self.low)}"
+        return head + (f" to {show(self.high)}" if self.high < math.inf else "" if self.above else " up")
+
+
+def number(low: float, high: float = math.inf, *, above: bool = False) -> Number:
+    """The `type=` of an option that takes a finite number from `low` (with `above`: beyond it) to `high`."""
+    return Number(low, high, above)
+
+
+def whole(low: int, high: int | None = None) -> Number:
+    """The `type=` of an option that takes a whole number from `low` to `high`."""
+    return Number(low, math.inf if high is None else high, whole=True)
+
+
+SEED = whole(0, 2**53 - 1)  # of every draw; a whole number that JSON holds exactly
+
+
+@dataclass(frozen=True)
+class Listed:
+    """The `type=` of an option that takes 1 to `most` values with commas between them, none of them twice."""
+
+    item: Callable[[str], Any]
+    most: int = 100
+    distinct: bool = True
+
+    def __call__(self, text: str) -> list:
+        parts = [part.strip() for part in text.split(",")]
+        if not all(parts) or len(parts) > self.most:
+            raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to {self.most} values with commas between them")
+        values = [self.item(part) for part in parts]
+        twice = sorted({part for part, value in zip(parts, values, strict=True) if values.count(value) > 1})
+        if twice and self.distinct:
+            raise argparse.ArgumentTypeError(f"got {shown(text)}: {twice[0]} stands there twice; name each value once")
+        return values
+
+
+class Distinct(argparse.Action):
+    """The `action=` of an option with several values, none of them twice."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        twice = [value for i, value in enumerate(values) if value in values[:i]]
+        if twice:
+            raise argparse.ArgumentError(self, f"{twice[0]} stands there twice; name each value once")
+        setattr(namespace, self.dest, values)
+
+
+def text(text: str) -> str:
+    """The `type=` of an option that takes a name, or a file whose name may begin with ~."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a name or a file")
+    return str(Path(text).expanduser()) if text.startswith("~") else text
+
+
+def path(text: str) -> Path:
+    """The `type=` of an option that takes a file or folder to read."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a file or folder")
+    return Path(text).expanduser() if text.startswith("~") else Path(text)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """The `type=` of one value of a list of known names, for `Listed`; elsewhere `choices=` does it."""
+
+    known: tuple[str, ...]
+
+    def __call__(self, text: str) -> str:
+        if text not in self.known:
+            near = get_close_matches(text, self.known, 1, 0.5)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {', '.join(self.known)}")
+        return text
+
+
+def name(text: str) -> str:
+    """The `type=` of an option that takes a name which stands in paths and pages (`fishmj.names`)."""
+    if not is_name(text):
+        near = f", for example {nearest(text)!r}" if nearest(text) else ""
+        raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to 64 letters, digits, '_', '.' or '-'{near}")
+    return text
+
+
+def device(text: str) -> str:
+    """The `type=` of an option that names where to compute: auto, cpu, cuda or cuda:N."""
+    if not re.fullmatch(r"auto|cpu|cuda(:\d{1,3})?", text):
+        near = get_close_matches(text, ("auto", "cpu", "cuda"), 1, 0.5)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: auto, cpu, cuda, cuda:N")
+    return text
+
+
+def out_file(text: str) -> Path:
+    """The `type=` of an option that names a file to write: refused before the work starts where that cannot be."""
+    where = path(text)
+    if _is(where, Path.is_dir):
+        raise argparse.ArgumentTypeError(f"{where}: is a folder; name a file to write")
+    _writable(where, where.parent)
+    return where
+
+
+def out_folder(text: str) -> Path:
+    """The `type=` of an option that names a folder to write into: refused before the work starts where that cannot be."""
+    where = path(text)
+    if _is(where, Path.exists) and not _is(where, Path.is_dir):
+        raise argparse.ArgumentTypeError(f"{where}: is a file; name a folder to write into")
+    _writable(where, where)
+    return where
+
+
+def _is(where: Path, what: Callable[[Path], bool]) -> bool:
+    try:
+        return what(where)
+    except OSError as error:  # a name too long, or one that the file system cannot hold
+        raise argparse.ArgumentTypeError(f"{shown(str(where))}: {error.strerror}; choose another name") from error
+
+
+def _writable(where: Path, folder: Path) -> None:
+    """Whether a file can be made in `folder`, which may not exist yet; writes nothing."""
+    _is(where, Path.exists)
+    there = next(p for p in (folder.absolute(), *folder.absolute().parents) if _is(p, Path.exists))
+    if not there.is_dir():
+        raise argparse.ArgumentTypeError(f"{where}: {there} is a file, so nothing can be written below it; choose another place")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise argparse.ArgumentTypeError(f"{where}: {there} cannot be written by this user; choose another place")
