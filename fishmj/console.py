@@ -142,7 +142,8 @@ class Help(argparse.RawDescriptionHelpFormatter):
             return text
         if isinstance(default, list | tuple):
             default = " ".join(map(str, default))
-        return f"{text} (default: {default})".replace("%", "%%") if str(default) else text
+        shown_default = str(default).replace("%", "%%")
+        return f"{text} (default: {shown_default})" if shown_default else text
 
 
 class Parser(argparse.ArgumentParser):

@@ -60,8 +60,8 @@ def main(argv: list[str]) -> int:
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--tanks", type=console.whole(1, 256), default=1, help="continuous runs side by side; 12 fill a GPU")
     add("--seed", type=console.whole(1, 2**32 - 1), default=1, help="of the fresh test episodes")
-    out = "folder of continuous swims and figures; goes on with what is there"
-    add("--out", type=console.out_folder, default="runs/hybrid", help=out)
+    place = "folder of continuous swims and figures; goes on with what is there"
+    add("--out", type=console.out_folder, default="runs/hybrid", help=place)
     args = parser.parse_args(argv)
     robot, out = load_robot(args.fish), Path(args.out)
     setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))

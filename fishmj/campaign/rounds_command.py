@@ -31,8 +31,8 @@ def main(argv: list[str]) -> int:
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
     add("--model", type=console.text, default="swift", help="the surrogate to begin with: name or .toml")
     add("--data", type=console.path, help="data set that it was fitted to; default data/hydro/<robot>; it is read only")
-    out = "folder of the rounds and of the corrected model; goes on with what is there"
-    add("--out", type=console.out_folder, default="runs/correct", help=out)
+    place = "folder of the rounds and of the corrected model; goes on with what is there"
+    add("--out", type=console.out_folder, default="runs/correct", help=place)
     add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
     add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
     add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")

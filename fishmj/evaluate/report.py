@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +61,7 @@ def write(folder: Path, results: list[Result], found: dict, *, plots: bool = Fal
         part("pictures", draw)
     if logs:
         for r in results:
-            part(f"logs of {r.controller}", lambda r=r: write_logs(r, folder / "logs"))
+            part(f"logs of {r.controller}", partial(write_logs, r, folder / "logs"))
     part("report.html", lambda: write_text(folder / "report.html", page(results, found, shown)))
     if failed:
         missing = "; ".join(f"{name}: {error or type(error).__name__}" for name, error in failed.items())

@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterable
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -197,7 +197,8 @@ def main(argv: list[str]) -> int:
 
 def _parser() -> console.Parser:
     p = console.parser("lbm_oracle converge fish", "Cruise speed, drag and broadside force over grid, time step and slip ratio.")
-    add, several = p.add_argument, {"nargs": "+", "action": console.Distinct}
+    add = p.add_argument
+    several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--what", **several, choices=WHAT, default=list(WHAT), help="quantities")
     add(
         "--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help="cells; the paper's is 0.02"

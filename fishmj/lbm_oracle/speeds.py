@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from fishmj import console
 from fishmj.errors import ConfigError
@@ -103,7 +104,8 @@ def main(argv: list[str]) -> int:
 
 def _parser() -> console.Parser:
     p = console.parser("lbm_oracle speeds", "Speed of the free fish over beat frequency, slip ratio and depth.")
-    add, several = p.add_argument, {"nargs": "+", "action": console.Distinct}
+    add = p.add_argument
+    several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--preset", choices=NAMES, default="window_coarse", help="box of water; laptop is a preview")
     beat = console.number(0.05, 10)
     add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
