@@ -14,6 +14,7 @@ The blocks [[effect]] below it are `fishmj.effects.calibration`'s. The parent's 
 import hashlib
 from pathlib import Path
 
+from fishmj import names
 from fishmj.calib import read_toml, resolve
 from fishmj.effects import calibration, get
 from fishmj.effects.calibration import Fitted, Interval
@@ -29,8 +30,11 @@ def digest(path: "str | Path") -> str:
 
 
 def facts(path: "str | Path") -> dict:
-    """The table [version] of a model; {} for a first one."""
-    return read_toml(resolve(path)).get("version", {})
+    """The table [version] of a model; {} for a first one. Raises ConfigError: it is no table, or its number is none."""
+    version = read_toml(resolve(path)).get("version", {})
+    if not isinstance(version, dict) or not isinstance(version.get("number", 1), int):
+        raise ConfigError(f"{path}: [version] is not what gap apply writes; expected a block with a whole number; take the parent")
+    return version
 
 
 def found(verdict: dict, provenance: str, evidence: str) -> list[Fitted]:
@@ -84,9 +88,12 @@ def revert(model: Path) -> Path:
     version = facts(model)
     if not version:
         raise ConfigError(f"{model}: this is a first version, it has no table [version]; there is nothing to go back to")
-    kept = Path(model).with_name(version.get("parent_text", ""))
-    if not kept.is_file() or digest(kept) != version["parent_sha256"]:
-        raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {version['parent_sha256']}")
+    told, expected = version.get("parent_text"), version.get("parent_sha256")
+    if not names.is_name(told) or not isinstance(expected, str):
+        raise ConfigError(f"{model}: [version] needs parent_text, a file beside it, and parent_sha256; take the parent by hand")
+    kept = Path(model).with_name(str(told))
+    if not kept.is_file() or digest(kept) != expected:
+        raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {expected}")
     aside = Path(model).with_name(f"{Path(model).stem}.reverted-{digest(model)[:12]}.toml")
     write_text(aside, Path(model).read_text(encoding="utf-8"))
     write_text(Path(model), kept.read_text(encoding="utf-8"))
