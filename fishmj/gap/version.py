@@ -33,7 +33,9 @@ def facts(path: "str | Path") -> dict:
     """The table [version] of a model; {} for a first one. Raises ConfigError: it is no table, or its number is none."""
     version = read_toml(resolve(path)).get("version", {})
     if not isinstance(version, dict) or not isinstance(version.get("number", 1), int):
-        raise ConfigError(f"{path}: [version] is not what gap apply writes; expected a block with a whole number; take the parent")
+        raise ConfigError(
+            f"{path}: [version] is not what gap apply writes; expected a block with a whole number; take the parent"
+        )
     return version
 
 

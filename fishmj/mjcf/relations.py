@@ -140,7 +140,7 @@ def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]])
             todo = f"did you mean {near[0]!r}?" if near else "name the link that carries the fin"
             yield Finding("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
             continue
-        front, rear, length = *fin["station"], lengths[fin["link"]]
+        (front, rear), length = fin["station"], lengths[fin["link"]]
         if not (front < rear <= length + 1e-9 and rear - front >= 1e-4):
             expected = f"[front edge, rear edge], the rear one behind, both within the link's {length:g} m"
             yield Finding("fin", i, "station", shown(fin["station"]), expected, "measure both from the link's front, in m")
