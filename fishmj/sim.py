@@ -29,7 +29,7 @@ from fishmj.hydro_fit.passive import PlanarWater
 from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.log import Trial
 from fishmj.mjcf.bus import arrived, on_the_bus
-from fishmj.mjcf.description import Servo, check_timing
+from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 
 WATERS = ("structured", "ellipsoid", "none")
@@ -78,7 +78,6 @@ class Sim:
             self.robot, water = in_water(self.robot, water), "structured"
         self.flow, self.rescue_folder = flow or Flow(), rescue_folder
         timing = self.robot.timing
-        check_timing(timing, f"{self.robot.name} [timing]")
         self.ticks_a_second = round(1 / timing.bus_dt)
         self.steps = round(timing.bus_dt / timing.physics_dt)
         self.added = Added.of(self.robot)

@@ -150,7 +150,7 @@ def test_fault_06_steps_that_do_not_nest_name_both_numbers_and_the_nearest():
         check_timing(Timing(control_dt=0.21), "fish")
     robot = mjcf.load_robot("fish")
     with pytest.raises(
-        ConfigError, match=r"bus_dt = 0.02 s is not a multiple of physics_dt = 0.003 s; nearest valid bus_dt: 0.021 s"
+        ConfigError, match=r"bus_dt: got 0.02 s, expected a multiple of physics_dt = 0.003 s; nearest valid bus_dt: 0.021 s"
     ):
         Sim(replace(robot, timing=replace(robot.timing, physics_dt=0.003)))
 

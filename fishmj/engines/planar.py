@@ -15,7 +15,7 @@ from fishmj.engines.added import Added, stacked
 from fishmj.flow import Current, sample
 from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.hooks import centres
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, load_robot
 
 
 def quantise(xp, robot: Robot, commands):
@@ -57,7 +57,8 @@ class Engine:
 
     jittable = True
 
-    def __init__(self, robot: Robot, unroll: int = 1):
+    def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
+        robot = load_robot(robot)
         self.robot, self.chain, self.unroll = robot, chain.chain_of(robot), unroll
         self.added = Added.of(robot)
         self.steps, self.ticks = ticks_per(robot)

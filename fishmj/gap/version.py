@@ -29,11 +29,13 @@ def digest(path: "str | Path") -> str:
 
 
 def facts(path: "str | Path") -> dict:
-    """The table [version] of a model; {} for a first one."""
-    table = read_toml(resolve(path)).get("version", {})
-    if not isinstance(table, dict):
-        raise ConfigError(f"{path}: version = {str(table)[:40]!r}; expected a table [version]")
-    return table
+    """The table [version] of a model; {} for a first one. Raises ConfigError: it is no table, or its number is none."""
+    version = read_toml(resolve(path)).get("version", {})
+    if not isinstance(version, dict) or not isinstance(version.get("number", 1), int):
+        raise ConfigError(
+            f"{path}: [version] is not what gap apply writes; expected a block with a whole number; take the parent"
+        )
+    return version
 
 
 def found(verdict: dict, provenance: str, evidence: str) -> list[Fitted]:

@@ -278,7 +278,7 @@ def check_timing(timing: Timing, where: str) -> None:
     from fishmj.mjcf.relations import timing as findings
 
     for finding in findings(vars(timing)):
-        raise ConfigError(f"{where}: {finding.got} is not {finding.expected}; {finding.todo}")
+        raise ConfigError(f"{where}: {finding.key} = {finding.got} is not {finding.expected}; {finding.todo}")
 
 
 def _effects(table: dict, where: str) -> "tuple[Fitted, ...]":

@@ -8,10 +8,10 @@ from fishmj.mjcf import schema
 
 
 class Finding(NamedTuple):
-    """One thing that is wrong. block: "link"; index: which of several, from 0; key: "mass", or "" for the whole block."""
+    """One thing that is wrong. block: "link"; nth: which of several, from 0; key: "mass", or "" for the whole block."""
 
     block: str
-    index: int | None
+    nth: int | None
     key: str
     got: str
     expected: str
@@ -23,10 +23,10 @@ def line(f: Finding, table: Mapping[str, Any], where: str) -> str:
     place = ""
     if f.block:
         place = f" [[{f.block}]]" if f.block in schema.LISTS else f" [{f.block}]"
-    if f.index is not None:
-        entry = table[f.block][f.index]
+    if f.nth is not None:
+        entry = table[f.block][f.nth]
         label = entry.get("name") if isinstance(entry, Mapping) else None
-        place += f" {f.index + 1}" + (f" {label!r}" if names.is_name(label) else "")
+        place += f" {f.nth + 1}" + (f" {label!r}" if names.is_name(label) else "")
     key = (f" {f.key}" if f.key.isprintable() and len(f.key) <= 64 else f" {shown(f.key)}") if f.key else ""
     if not f.expected:  # the catalogue of effects words its own
         return f"{where}{place}{key}: {f.got}"

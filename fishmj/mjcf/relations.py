@@ -140,7 +140,7 @@ def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]])
             todo = f"did you mean {near[0]!r}?" if near else "name the link that carries the fin"
             yield Finding("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
             continue
-        front, rear, length = *fin["station"], lengths[fin["link"]]
+        (front, rear), length = fin["station"], lengths[fin["link"]]
         if not (front < rear <= length + 1e-9 and rear - front >= 1e-4):
             expected = f"[front edge, rear edge], the rear one behind, both within the link's {length:g} m"
             yield Finding("fin", i, "station", shown(fin["station"]), expected, "measure both from the link's front, in m")
@@ -209,16 +209,17 @@ def timing(given: Mapping[str, Any]) -> Iterator[Finding]:
     t = vars(Timing()) | dict(given)
     for small, large in (("physics_dt", "bus_dt"), ("bus_dt", "control_dt")):
         a, b = t[small], t[large]
-        if wrong := [f"{key} = {value} s" for key, value in ((small, a), (large, b)) if not (isfinite(value) and value > 0)]:
-            yield Finding("timing", None, large, wrong[0], "a positive number", "check the unit: s")
+        if wrong := [key for key in (small, large) if not (isfinite(t[key]) and t[key] > 0)]:
+            yield Finding("timing", None, wrong[0], f"{t[wrong[0]]} s", "a positive number", "check the unit: s")
             continue
         n = max(1, round(b / a))
         if abs(b / a - n) > 1e-6:
-            expected = f"a multiple of {small} = {a} s"
-            yield Finding("timing", None, large, f"{large} = {b} s", expected, f"nearest valid {large}: {n * a:g} s")
+            yield Finding(
+                "timing", None, large, f"{b} s", f"a multiple of {small} = {a} s", f"nearest valid {large}: {n * a:g} s"
+            )
     if t["command_path"] not in COMMAND_PATHS:
-        got = f"command_path = {t['command_path']!r}"
-        yield Finding("timing", None, "command_path", got, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
+        path = shown(t["command_path"])
+        yield Finding("timing", None, "command_path", path, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
 
 
 def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from fishmj import names
 
-SCHEMA = "fishmj.fish/1"
+SCHEMA: Literal["fishmj.fish/1"] = "fishmj.fish/1"
 MOST_LINKS = 12  # XLA compiles the closed form of 8 links in 13 s, of 12 in 76 s, of 16 not within 5 minutes (2 CPU cores)
 LONGEST_TEXT = 200
 FREE = ("origin", "measured", "notes")  # blocks for the reader's own notes: nothing in fishmj looks at them
@@ -87,7 +87,7 @@ class LinkBlock(Block):
 
     name: Name = name("the links' names must differ")
     length: float = number("from its front hinge, or the nose, to its rear hinge, or the tail's end", 1e-3, 30.0, "m")
-    mass: float = number("as it is in the water, flooded parts included", 1e-4, 3e5, "kg")
+    mass: float = number("as it is in the water, flooded parts included", 1e-5, 3e5, "kg")
     sections: Annotated[
         list[Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]],
         Field(min_length=2, max_length=500),
@@ -166,8 +166,8 @@ class WaterBlock(Block):
     lift_b: float | None = number("the same, attached", 0.0, 100.0, default=None)
     stall_angle: float | None = number("in the place of stall_angle_deg", 0.0, 3.2, "rad", above=True, default=None)
     stall_angle_deg: float | None = number("where the tail stalls", 0.0, 180.0, "deg", above=True, default=None)
-    stall_width: float | None = number("in the place of stall_width_deg", 1e-3, 3.2, "rad", default=None)
-    stall_width_deg: float | None = number("how sharply", 0.1, 180.0, "deg", default=None)
+    stall_width: float | None = number("in the place of stall_width_deg", 0.01, 3.2, "rad", default=None)
+    stall_width_deg: float | None = number("how sharply", 0.5, 180.0, "deg", default=None)
     stall_lag: float | None = number("travelled, in heights of the trailing edge", 0.01, 1000.0, default=None)
     suction: float | None = number("share of leading-edge suction behind the head", 0.0, 1.0, default=None)
     stations: int | None = whole("strips a link, 6 where left out", 1, 64, default=None)

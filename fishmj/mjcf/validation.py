@@ -26,8 +26,8 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
         finding = Finding("", None, "schema", shown(given), repr(schema.SCHEMA), f"this file is {kind}, not a robot")
         return [line(finding, table, where)], []
     found = list(_single_keys(table))
-    bad = {(f.block, f.index) for f in found} | {(f.block, None) for f in found}
-    listed = not any(f.block == "link" and f.index is None for f in found)
+    bad = {(f.block, f.nth) for f in found} | {(f.block, None) for f in found}
+    listed = not any(f.block == "link" and f.nth is None for f in found)
     found += list(relations(table, bad, listed))
     notes = [] if found else [line(note, table, where) for note in unlikely(table)]
     return [line(finding, table, where) for finding in sorted(found, key=_order)], notes
@@ -36,7 +36,7 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
 def _order(f: Finding) -> tuple:
     """As in the file's schema."""
     blocks = [*schema.keys()]
-    return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.index is None else f.index)
+    return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.nth is None else f.nth)
 
 
 # what a single key may be
