@@ -4,7 +4,6 @@ All data here are synthetic.
 """
 
 import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -338,12 +337,10 @@ def test_an_option_out_of_its_range_is_one_line_that_names_it(command, what, opt
 
 
 @pytest.mark.parametrize("command", ["find", "plant", "next", "apply", "check", "bench", "fetch", "measured"])
-def test_help_shows_an_example_and_every_default(command, capsys):
+def test_help_shows_an_example(command, capsys):
     assert run(command, "--help") == console.OK
     said = " ".join(capsys.readouterr().out.split())
-    assert "fishmj gap" in said
-    for option in re.findall(r"(--[a-z-]+) [A-Z]", said.split("options:")[-1]):
-        assert option in said
+    assert said.count(f"fishmj gap {command} ") >= 2  # the usage and the example
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""`gap measured NAME|all`: the workflow on measured data of real robots, by each set's own protocol."""
+"""`gap measured NAME|all`: the workflow on measured data of real robots, by each set's own protocol.
+
+FISHMJ_MEASURED=data/public fishmj gap measured tail_fish
+"""
 
 from importlib import import_module
 
