@@ -16,6 +16,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
+from fishmj import interrupt
 from fishmj.errors import FishmjError, UsageError
 
 OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 70, 130, 141
@@ -27,8 +28,18 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
 
     With `--json` among the arguments an error is also one JSON object on stdout: {"error", "kind", "exit"}.
+    A command that is interrupted (`fishmj.interrupt`) ends here and does not return.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
+    interrupt.telling(lambda message: _interrupted(argv, message))
+    code = _called(main, argv)
+    if interrupt.asked():
+        interrupt.leave(None if code == INTERRUPTED else "")
+    interrupt.disarm()
+    return code
+
+
+def _called(main: Main, argv: list[str]) -> int:
     try:
         return int(main(argv) or OK)
     except FishmjError as error:
@@ -41,8 +52,17 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
         sys.stdout = None  # the reader is gone: nothing to flush at exit
         return PIPE_CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
+        if interrupt.asked():  # what an interrupt breaks off is no fault
+            return FAULT
         traceback.print_exc()
         return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT)
+
+
+def _interrupted(argv: Sequence[str], message: str) -> None:
+    """The last line of an interrupted command, below a progress line that stands open in a terminal."""
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    _fail(argv, message, "KeyboardInterrupt", interrupt.code())
 
 
 def _fail(argv: Sequence[str], message: str, kind: str, code: int) -> int:
@@ -239,6 +259,7 @@ class Progress:
         self._start = clock()
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `memory` seconds
+        self._named = False  # a stage without a rate is under way
         self._width = 0
 
     def __enter__(self) -> "Progress":
@@ -267,13 +288,22 @@ class Progress:
     def update(self, done: float, **fields: Any) -> None:
         """Report `done` of `total` and any named figures; prints only when it is time to."""
         now = self._clock()
+        if self._named:
+            self._named, self._seen, self._shown = False, [], -math.inf
         self._seen.append((now, done))
         while len(self._seen) > 2 and now - self._seen[1][0] > self._memory:
             self._seen.pop(0)
         if done < self.total and now - self._shown < self._every:
             return
         self._shown = now
-        line = self.line(**fields)
+        self._show(self.line(**fields))
+
+    def stage(self, text: str) -> None:
+        """Name at once what is not counted in the rate, such as `compiling ...`; the time left begins anew with the next update."""
+        self._named = True
+        self._show(f"{self.label}: {text}")
+
+    def _show(self, line: str) -> None:
         if self._live:
             print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
             self._width = len(line)

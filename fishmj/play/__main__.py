@@ -13,7 +13,7 @@ from itertools import cycle
 
 import numpy as np
 
-from fishmj import console, controllers, engines
+from fishmj import console, controllers, engines, interrupt
 from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
 from fishmj.play.keyboard import Keyboard, press
@@ -108,7 +108,7 @@ def main(argv: list[str] | None = None) -> int:
     from fishmj.replay.live import LiveView
 
     alone = args.headless_seconds is not None
-    with LiveView(pond.robot) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
+    with interrupt.raising(), LiveView(pond.robot) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
         console.say(f"open {view.url} in a browser", "" if alone else KEYS)
         try:
             swim(pond, view, keys, args.headless_seconds, (lambda text: None) if alone else show_status)
