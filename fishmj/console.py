@@ -299,7 +299,7 @@ class Progress:
         self._show(self.line(**fields))
 
     def stage(self, text: str) -> None:
-        """Name at once what is not counted in the rate, such as `compiling ...`; the time left begins anew with the next update."""
+        """Name at once what the rate does not count, such as `compiling ...`; with the next update the time left begins anew."""
         self._named = True
         self._show(f"{self.label}: {text}")
 

@@ -1,10 +1,10 @@
 """Ctrl-C and SIGTERM of a fishmj command: it ends within five seconds with exit code 130 (143), whatever it is doing.
 
 Compilers (XLA, numba, Warp) run for minutes inside one call, where Python neither runs a signal's handler nor raises; what an
-exception meets in such a call may swallow it; and an interpreter that is torn down beside running XLA threads crashes. So nothing is
-raised: a thread waits for the signal, lets the verb keep what it has, says how to go on and ends the process. That loses nothing,
-because every write is atomic (`store`) and what is finished is on disk already. It works while compilers run because all of
-them let go of the interpreter lock.
+exception meets in such a call may swallow it; and an interpreter that is torn down beside running XLA threads crashes. So nothing
+is raised: a thread waits for the signal, lets the verb keep what it has, says how to go on and ends the process. That loses
+nothing, because every write is atomic (`store`) and what is finished is on disk already. It works while compilers run because
+they all let go of the interpreter lock.
 
     with keeping(words):          words() is called on the way out, in another thread: it keeps what is not kept yet and says what
                                   was kept and how to go on
@@ -91,7 +91,7 @@ def telling(tell: Callable[[str], object]) -> None:
 
 @contextmanager
 def keeping(words: Words) -> Iterator[None]:
-    """On an interrupt within, `words()` keeps what is not kept yet; its answer ends the last line: what was kept, how to go on."""
+    """On an interrupt within, `words()` keeps what is not kept yet; the last line ends with its answer."""
     yield from _within(words, False)
 
 
