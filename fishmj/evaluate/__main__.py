@@ -3,10 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from fishmj import console, controllers, engines
-from fishmj.errors import ConfigError, MissingExtra, UnknownName
+from fishmj import console, controllers, engines, interrupt
+from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
 from fishmj.evaluate.driver import run
+from fishmj.evaluate.kept import Kept
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
@@ -69,11 +70,41 @@ def main(argv: list[str]) -> int:
     )  # fmt: skip
     brains = [controllers.make(name, robot) for name in args.controllers]  # a wrong name fails before anything runs
     if args.water == "lbm":
-        results = [judge_in_tanks(brain, robot, trials, args) for brain in brains]
-    else:
-        engine = choose_engine(args.engine, robot)
-        results = [judge(brain, robot, trials, engine) for brain in brains]
-    return report(results, args)
+        with interrupt.keeping(lambda: tanks_words(args.out)):
+            return report([judge_in_tanks(brain, robot, trials, args) for brain in brains], args)
+    kept = Kept(args.out, robot, trials, args.engine, [brain.name for brain in brains])
+    with interrupt.keeping(kept.words):
+        try:
+            results = judged(brains, robot, trials, args, kept)
+        except FishmjError:
+            if kept.done:
+                console.warn(kept.words())
+            raise
+        code = report(results, args)
+    kept.end()
+    return code
+
+
+def judged(brains, robot, trials, args, kept: Kept) -> list[Result]:
+    """All controllers; those that an interrupted judgement had finished are taken from --out."""
+    results, engine = [], None
+    for brain in brains:
+        found = kept.find(brain)
+        if found is None:
+            if engine is None:
+                with console.Progress(1, "judge") as bar:
+                    bar.stage(f"compiling the engine {args.engine}")
+                    engine = choose_engine(args.engine, robot)
+            found = judge(brain, robot, trials, engine)
+        results.append(kept.keep(brain, found))
+    return results
+
+
+def tanks_words(folder: Path | None) -> str:
+    """What an interrupted judgement in the flow solver says."""
+    if folder is None:
+        return "nothing was kept: with --out DIR every finished trial is"
+    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; go on with the same command"
 
 
 def choose_engine(name: str, robot):

@@ -3,8 +3,9 @@
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.engines import in_water
+from fishmj.engines.native import cache_folder
 from fishmj.gap import data, judge, version
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
@@ -45,13 +46,19 @@ def main(argv: list[str]) -> int:
         if args.json:
             console.emit_json(asdict(lacking))
         return console.CANNOT_TELL
-    inquiry = search(args)
-    console.say(inquiry.verdict.text())
-    if args.out:
-        console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args)))}")
+    with interrupt.keeping(words):
+        inquiry = search(args)
+        console.say(inquiry.verdict.text())
+        if args.out:
+            console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args)))}")
     if args.json:
         console.emit_json(inquiry.verdict.plain())
     return console.OK
+
+
+def words() -> str:
+    """What an interrupted search says."""
+    return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
 
 
 def search(args) -> Inquiry:
