@@ -5,11 +5,14 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from fishmj import console
+from fishmj import console, interrupt
 
 SPEED, INTENSITY = 0.2, 0.10  # m/s at which holding is judged; gusts as a fraction of the flow
 ARRIVALS, HOLDING = 23, 0.10  # of 24 trials; m
 SMOKE = {"steps": 150_000, "assess_every": 150_000, "assess_episodes": 32}  # runs every part, learns next to nothing
+
+
+FINISHED = "demo.json"  # in --out: what a finished demo found
 
 
 def options(argv: list[str]) -> argparse.Namespace:
@@ -27,16 +30,22 @@ def options(argv: list[str]) -> argparse.Namespace:
 
 
 def learn(args) -> dict:
-    """Train the quick preset into <out>/training."""
+    """Train the quick preset into <out>/training; a demo that was interrupted goes on there, one that is finished begins anew."""
     import shutil
 
+    from fishmj import store
     from fishmj.train.run import Run
-    from fishmj.train.settings import change, preset
+    from fishmj.train.settings import as_dict, change, preset
 
-    folder = args.out / "training"
-    shutil.rmtree(folder, ignore_errors=True)
-    settings = change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
-    return Run(settings, folder).go()
+    folder, settings = args.out / "training", change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
+    kept = None if (args.out / FINISHED).exists() else store.Checkpoints(folder / "checkpoints").latest()
+    same = kept is not None and kept.meta["settings"] == store.plain(as_dict(settings))
+    if not same:
+        shutil.rmtree(folder, ignore_errors=True)
+        (args.out / FINISHED).unlink(missing_ok=True)
+    else:
+        console.say(f"going on with the training in {folder}")
+    return Run(settings, folder, resume=same).go()
 
 
 def judge(args, policy: str):
@@ -52,6 +61,7 @@ def judge(args, policy: str):
     plan = trials(repeats=1, turbulence="gust", intensity=INTENSITY, **subset)
     total = plan.duration * len(plan)
     with console.Progress(total, "judge", "sim s") as bar:
+        bar.stage("compiling the engine batch")
         step = robot.timing.control_dt * len(plan)
         return run(brain, robot, plan, "batch", progress=lambda k: bar.update(k * step))
 
@@ -89,11 +99,17 @@ def verdict(result) -> dict:
 
 
 def main(argv: list[str]) -> int:
+    from fishmj import store
+
     args = options(argv)
     training = learn(args)
+    more = f"{args.out / 'training'} holds the training; go on with the same command"
     if training["stopped"]:
+        console.warn(f"interrupted; {more}")
         return console.INTERRUPTED
-    found = {"training": training, **show(args, judge(args, training["policy"]))}
+    with interrupt.keeping(lambda: more):
+        found = {"training": training, **show(args, judge(args, training["policy"]))}
+        store.write_json(args.out / FINISHED, found)
     console.say(
         f"trained {training['steps']:,} control steps in {console.duration(training['seconds'])}",
         f"arrived in {found['arrivals']} of {found['trials']} trials",
