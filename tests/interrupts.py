@@ -1,0 +1,233 @@
+"""Ctrl-C at random times in the verbs that run long: a campaign, started by hand.
+
+    python tests/interrupts.py --times 10 --json interrupts.json
+
+Each verb is started, gets SIGINT as a terminal sends it (its whole process group) at a time drawn from the seed, and starts
+again on what it left, until it was interrupted `times` times; every second time its cache of machine code is empty. Asked for
+each time: exit code 130 within 5 s, no traceback and no crash on stderr, no process left behind. In the end it runs to its end.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+WITHIN = 5.0  # s from Ctrl-C to the end of the process
+PATIENCE = 60.0  # s after which a process that does not end is killed, and counted
+WRONG = ("Traceback", "Segmentation", "Fatal", "Exception ignored", "Abort", "leaked", "core dumped")
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One verb. words: its command line on a folder, which it may have left before. span: s, times are drawn up to."""
+
+    name: str
+    words: Callable[[Path], list[str]]
+    span: float
+    ends: tuple[int, ...] = (0,)  # exit codes of its end
+
+
+def train(folder: Path) -> list[str]:
+    """A small network, on from its newest checkpoint."""
+    out = folder / "run"
+    small = ["--preset", "quick", "--engine", "compiled", "--hidden", "16,16", "--envs", "64", "--steps", "40000"]
+    return ["fishmj.train", *small, "--out", str(out), *(["--resume"] if any(out.glob("checkpoints/step_*")) else [])]
+
+
+def bench(folder: Path) -> list[str]:
+    """Two cases of the search's benchmark, side by side."""
+    return ["fishmj.gap", "bench", "--small", "--cases", "2", "--jobs", "2", "--out", str(folder / "bench")]
+
+
+def find(folder: Path) -> list[str]:
+    """A search over a small synthetic data set."""
+    data = folder / "data"
+    if not data.is_dir():
+        planted = ["--plant", "coulomb_friction", "--logs", "4", "--out", str(data), "--truth", str(folder / "truth.json")]
+        subprocess.run(
+            [sys.executable, "-m", "fishmj.virtual_robot", *planted], cwd=folder, check=True, stdout=subprocess.DEVNULL
+        )
+    return ["fishmj.gap", "find", str(data), "--null-runs", "16", "--most", "1", "--out", str(folder / "found")]
+
+
+def judge(folder: Path) -> list[str]:
+    """Three controllers over eight trials."""
+    few = ["--speeds", "0.2", "--repeats", "1", "--duration", "30"]
+    return ["fishmj.evaluate", "drift", "dob", "pd", *few, "--engine", "compiled", "--out", str(folder / "judged")]
+
+
+def fit(folder: Path) -> list[str]:
+    """A water for a small synthetic campaign."""
+    import hidden_water as hidden
+
+    data = folder / "records"
+    if not data.is_dir():
+        parts = [hidden.campaign(size=0.34, seed=k, split=s, seconds=5.0) for k, s in enumerate(("train", "val", "test"))]
+        hidden.write_dataset(data, [r for part in parts for r in part])
+    return ["fishmj.hydro_fit", "fit", "--data", str(data), "--swims", "10", "--out", str(folder / "water")]
+
+
+VERBS = {
+    verb.name: verb
+    for verb in (
+        Verb("train", train, 40.0),
+        Verb("gap bench", bench, 40.0, (0, 1)),
+        Verb("gap find", find, 40.0),
+        Verb("evaluate", judge, 30.0),
+        Verb("hydro_fit fit", fit, 60.0),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One Ctrl-C. at: s after the start; took: s from there to the end; said: the last line of stderr."""
+
+    verb: str
+    at: float
+    cold: bool
+    code: int
+    took: float
+    wrong: tuple[str, ...]
+    left: bool  # a process of the group was still there
+    said: str
+
+    @property
+    def good(self) -> bool:
+        return self.code == 130 and self.took <= WITHIN and not self.wrong and not self.left
+
+
+def environment(cache: Path) -> dict[str, str]:
+    """Of a started verb: this checkout, and a cache of machine code of its own."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "FISHMJ_CACHE": str(cache), "PYTHONFAULTHANDLER": "1"}
+
+
+def started(words: list[str], folder: Path, cache: Path, said) -> subprocess.Popen:
+    """The verb in a process group of its own."""
+    command = [sys.executable, "-m", *words]
+    return subprocess.Popen(
+        command, cwd=folder, env=environment(cache), stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+    )
+
+
+def shoot(verb: Verb, folder: Path, cache: Path, at: float, cold: bool) -> Shot | None:
+    """Start the verb and interrupt it; None where it had ended before."""
+    with tempfile.TemporaryFile("w+") as said:
+        process = started(verb.words(folder), folder, cache, said)
+        try:
+            process.wait(at)
+            return None
+        except subprocess.TimeoutExpired:
+            pass
+        began = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            pass
+        took = time.monotonic() - began
+        left = remains(process.pid)
+        if left:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        said.seek(0)
+        text = said.read()
+    last = text.strip().splitlines()[-1:] or [""]
+    return Shot(verb.name, at, cold, process.returncode, took, tuple(w for w in WRONG if w in text), left, last[0])
+
+
+def remains(group: int, patience: float = 2.0) -> bool:
+    """Whether a process of the group is still there after a moment."""
+    until = time.monotonic() + patience
+    while time.monotonic() < until:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def to_its_end(verb: Verb, folder: Path, cache: Path, patience: float) -> tuple[int, float]:
+    """Exit code and seconds of the verb on what the interrupts left."""
+    began = time.monotonic()
+    with tempfile.TemporaryFile("w+") as said:
+        process = started(verb.words(folder), folder, cache, said)
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        said.seek(0)
+        if process.returncode not in verb.ends:
+            print(said.read()[-2000:], file=sys.stderr)
+    return process.returncode, time.monotonic() - began
+
+
+def campaign(verb: Verb, times: int, seed: int, folder: Path, patience: float = 1800.0) -> dict:
+    """All interrupts of one verb, then its end."""
+    rng = np.random.default_rng([seed, *verb.name.encode()])
+    shots, finished, rounds = [], 0, 0
+    (folder / "warm").mkdir(parents=True)
+    while len(shots) < times:
+        cold, at, rounds = bool(rounds % 2), float(rng.uniform(0.05, verb.span)), rounds + 1
+        cache = folder / (f"cold-{rounds}" if cold else "warm")
+        shot = shoot(verb, folder, cache, at, cold)
+        if shot is None:
+            finished += 1
+            if finished > times:
+                raise SystemExit(f"{verb.name} ends before it can be interrupted: give it more to do")
+            continue
+        shots.append(shot)
+        print(f"{verb.name:14s} {at:5.1f} s {'cold' if cold else 'warm'}  exit {shot.code} after {shot.took:.2f} s", end="  ")
+        print("ok " if shot.good else "BAD", shot.said[:150], flush=True)
+    code, seconds = to_its_end(verb, folder, folder / "warm", patience)
+    return {
+        "verb": verb.name,
+        "interrupted": len(shots),
+        "good": sum(shot.good for shot in shots),
+        "slowest": max(shot.took for shot in shots),
+        "ended before": finished,
+        "end": code,
+        "ends": code in verb.ends,
+        "seconds": seconds,
+        "shots": [{**vars(shot), "good": shot.good} for shot in shots],
+    }
+
+
+def main() -> int:
+    from fishmj import console
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--verbs", default=",".join(VERBS), help=f"of {', '.join(VERBS)} (default: all)")
+    parser.add_argument("--times", type=int, default=10, help="interrupts of each verb (default 10)")
+    parser.add_argument("--seed", type=int, default=0, help="of the times (default 0)")
+    parser.add_argument("--span", type=float, help="s, times are drawn up to; default each verb's own")
+    parser.add_argument("--out", type=Path, help="folder to work in; default a temporary one")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every interrupt")
+    args = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in args.verbs.split(","):
+            verb = VERBS[name] if args.span is None else Verb(name, VERBS[name].words, args.span, VERBS[name].ends)
+            folder = (args.out or Path(scratch)) / name.replace(" ", "-")
+            folder.mkdir(parents=True)
+            rows.append(campaign(verb, args.times, args.seed, folder))
+            if args.json:
+                args.json.write_text(json.dumps({"seed": args.seed, "verbs": rows}, indent=1) + "\n")
+    print(console.table([{k: v for k, v in row.items() if k != "shots"} for row in rows]))
+    return 0 if all(row["good"] == row["interrupted"] and row["ends"] for row in rows) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
