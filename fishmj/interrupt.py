@@ -23,7 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import NoReturn
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
@@ -176,19 +176,36 @@ def _end() -> None:
 
 def _at_once() -> NoReturn:
     with suppress(Exception):
-        _end_children()
-    with suppress(Exception):
         writing.acquire(timeout=1.0)
         sys.stdout.flush()
+    spared = None
+    with suppress(Exception):
+        spared = _tidied()
+    for child in _children() - {spared}:
+        with suppress(OSError):
+            os.kill(child, signal.SIGKILL)
     os._exit(code())
 
 
-def _end_children() -> None:
-    """Kill what multiprocessing has begun, and give its semaphores back: nobody else would."""
-    if "multiprocessing" not in sys.modules:
-        return
+def _tidied() -> int | None:
+    """Give the semaphores of multiprocessing back; the process that would do it otherwise, with a warning: it ends by itself."""
+    if "multiprocessing.resource_tracker" not in sys.modules:
+        return None
+    import multiprocessing.resource_tracker
     import multiprocessing.util
 
-    for child in multiprocessing.active_children():
-        child.kill()
     multiprocessing.util._run_finalizers(0)  # type: ignore[attr-defined]
+    return multiprocessing.resource_tracker._resource_tracker._pid  # type: ignore[attr-defined]
+
+
+def _children() -> set[int]:
+    """Processes that this one began: where the system tells, also one that is only just being begun."""
+    found = set()
+    with suppress(OSError):
+        for listed in Path("/proc/self/task").glob("*/children"):
+            found |= {int(word) for word in listed.read_text().split()}
+    if not found and "multiprocessing" in sys.modules:
+        import multiprocessing
+
+        found = {child.pid for child in multiprocessing.active_children() if child.pid}
+    return found

@@ -46,7 +46,9 @@ def begun(tmp_path: Path, body: str, *argv: str) -> subprocess.Popen:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(AT))
 def test_fault_13_ctrl_c_ends_every_verb_with_130_also_while_it_compiles(name, tmp_path):
-    shot = interrupts.shoot(interrupts.VERBS[name], tmp_path, tmp_path / "cache", AT[name], True)
+    shipped = ["fishmj.hydro_fit", "fit", "--data", str(interrupts.ROOT / "data" / "hydro" / "swift"), "--out", str(tmp_path)]
+    verb = interrupts.VERBS[name] if name != "hydro_fit fit" else interrupts.Verb(name, lambda _: shipped, 0.0)
+    shot = interrupts.shoot(verb, tmp_path, tmp_path / "cache", AT[name], True)
     assert shot is not None, "it ended before: give it more to do"
     assert (shot.code, shot.wrong, shot.left) == (130, (), False), shot
     assert shot.took < SLOW * interrupts.WITHIN and shot.said.startswith("fishmj: interrupted")
@@ -127,7 +129,7 @@ def test_a_program_that_imports_fishmj_keeps_its_own_handlers():
 
 
 def test_fault_13_a_judgement_goes_on_with_the_next_controller(tmp_path, capsys, monkeypatch):
-    argv = ["drift", "pd", "--engine", "planar", "--speeds", "0.2", "--los", "0,180", "--repeats", "1", "--duration", "2"]
+    argv = ["drift", "pd", "--engine", "compiled", "--speeds", "0.2", "--los", "0,180", "--repeats", "1", "--duration", "2"]
     argv += ["--json", "--out", str(tmp_path)]
     sound, ran = judge.run, []
 
@@ -156,10 +158,10 @@ def test_what_was_judged_under_other_conditions_is_not_taken(tmp_path):
     robot = judge.load_robot("fish")
     given = {"speeds": [0.2], "los_deg": [0], "repeats": 1, "duration": 1}
     brains = [judge.controllers.make(name, robot) for name in ("drift", "pd")]
-    kept = judge.Kept(tmp_path, robot, evaluate.trials(**given), "planar", ["drift", "pd"])
-    kept.keep(brains[0], evaluate.run(brains[0], robot, kept.trials, "planar"))
+    kept = judge.Kept(tmp_path, robot, evaluate.trials(**given), "compiled", ["drift", "pd"])
+    kept.keep(brains[0], evaluate.run(brains[0], robot, kept.trials, "compiled"))
     assert kept.find(brains[0]) is not None and kept.find(brains[1]) is None
-    others = [(evaluate.trials(**given, seed=1), "planar"), (evaluate.trials(**given), "batch")]
+    others = [(evaluate.trials(**given, seed=1), "compiled"), (evaluate.trials(**given), "batch")]
     assert all(judge.Kept(tmp_path, robot, *other, ["drift", "pd"]).find(brains[0]) is None for other in others)
 
 
