@@ -4,7 +4,8 @@
 
 Each verb is started, gets SIGINT as a terminal sends it (its whole process group) at a time drawn from the seed, and starts
 again on what it left, until it was interrupted `times` times; every second time its cache of machine code is empty. Asked for
-each time: exit code 130 within 5 s, no traceback and no crash on stderr, no process left behind. In the end it runs to its end.
+each time: exit code 130 within 5 s, no traceback and no crash on stderr, no process left behind. In the end it runs to its end, and
+what it found is compared with a run that nobody interrupted, but for the clock.
 """
 
 import argparse
@@ -16,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +30,15 @@ WRONG = ("Traceback", "Segmentation", "Fatal", "Exception ignored", "Abort", "le
 
 @dataclass(frozen=True)
 class Verb:
-    """One verb. words: its command line on a folder, which it may have left before. span: s, times are drawn up to."""
+    """One verb.
+
+    words: its command line on a folder, which it may have left before. found: what it found there, without the clock.
+    span: s that times are drawn up to where the cache of machine code is empty; else up to what an uninterrupted run takes.
+    """
 
     name: str
     words: Callable[[Path], list[str]]
+    found: Callable[[Path], object]
     span: float
     ends: tuple[int, ...] = (0,)  # exit codes of its end
 
@@ -54,9 +60,8 @@ def find(folder: Path) -> list[str]:
     data = folder / "data"
     if not data.is_dir():
         planted = ["--plant", "coulomb_friction", "--logs", "4", "--out", str(data), "--truth", str(folder / "truth.json")]
-        subprocess.run(
-            [sys.executable, "-m", "fishmj.virtual_robot", *planted], cwd=folder, check=True, stdout=subprocess.DEVNULL
-        )
+        command = [sys.executable, "-m", "fishmj.virtual_robot", *planted]
+        subprocess.run(command, cwd=folder, env=environment(folder / "warm"), check=True, stdout=subprocess.DEVNULL)
     return ["fishmj.gap", "find", str(data), "--null-runs", "16", "--most", "1", "--out", str(folder / "found")]
 
 
@@ -77,14 +82,34 @@ def fit(folder: Path) -> list[str]:
     return ["fishmj.hydro_fit", "fit", "--data", str(data), "--swims", "10", "--out", str(folder / "water")]
 
 
+def rows(path: Path) -> list[dict]:
+    """Lines of JSON without their clock, in the order of what they are of."""
+    made = [json.loads(line) for line in path.read_text().splitlines()]
+    return sorted(({k: v for k, v in row.items() if k != "seconds"} for row in made), key=lambda r: str(r.get("id", "")))
+
+
+def verdict(folder: Path) -> dict:
+    """Of a search, without the paths of its context."""
+    return {k: v for k, v in json.loads((folder / "found" / "verdict.json").read_text()).items() if k != "context"}
+
+
+def water(folder: Path) -> list:
+    """Of a fit: coefficients, members, net, to the bit."""
+    from fishmj.hydro_fit.model import HydroModel
+
+    model = HydroModel.load(folder / "water" / "swift.toml")
+    net = [] if model.learnt is None else [np.asarray(a).tobytes() for a in model.learnt.net]
+    return [repr(model.base), np.asarray(model.members).tobytes(), net, repr(model.band), model.notes]
+
+
 VERBS = {
     verb.name: verb
     for verb in (
-        Verb("train", train, 40.0),
-        Verb("gap bench", bench, 40.0, (0, 1)),
-        Verb("gap find", find, 40.0),
-        Verb("evaluate", judge, 30.0),
-        Verb("hydro_fit fit", fit, 60.0),
+        Verb("train", train, lambda folder: rows(folder / "run" / "metrics.jsonl"), 40.0),
+        Verb("gap bench", bench, lambda folder: rows(folder / "bench" / "rows.jsonl"), 40.0, (0, 1)),
+        Verb("gap find", find, verdict, 40.0),
+        Verb("evaluate", judge, lambda folder: json.loads((folder / "judged" / "results.json").read_text()), 30.0),
+        Verb("hydro_fit fit", fit, water, 60.0),
     )
 }
 
@@ -175,12 +200,17 @@ def to_its_end(verb: Verb, folder: Path, cache: Path, patience: float) -> tuple[
 
 
 def campaign(verb: Verb, times: int, seed: int, folder: Path, patience: float = 1800.0) -> dict:
-    """All interrupts of one verb, then its end."""
+    """A run that nobody interrupts, all interrupts of one verb, and its end."""
     rng = np.random.default_rng([seed, *verb.name.encode()])
     shots, finished, rounds = [], 0, 0
+    whole, folder = folder / "whole", folder / "broken"
+    whole.mkdir(parents=True)
     (folder / "warm").mkdir(parents=True)
+    code, seconds = to_its_end(verb, whole, folder / "warm", patience)
+    print(f"{verb.name:14s} uninterrupted: exit {code}, {seconds:.0f} s", flush=True)
     while len(shots) < times:
-        cold, at, rounds = bool(rounds % 2), float(rng.uniform(0.05, verb.span)), rounds + 1
+        cold, rounds = bool(rounds % 2), rounds + 1
+        at = float(rng.uniform(0.05, min(verb.span, seconds) if cold else seconds))
         cache = folder / (f"cold-{rounds}" if cold else "warm")
         shot = shoot(verb, folder, cache, at, cold)
         if shot is None:
@@ -191,7 +221,7 @@ def campaign(verb: Verb, times: int, seed: int, folder: Path, patience: float = 
         shots.append(shot)
         print(f"{verb.name:14s} {at:5.1f} s {'cold' if cold else 'warm'}  exit {shot.code} after {shot.took:.2f} s", end="  ")
         print("ok " if shot.good else "BAD", shot.said[:150], flush=True)
-    code, seconds = to_its_end(verb, folder, folder / "warm", patience)
+    code, rest = to_its_end(verb, folder, folder / "warm", patience)
     return {
         "verb": verb.name,
         "interrupted": len(shots),
@@ -200,7 +230,9 @@ def campaign(verb: Verb, times: int, seed: int, folder: Path, patience: float = 
         "ended before": finished,
         "end": code,
         "ends": code in verb.ends,
-        "seconds": seconds,
+        "the same": code in verb.ends and verb.found(folder) == verb.found(whole),
+        "seconds": rest,
+        "uninterrupted": seconds,
         "shots": [{**vars(shot), "good": shot.good} for shot in shots],
     }
 
@@ -219,14 +251,14 @@ def main() -> int:
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         for name in args.verbs.split(","):
-            verb = VERBS[name] if args.span is None else Verb(name, VERBS[name].words, args.span, VERBS[name].ends)
+            verb = VERBS[name] if args.span is None else replace(VERBS[name], span=args.span)
             folder = (args.out or Path(scratch)) / name.replace(" ", "-")
             folder.mkdir(parents=True)
             rows.append(campaign(verb, args.times, args.seed, folder))
             if args.json:
                 args.json.write_text(json.dumps({"seed": args.seed, "verbs": rows}, indent=1) + "\n")
     print(console.table([{k: v for k, v in row.items() if k != "shots"} for row in rows]))
-    return 0 if all(row["good"] == row["interrupted"] and row["ends"] for row in rows) else 1
+    return 0 if all(row["good"] == row["interrupted"] and row["ends"] and row["the same"] for row in rows) else 1
 
 
 if __name__ == "__main__":
