@@ -49,7 +49,7 @@ def test_fault_13_ctrl_c_ends_every_verb_with_130_also_while_it_compiles(name, t
     shipped = ["fishmj.hydro_fit", "fit", "--data", str(interrupts.ROOT / "data" / "hydro" / "swift"), "--out", str(tmp_path)]
     verb = interrupts.VERBS[name] if name != "hydro_fit fit" else interrupts.Verb(name, lambda _: shipped, str, 0.0)
     shot = interrupts.shoot(verb, tmp_path, tmp_path / "cache", AT[name], True)
-    assert shot is not None, "it ended before: give it more to do"
+    assert isinstance(shot, interrupts.Shot), "it ended before: give it more to do"
     assert (shot.code, shot.wrong, shot.left) == (130, (), False), shot
     assert shot.took < SLOW * interrupts.WITHIN and shot.said.startswith("fishmj: interrupted")
 

@@ -10,6 +10,7 @@ import shutil
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from fishmj import console, store
 from fishmj.calib import calib_folder
@@ -28,7 +29,9 @@ class Kept:
 
     def __init__(self, folder: Path | None, robot: Robot, trials: Trials, engine: str, names: list[str]):
         self.folder, self.robot, self.trials, self.engine = folder, robot, trials, engine
-        self.names, self.done, self.summaries = names, [], []
+        self.names = names
+        self.done: list[str] = []
+        self.summaries: list[dict] = []
 
     def find(self, brain) -> Result | None:
         """The finished judgement of a controller, if there is one; says so."""
@@ -37,11 +40,11 @@ class Kept:
             return None
         try:
             arrays = store.read_npz(path)
-            given = {name: arrays.get(name) for name in ARRAYS}
+            given: dict[str, Any] = {name: arrays.get(name) for name in ARRAYS}
         except StoreError:  # damaged: judged again
             return None
         console.warn(f"{brain.name} was judged before under the same conditions: taken from {path}")
-        known = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
+        known: dict[str, Any] = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
         return Result(robot=self.robot, trials=self.trials, **known, **given)
 
     def keep(self, brain, result: Result) -> Result:

@@ -62,7 +62,8 @@ class Run:
         self.done, self.seconds = 0, 0.0
         self.best: dict | None = None
         self.episodes, self.dropped = 0, 0
-        self._saving, self._under_way, self._held = Lock(), False, None
+        self._saving, self._under_way = Lock(), False
+        self._held: tuple[dict, dict] | None = None
         self._pace, self._looked = 0.0, False
         self.bar = console.Progress(settings.steps, "train", "steps")
         if not quiet:
