@@ -124,7 +124,7 @@ class Shot:
     code: int
     took: float
     wrong: tuple[str, ...]
-    left: bool  # a process of the group was still there
+    left: tuple[str, ...]  # processes of the group that were still there 5 s later
     said: str
 
     @property
@@ -172,16 +172,15 @@ def shoot(verb: Verb, folder: Path, cache: Path, at: float, cold: bool) -> Shot 
     return Shot(verb.name, at, cold, process.returncode, took, tuple(w for w in WRONG if w in text), left, last[0])
 
 
-def remains(group: int, patience: float = 2.0) -> bool:
-    """Whether a process of the group is still there after a moment."""
-    until = time.monotonic() + patience
-    while time.monotonic() < until:
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return False
-        time.sleep(0.05)
-    return True
+def remains(group: int) -> tuple[str, ...]:
+    """Command lines of the processes of the group that are still there after a moment; those that wait to be reaped are not."""
+    until, there = time.monotonic() + WITHIN, ("?",)
+    while there and time.monotonic() < until:
+        listed = subprocess.run(["ps", "-eo", "pgid=,stat=,args="], capture_output=True, text=True, check=True).stdout
+        rows = (line.split(None, 2) for line in listed.splitlines())
+        there = tuple(args[:200] for pgid, stat, args in rows if int(pgid) == group and not stat.startswith("Z"))
+        time.sleep(0.1)
+    return there
 
 
 def to_its_end(verb: Verb, folder: Path, cache: Path, patience: float) -> tuple[int, float]:
@@ -205,14 +204,15 @@ def campaign(verb: Verb, times: int, seed: int, folder: Path, patience: float = 
     rng = np.random.default_rng([seed, *verb.name.encode()])
     shots, finished, rounds = [], 0, 0
     whole, folder = folder / "whole", folder / "broken"
-    whole.mkdir(parents=True)
-    (folder / "warm").mkdir(parents=True)
+    for place in (folder / "warm", folder / "first", whole):
+        place.mkdir(parents=True)
+    to_its_end(verb, folder / "first", folder / "warm", patience)  # fills the cache: code just compiled differs in the last bits
     code, first = to_its_end(verb, whole, folder / "warm", patience)
     print(f"{verb.name:14s} uninterrupted: exit {code}, {first:.0f} s", flush=True)
     seconds = first
     while len(shots) < times:
         cold, rounds = bool(len(shots) % 2), rounds + 1
-        at = float(rng.uniform(0.05, min(verb.span, seconds) if cold else seconds))
+        at = float(rng.uniform(0.05, min(verb.span, first) if cold else seconds))
         cache = folder / (f"cold-{rounds}" if cold else "warm")
         shot = shoot(verb, folder, cache, at, cold)
         if not isinstance(shot, Shot):

@@ -50,7 +50,7 @@ def test_fault_13_ctrl_c_ends_every_verb_with_130_also_while_it_compiles(name, t
     verb = interrupts.VERBS[name] if name != "hydro_fit fit" else interrupts.Verb(name, lambda _: shipped, str, 0.0)
     shot = interrupts.shoot(verb, tmp_path, tmp_path / "cache", AT[name], True)
     assert isinstance(shot, interrupts.Shot), "it ended before: give it more to do"
-    assert (shot.code, shot.wrong, shot.left) == (130, (), False), shot
+    assert (shot.code, shot.wrong, shot.left) == (130, (), ()), shot
     assert shot.took < SLOW * interrupts.WITHIN and shot.said.startswith("fishmj: interrupted")
 
 
