@@ -3,4 +3,8 @@
 `import fishmj` loads NumPy only; everything heavier is imported where it is used.
 """
 
+from fishmj import interrupt
+
 __version__ = "0.1.0"
+
+interrupt.arm()  # before anything heavier is imported; does nothing but in a command

@@ -18,6 +18,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from typing import IO, Any, NamedTuple, NoReturn
 
+from fishmj import interrupt
 from fishmj.errors import DescriptionError, FishmjError, UnknownName, UsageError
 from fishmj.options import SEED as SEED
 from fishmj.options import SHOWN, shown
@@ -63,9 +64,19 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
 
     A bad description is one line for each of its errors. With `--json` among the arguments an error is also one JSON object on
     stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
+    A command that is interrupted (`fishmj.interrupt`) ends here and does not return.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     _speak_any_text()
+    interrupt.telling(lambda message: _interrupted(argv, message))
+    code = _called(main, argv)
+    if interrupt.asked():
+        interrupt.leave(None if code == INTERRUPTED else "")
+    interrupt.disarm()
+    return code
+
+
+def _called(main: Main, argv: list[str]) -> int:
     try:
         _refuse_nul(argv)
         return int(main(argv) or OK)
@@ -81,6 +92,8 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
         sys.stdout = None  # the reader is gone: nothing to flush at exit
         return PIPE_CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
+        if interrupt.asked():  # what an interrupt breaks off is no fault
+            return FAULT
         if message := _of_the_machine(error):
             return _fail(argv, message, type(error).__name__, BAD_INPUT)
         traceback.print_exc()
@@ -110,6 +123,13 @@ def _of_the_machine(error: Exception) -> str:
         details = shown(said.partition("\n")[0], 200) if said else "no details"
         return f"not enough memory ({details}); ask for less at once, or take a larger machine"
     return ""
+
+
+def _interrupted(argv: Sequence[str], message: str) -> None:
+    """The last line of an interrupted command, below a progress line that stands open in a terminal."""
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    _fail(argv, message, "KeyboardInterrupt", interrupt.code())
 
 
 def _fail(
@@ -348,6 +368,7 @@ class Progress:
         self._start = clock()
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `memory` seconds
+        self._named = False  # a stage without a rate is under way
         self._width = 0
 
     def __enter__(self) -> "Progress":
@@ -376,13 +397,23 @@ class Progress:
     def update(self, done: float, **fields: Any) -> None:
         """Report `done` of `total` and any named figures; prints only when it is time to."""
         now = self._clock()
+        if self._named:
+            self._named, self._seen, self._shown = False, [], -math.inf
         self._seen.append((now, done))
         while len(self._seen) > 2 and now - self._seen[1][0] > self._memory:
             self._seen.pop(0)
         if done < self.total and now - self._shown < self._every:
             return
         self._shown = now
-        line = printable(self.line(**fields))
+        self._show(self.line(**fields))
+
+    def stage(self, text: str) -> None:
+        """Name at once what the rate does not count, such as `compiling ...`; with the next update the time left begins anew."""
+        self._named = True
+        self._show(f"{self.label}: {text}")
+
+    def _show(self, line: str) -> None:
+        line = printable(line)
         if self._live:
             print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
             self._width = len(line)

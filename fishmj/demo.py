@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fishmj import console
+from fishmj import console, interrupt
 
 SPEED, INTENSITY = 0.2, 0.10  # m/s at which holding is judged; gusts as a fraction of the flow
 ARRIVALS, HOLDING = 23, 0.10  # of 24 trials; m
@@ -15,12 +15,13 @@ Exit 1: fewer than 23 of 24 trials arrive, or it holds worse than 0.10 m at 0.2 
 
 example:
   fishmj demo --out runs/demo"""
+FINISHED = "demo.json"  # in --out: what a finished demo found
 
 
 def options() -> console.Parser:
     """The arguments of `demo`."""
     p = console.parser("demo", "Train station holding from scratch, judge it, watch it.", examples=ABOUT)
-    out = "folder for everything; an earlier demo in it is replaced"
+    out = "folder for everything; a finished demo in it is replaced, an interrupted one goes on"
     p.add_argument("--out", type=console.out_folder, default="runs/demo", help=out)
     p.add_argument("--seed", type=console.whole(0, 2**32 - 1), default=0, help="of the training")
     p.add_argument("--smoke", action="store_true", help="every part in short; the policy will not be good and is not checked")
@@ -28,16 +29,22 @@ def options() -> console.Parser:
 
 
 def learn(args) -> dict:
-    """Train the quick preset into <out>/training."""
+    """Train the quick preset into <out>/training; a demo that was interrupted goes on there, one that is finished begins anew."""
     import shutil
 
+    from fishmj import store
     from fishmj.train.run import Run
-    from fishmj.train.settings import change, preset
+    from fishmj.train.settings import as_dict, change, preset
 
-    folder = args.out / "training"
-    shutil.rmtree(folder, ignore_errors=True)
-    settings = change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
-    return Run(settings, folder).go()
+    folder, settings = args.out / "training", change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
+    kept = None if (args.out / FINISHED).exists() else store.Checkpoints(folder / "checkpoints").latest()
+    same = kept is not None and kept.meta["settings"] == store.plain(as_dict(settings))
+    if not same:
+        shutil.rmtree(folder, ignore_errors=True)
+        (args.out / FINISHED).unlink(missing_ok=True)
+    else:
+        console.say(f"going on with the training in {folder}")
+    return Run(settings, folder, resume=same).go()
 
 
 def judge(args, policy: str):
@@ -53,6 +60,7 @@ def judge(args, policy: str):
     plan = trials(repeats=1, turbulence="gust", intensity=INTENSITY, **subset)
     total = plan.duration * len(plan)
     with console.Progress(total, "judge", "sim s") as bar:
+        bar.stage("compiling the engine batch")
         step = robot.timing.control_dt * len(plan)
         return run(brain, robot, plan, "batch", progress=lambda k: bar.update(k * step))
 
@@ -90,11 +98,17 @@ def verdict(result) -> dict:
 
 
 def main(argv: list[str]) -> int:
+    from fishmj import store
+
     args = options().parse_args(argv)
     training = learn(args)
+    more = f"{args.out / 'training'} holds the training; go on with the same command"
     if training["stopped"]:
+        console.warn(f"interrupted; {more}")
         return console.INTERRUPTED
-    found = {"training": training, **show(args, judge(args, training["policy"]))}
+    with interrupt.keeping(lambda: more):
+        found = {"training": training, **show(args, judge(args, training["policy"]))}
+        store.write_json(args.out / FINISHED, found)
     console.say(
         f"trained {training['steps']:,} control steps in {console.duration(training['seconds'])}",
         f"arrived in {found['arrivals']} of {found['trials']} trials",

@@ -7,7 +7,7 @@ import pytest
 
 from fishmj import console, engines, evaluate, pages
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import logs, metrics
+from fishmj.evaluate import logs, metrics, report
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.description import load_robot
 

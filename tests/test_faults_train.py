@@ -154,10 +154,10 @@ def test_fault_13_ctrl_c_saves_exits_130_and_the_run_goes_on(tmp_path, capfd):
     metrics = folder / "metrics.jsonl"
     wait_for(process, lambda: metrics.exists() and metrics.read_text().count("\n") >= 3)
     process.send_signal(signal.SIGINT)
-    said, _ = process.communicate(timeout=60)
+    said, told = process.communicate(timeout=60)
     assert process.returncode == console.INTERRUPTED == 130
-    made = json.loads(said.splitlines()[-2])["runs"][0]
-    assert made["stopped"] and "go on with: fishmj train --resume" in said.splitlines()[-1]
+    made = json.loads(said.splitlines()[-1])["runs"][0]
+    assert made["stopped"] and "go on with: fishmj train --resume" in told.splitlines()[-1]
     assert np.isfinite(Policy.load(made["policy"])(np.zeros((1, 11)))).all()
     steps = made["steps"] + 2048
     capfd.readouterr()

@@ -15,6 +15,7 @@ from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.fit import band, calibrate, learning, lessons, linear, newton, swims
 from fishmj.hydro_fit.fit.again import Again
 from fishmj.hydro_fit.fit.keep import keep
+from fishmj.hydro_fit.fit.loop import Loop
 from fishmj.hydro_fit.fit.pack import unpacked
 from fishmj.hydro_fit.fit.prior import flat, names_of, prior_of, replaced, unflat
 from fishmj.hydro_fit.fit.recipe import STAGES, Fit, Settings
@@ -94,6 +95,26 @@ def test_the_residual_learns_what_strips_cannot():
     with_wake = left(True)
     assert with_wake[1, -1] < 0.85 and with_wake[1, 0] < 0.85
     assert with_wake[1].mean() < left(False)[1].mean()
+
+
+def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path):
+    taught = lessons.lessons_of(CHAIN, records["train"], chain.nominal(ROBOT).water)
+
+    class Broken(Loop):
+        def after(self, step, state):
+            super().after(step, state)
+            if step == 22:
+                self.save()
+                raise KeyboardInterrupt
+
+    def learnt(loop):
+        return learning.learn(CHAIN, taught, residual.blank(CHAIN.n), steps=30, seed=3, loop=loop)
+
+    with pytest.raises(KeyboardInterrupt):
+        learnt(Broken(tmp_path / "loop", "key"))
+    again, whole = learnt(Loop(tmp_path / "loop", "key")), learnt(None)
+    assert [a.tobytes() for a in again.net] == [a.tobytes() for a in whole.net]
+    np.testing.assert_array_equal(again.losses, whole.losses)
 
 
 def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):

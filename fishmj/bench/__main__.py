@@ -3,7 +3,7 @@
 import json
 import traceback
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.bench import Benchmark, known, measure, pick
 
 
@@ -19,6 +19,12 @@ def _measured(bench: Benchmark, quick: bool) -> dict:
     except Exception as error:  # noqa: BLE001
         traceback.print_exc()
         return {"name": bench.name, "failed": f"{type(error).__name__}: {error}"}
+
+
+def _words(todo: list[Benchmark], done: int) -> str:
+    """What an interrupted run says."""
+    left = " ".join(bench.name for bench in todo[done:])
+    return f"the lines above are {done} of {len(todo)} benchmarks; go on with: fishmj bench {left}"
 
 
 EXAMPLES = """examples:
@@ -48,11 +54,13 @@ def main(argv: list[str]) -> int:
         if args.json:
             console.emit_json({"benchmarks": rows})
         return console.OK
-    results = []
-    for bench in pick(args.names):
-        found = _measured(bench, args.quick)
-        results.append({key: _figure(value) for key, value in found.items()})
-        console.say(json.dumps(results[-1]))
+    results, todo = [], pick(args.names)
+    with interrupt.keeping(lambda: _words(todo, len(results))), console.Progress(len(todo), "bench", "benchmarks") as bar:
+        for k, bench in enumerate(todo):
+            bar.stage(f"{bench.name}, {k + 1} of {len(todo)}: compiling, then measuring")
+            found = _measured(bench, args.quick)
+            results.append({key: _figure(value) for key, value in found.items()})
+            console.say(json.dumps(results[-1]))
     if args.json:
         console.emit_json({"benchmarks": results})
     return console.FAILED_CHECK if any("failed" in found for found in results) else console.OK

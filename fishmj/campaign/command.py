@@ -10,7 +10,7 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.campaign import plan as plans
 from fishmj.campaign.collect import Collected, Local, Pool, collect, missing
 from fishmj.campaign.plan import Plan
@@ -85,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
         said = f"{water:.0f} s of water are missing in {out} and there is no accelerator: nothing was collected"
         console.warn(f"{said}. --budget SECONDS or --device cpu collects all the same, --preview a little, --ray elsewhere")
         return console.FAILED_CHECK
-    found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
+    more = f"{out} holds every segment that was finished; go on with the same command"
+    with interrupt.keeping(lambda: more):
+        found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
     report(found)
     if args.json:
         console.emit_json({**asdict(found), "complete": found.complete})

@@ -1,15 +1,16 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
 from dataclasses import replace
-from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 
-from fishmj import console, controllers, engines
+from fishmj import console, controllers, engines, interrupt
 from fishmj.cores import memory_bytes
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError, MissingExtra, UnknownName
+from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
 from fishmj.evaluate.driver import run
+from fishmj.evaluate.kept import Kept
 from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
@@ -95,15 +96,49 @@ def main(argv: list[str]) -> int:
     if args.water == "lbm":
         if too_long(args, trials.duration * len(trials) * len(brains)):
             return console.FAILED_CHECK
-        each = partial(judge_in_tanks, robot=robot, trials=trials, args=args)
-    else:
-        each = partial(judge, robot=robot, trials=trials, engine=choose_engine(args.engine, robot))
+        with interrupt.keeping(lambda: tanks_words(args.out)):
+            results: list[Result] = []
+            for brain in brains:
+                results.append(judge_in_tanks(brain, robot, trials, args))
+                if args.out is not None and len(results) < len(brains):
+                    save(args.out, results, findings(results))
+            return report(results, args)
+    kept = Kept(args.out, robot, trials, args.engine, [brain.name for brain in brains])
+    with interrupt.keeping(kept.words):
+        try:
+            results = judged(brains, robot, trials, args, kept)
+        except FishmjError:
+            if kept.done:
+                console.warn(kept.words())
+            raise
+        code = report(results, args)
+    kept.end()
+    return code
+
+
+def judged(brains, robot, trials, args, kept: Kept) -> list[Result]:
+    """All controllers; those that an interrupted judgement had finished are taken from --out."""
     results: list[Result] = []
+    engine = None
     for brain in brains:
-        results.append(each(brain))
-        if args.out is not None and len(results) < len(brains):  # what is finished is kept, whatever becomes of the rest
+        found = kept.find(brain)
+        if found is None:
+            if engine is None:
+                with console.Progress(1, "judge") as bar:
+                    bar.stage(f"compiling the engine {args.engine}")
+                    engine = choose_engine(args.engine, robot)
+            found = judge(brain, robot, trials, engine)
+        results.append(kept.keep(brain, found))
+        if args.out is not None and len(results) < len(brains):  # figures of what is finished, whatever becomes of the rest
             save(args.out, results, findings(results))
-    return report(results, args)
+    return results
+
+
+def tanks_words(folder: Path | None) -> str:
+    """What an interrupted judgement in the flow solver says."""
+    if folder is None:
+        return "nothing was kept: with --out DIR every finished trial is"
+    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; go on with the same command"
 
 
 def affordable(robot, trials, brains: int) -> None:

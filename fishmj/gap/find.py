@@ -8,8 +8,9 @@ Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet,
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.engines import in_water, own_effects
+from fishmj.engines.native import cache_folder
 from fishmj.gap import data, doors, judge, options, unlike, version, watch
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
@@ -56,18 +57,25 @@ def main(argv: list[str]) -> int:
             console.emit_json(asdict(lacking) | {"skipped": given.broken})
         return console.CANNOT_TELL
     try:
-        inquiry = search(args, robot, given, notes)
+        with interrupt.keeping(words):
+            inquiry = search(args, robot, given, notes)
     except unlike.TooDifferent as different:
         console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
         if args.json:
             console.emit_json(different.plain() | {"skipped": given.broken})
         return console.CANNOT_TELL
-    console.say(inquiry.verdict.text())
-    if args.out:
-        console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args, given)))}")
+    with interrupt.keeping(words):
+        console.say(inquiry.verdict.text())
+        if args.out:
+            console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args, given)))}")
     if args.json:
         console.emit_json(inquiry.verdict.plain() | {"skipped": given.broken, "notes": list(notes)})
     return console.OK
+
+
+def words() -> str:
+    """What an interrupted search says."""
+    return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
 
 
 def admitted(args, robot: Robot) -> tuple[Taken, tuple[str, ...]]:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.console import Command
 from fishmj.errors import ConfigError, StoreError
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
@@ -144,12 +144,19 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": train[0].meta["grid"].get("domain", "")}
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:
-        told = lambda stage, share, figures: bar.update(share, stage=stage, **figures)  # noqa: E731
+
+        def told(stage: str, share: float, figures: dict) -> None:
+            if figures:
+                bar.update(share, stage=stage, **figures)
+            else:
+                bar.stage(f"{stage}, compiling")
+
         work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{args.slip:g}"
         taught = {} if args.swims is None else {"swims": args.swims}
         settings = Settings(seed=args.seed, residual=not args.base, **taught)
         done = Fit(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
-        model = replace(done.run(), name=args.name or robot.name)
+        with interrupt.keeping(done.words):
+            model = replace(done.run(), name=args.name or robot.name)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
     for row in doubtful:
         trade = f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""

@@ -68,8 +68,8 @@ class Variant(recipe.Fit):
     def _retune(self, state) -> dict:
         return super()._retune(state) if self.told["retune"] else {}
 
-    def _tell(self, stage: str, part: float, **figures) -> None:
-        self.report(stage, (list(NEEDS).index(stage) + min(part, 1.0)) / len(NEEDS), figures)
+    def _share(self, stage: str, part: float) -> float:
+        return (list(NEEDS).index(stage) + part) / len(NEEDS)
 
     def _key(self, stage: str) -> str:
         stages = list(NEEDS)

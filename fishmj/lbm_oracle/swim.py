@@ -16,7 +16,7 @@ from math import degrees, radians
 
 import numpy as np
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.errors import OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle import state
@@ -45,7 +45,8 @@ def main(argv: list[str]) -> int:
     if args.preset in PREVIEWS:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
     recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
-    wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
+    with interrupt.finishing(lambda: _words(args, run)):
+        wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
     if args.out:
         found["out"] = str(write_trial(args.out, run.trial(), overwrite=args.overwrite))
@@ -96,6 +97,13 @@ def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder
     if recorder:
         recorder.close()
     return time.perf_counter() - start
+
+
+def _words(args, run: Run) -> str:
+    """Of an interrupt that a tick keeps waiting: writes the trial of those before it, in another thread."""
+    if not args.out or not run.rows:
+        return "nothing was kept" + ("" if args.out else ": with --out FOLDER the trial is")
+    return f"the trial up to then is in {write_trial(args.out, run.trial(), overwrite=args.overwrite)}"
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from itertools import cycle
 
 import numpy as np
 
-from fishmj import console, controllers, engines
+from fishmj import console, controllers, engines, interrupt
 from fishmj.errors import ConfigError
 from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
@@ -135,7 +135,11 @@ def main(argv: list[str] | None = None) -> int:
     brain = controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
     pond = Pond(brain, robot, flow, args.engine)
     alone = args.headless_seconds is not None
-    with LiveView(pond.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
+    with (
+        interrupt.raising(),
+        LiveView(pond.robot, args.host) as view,
+        Keyboard() if alone else Keyboard.of_terminal() as keys,
+    ):
         reach = "this machine only" if args.host in (LOCAL, "localhost", "::1") else "whoever can reach this machine"
         console.say(f"open {view.url} in a browser (served on {args.host}: {reach})", "" if alone else KEYS)
         try:

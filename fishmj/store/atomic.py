@@ -16,6 +16,7 @@ from uuid import uuid4
 
 import numpy as np
 
+from fishmj import interrupt
 from fishmj.errors import StoreError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -29,6 +30,11 @@ def write_bytes(path: str | Path, data: bytes) -> Path:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.tmp")
+    with interrupt.writing:
+        return _replaced(path, temporary, data)
+
+
+def _replaced(path: Path, temporary: Path, data: bytes) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(temporary, "wb") as file:

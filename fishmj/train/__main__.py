@@ -223,7 +223,11 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         console.emit_json({"runs": results})
     if results and results[-1]["stopped"]:
-        console.say(f"stopped; go on with: fishmj train --resume --out {results[-1]['folder']} (and the same options)")
+        from fishmj.train.run import go_on
+
+        last = results[-1]
+        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"])
+        console.warn(f"interrupted; {more}")
         return console.INTERRUPTED
     return console.OK
 

@@ -6,15 +6,18 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 
-from fishmj import console
+from fishmj import console, interrupt
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
 
 
 @contextmanager
-def stop_on_signal():
-    """A list that fills on Ctrl-C or SIGTERM instead of an exception in the middle of an update."""
+def stop_on_signal(words: interrupt.Words = str):
+    """A list that fills on Ctrl-C or SIGTERM instead of an exception in the middle of an update.
+
+    words: of `interrupt.finishing`, for an update that takes longer than an interrupt may.
+    """
     asked: list[int] = []
     old = {}
     try:
@@ -23,7 +26,8 @@ def stop_on_signal():
     except ValueError:  # not the main thread: the caller keeps its own handlers
         pass
     try:
-        yield asked
+        with interrupt.finishing(words):
+            yield asked
     finally:
         for number, handler in old.items():
             signal.signal(number, handler)

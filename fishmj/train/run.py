@@ -7,6 +7,7 @@ Killed at any point it goes on from the newest complete checkpoint, on the CPU t
 import time
 import warnings
 from pathlib import Path
+from threading import Lock
 
 import jax
 import numpy as np
@@ -21,6 +22,7 @@ from fishmj.train.settings import Settings, as_dict
 
 FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
 PROGRESS = ("done", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
+SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 
 
@@ -60,6 +62,12 @@ class Run:
         self.done, self.seconds = 0, 0.0
         self.best: dict | None = None
         self.episodes, self.dropped = 0, 0
+        self._saving, self._under_way = Lock(), False
+        self._held: tuple[dict, dict] | None = None
+        self._pace, self._looked = 0.0, False
+        self.bar = console.Progress(settings.steps, "train", "steps")
+        if not quiet:
+            self.bar.stage("compiling the fish and the networks")
         self.training = self.algorithm.init(jax.random.key(settings.seed))
         if resume:
             self._restore()
@@ -73,19 +81,23 @@ class Run:
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         next_look = (self.done // s.assess_every + 1) * s.assess_every
         board = Board(self.folder, after=self.done)
-        with stop_on_signal() as asked, console.Progress(s.steps, "train", "steps") as bar:
+        if not self.quiet:
+            self.bar.stage("compiling the first iteration")
+        with stop_on_signal(self._last_words) as asked, self.bar as bar:
             write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)  # noqa: E731
             while self.done < s.steps and not asked:
-                self.training, figures = self.algorithm.iterate(self.training)
-                figures = {k: float(v) for k, v in figures.items()}
+                figures = self._iterate()
                 self.done += step
                 self.seconds = time.monotonic() - start
                 self._check(figures)
+                self._under_way = False
                 write(board.write, self.done, {**figures, "seconds": round(self.seconds, 3)})
                 if not self.quiet:
                     bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
                 if self.done >= next_look or self.done >= s.steps:
                     next_look += s.assess_every
+                    if not (self.quiet or self._looked):
+                        bar.stage("compiling the assessment")
                     figures, better = self._look()
                     write(board.write, self.done, figures)
                     if better:
@@ -96,6 +108,29 @@ class Run:
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
         return self.summary(stopped=bool(asked))
+
+    def _iterate(self) -> dict[str, float]:
+        """One iteration; it takes the state apart, so a slow one has a copy held of where it began."""
+        began = time.monotonic()
+        if self._pace > SLOW:
+            self._held = self._state()
+        self._under_way = True
+        self.training, figures = self.algorithm.iterate(self.training)
+        figures = {k: float(v) for k, v in figures.items()}  # waits for its end
+        self._pace, self._held = time.monotonic() - began, None
+        return figures
+
+    def _last_words(self) -> str:
+        """Called in another thread on an interrupt that an iteration keeps waiting: saves where that began."""
+        with self._saving:
+            held = self._held or (None if self._under_way else self._state())
+            newest = next((int(path.stem[5:]) for path in self.checkpoints.paths()), 0)
+            if held and held[1]["done"] > newest:
+                newest = held[1]["done"]
+                self.checkpoints.save(newest, *held)
+        if not newest:
+            return f"nothing was learnt yet; start again with: fishmj train --out {self.folder} (and the same options)"
+        return go_on(self.folder, newest)
 
     def summary(self, stopped: bool = False) -> dict:
         """What the command line prints last."""
@@ -115,6 +150,7 @@ class Run:
 
     def _look(self) -> tuple[dict, bool]:
         """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
+        self._looked = True
         figures = self.assess(self.training.actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
         better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
@@ -148,11 +184,15 @@ class Run:
                 term="learner",
             )
 
-    def _save(self) -> None:
+    def _state(self) -> tuple[dict, dict]:
+        """Arrays and meta of a checkpoint."""
         arrays = arrays_of(self.training)
         self._finite(arrays)  # a last update can spoil the weights after the figures were taken
-        meta = {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in PROGRESS}}
-        self.checkpoints.save(self.done, arrays, meta)
+        return arrays, {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in PROGRESS}}
+
+    def _save(self) -> None:
+        with self._saving:
+            self.checkpoints.save(self.done, *self._state())
 
     def _restore(self) -> None:
         with warnings.catch_warnings():
@@ -174,6 +214,11 @@ class Run:
             for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
+
+
+def go_on(folder: Path, done: int) -> str:
+    """What an interrupted run says."""
+    return f"{folder} holds the run up to step {done:,}; go on with: fishmj train --resume --out {folder} (and the same options)"
 
 
 def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:

@@ -27,8 +27,10 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
     look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
     lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}") for seed in seeds]
+    bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
+    bar.stage("compiling the first iteration")
     done, next_look, episodes, dropped = 0, settings.assess_every, 0.0, 0.0
-    with stop_on_signal() as asked, console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps") as bar:
+    with stop_on_signal(lambda: f"the best policies so far are in {folder}; --together cannot go on") as asked, bar:
         while done < settings.steps and not asked:
             training, figures = iterate(training)
             done += learner.steps_per_iteration

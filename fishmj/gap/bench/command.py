@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import options, watch
@@ -113,7 +113,7 @@ def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str
     if out:
         out.mkdir(parents=True, exist_ok=True)
         rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
-    with watch.shown(len(todo), what, "cases") as bar:
+    with interrupt.keeping(lambda: words(out, len(rows), len(todo))), watch.shown(len(todo), what, "cases") as bar:
         waiting = [one for one in todo if one.id not in rows]
         for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
             rows[row["id"]] = row
@@ -121,6 +121,13 @@ def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str
                 keep(out / "rows.jsonl", row)
             bar.update(i)
     return [rows[one.id] for one in todo]
+
+
+def words(out: Path | None, done: int, of: int) -> str:
+    """What an interrupted benchmark says."""
+    if out is None:
+        return "nothing was kept: with --out DIR every finished case is"
+    return f"{out} holds {done} of {of} cases; go on with the same command"
 
 
 def told(result: dict) -> list[str]:

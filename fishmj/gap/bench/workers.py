@@ -6,10 +6,13 @@ one core, so that everything in it (rollouts, BLAS, null runs) keeps to one thre
 
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.connection import wait
+from multiprocessing.resource_tracker import ensure_running
 
 ALONE = {
     "OMP_NUM_THREADS": "1",
@@ -29,7 +32,7 @@ def answered(todo: list, ask: Callable[..., dict], jobs: int) -> Iterator[dict]:
         yield from map(ask, todo)
         return
     context, others = get_context("spawn"), active_children()
-    with alone():
+    with alone(), deaf():
         pool = ProcessPoolExecutor(min(jobs, len(todo)), context, bound, (context.Value("i", 0),))
         waiting = [pool.submit(ask, one) for one in todo]
     try:
@@ -56,11 +59,30 @@ def alone() -> Iterator[None]:
             del os.environ[key]
 
 
+@contextmanager
+def deaf() -> Iterator[None]:
+    """Processes begun meanwhile do not hear Ctrl-C, not even while they import: it is left to the one that began them."""
+    ensure_running()  # what frees semaphores takes the block off where it is begun meanwhile
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def bound(begun) -> None:
-    """First in each process: a core of its own, and Ctrl-C is left to the one that began it. begun: how many there are."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """First in each process: a core of its own, and an end with the one that began it. begun: how many there are."""
+    threading.Thread(target=_orphaned, name="orphaned", daemon=True).start()
     with begun.get_lock():
         number, begun.value = begun.value, begun.value + 1
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[number % len(cores)]})
+
+
+def _orphaned() -> None:
+    """Waits for the end of the process that began this one, however it ends; nobody would take the answer."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -17,6 +17,7 @@ from jax import lax
 
 from fishmj.hydro_fit import chain, residual
 from fishmj.hydro_fit.fit.lessons import Lessons, taken
+from fishmj.hydro_fit.fit.loop import Loop
 
 NOISE = 0.01  # of the features
 THRUST, DECAY = 3.0, 1e-4
@@ -90,18 +91,19 @@ def adam(rate: float, steps: int) -> optax.GradientTransformation:
 
 def learn(
     ch: chain.Chain, lessons: Lessons, net: residual.Net, *, steps: int = 800, seed: int = 0, left: dict | None = None,
-    report: Callable | None = None,
+    report: Callable | None = None, loop: Loop | None = None,
 ) -> Schooling:  # fmt: skip
     """Teach forces.
 
     Args:
-        left: what `residual.without` is told, for comparison. report: called with (step, steps, loss).
+        left: what `residual.without` is told, for comparison. report: called with (step, steps, loss). loop: keeps the state.
     """
     p, rho, told = residual.panels(ch), ch.strips.rho, left or {}
     b = bootstrap(lessons.episode, net.members, seed)
     optimiser = adam(RATE, steps)
     net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
-    state, rng, losses = optimiser.init(net), np.random.default_rng([43, seed]), []
+    rng, loop = np.random.default_rng([43, seed]), loop or Loop()
+    since, (net, state, losses) = loop.begin((net, optimiser.init(net), np.full(-(-steps // 20), np.nan)))
 
     @jax.jit
     def step(net, state, part, weights, key):
@@ -114,10 +116,13 @@ def learn(
     count, key = len(lessons.episode), jax.random.key(seed)
     for k in range(steps):
         at = rng.choice(count, min(BATCH, count), replace=False)
+        if k < since:  # drawn and done before
+            continue
         part = taken(lessons, at)
         net, state, value = step(net, state, part, b[:, at], jax.random.fold_in(key, k))
         if k % 20 == 19 or k + 1 == steps:
-            losses.append(float(value))
+            losses = np.concatenate([losses[: k // 20], [float(value)], losses[k // 20 + 1 :]])
             if report is not None:
-                report(k + 1, steps, losses[-1])
-    return Schooling(residual.without(jax.tree.map(np.asarray, net), **told), np.array(losses))
+                report(k + 1, steps, losses[k // 20])
+        loop.after(k + 1, (net, state, losses))
+    return Schooling(residual.without(jax.tree.map(np.asarray, net), **told), losses)

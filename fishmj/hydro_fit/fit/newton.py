@@ -14,6 +14,7 @@ import numpy as np
 from fishmj.hydro_fit import chain, terms
 from fishmj.hydro_fit.fit import begin
 from fishmj.hydro_fit.fit.identify import Identified, identify
+from fishmj.hydro_fit.fit.loop import Loop
 from fishmj.hydro_fit.fit.prior import Prior, flat, names_of, prior_of, unflat
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, is_free, recorded, repeated, windows
 from fishmj.hydro_fit.fit.rows import Rows, attachment, base_force
@@ -163,23 +164,28 @@ def tow_drag(ch: chain.Chain, robot: Robot, speed: float = TOW) -> float:
 
 
 def fit_rollout(
-    robot: Robot, ch: chain.Chain, match: Match, water: terms.Coefficients, *, rounds: int = 8, report: Callable | None = None
-) -> Scaled:
+    robot: Robot, ch: chain.Chain, match: Match, water: terms.Coefficients, *, rounds: int = 8, report: Callable | None = None,
+    loop: Loop | None = None,
+) -> Scaled:  # fmt: skip
     """Move the factors from `water` until the swims match; never ends worse than it began.
 
     Args:
-        report: called with (round, rounds, objective).
+        report: called with (round, rounds, objective). loop: keeps the state after each round.
     """
     limits, start = prior_of(robot), flat(water)
     names = tuple(groups(ch.n))
     size = len(names)
-    x, damping, jacobian = np.zeros(size), 1e-2, np.zeros((0, size))
+    jacobian, loop = np.zeros((0, size)), loop or Loop()
     at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])  # noqa: E731
     cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)  # noqa: E731
-    now = match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
-    first = best = cost(now[0], x)
-    done = 0
-    for done in range(1, rounds + 1):
+    around = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))  # noqa: E731
+    since, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
+    x, damping, best, first = kept
+    now = around(x)
+    if not since:
+        first = best = np.float64(cost(now[0], x))
+    done = since
+    for done in range(since + 1, rounds + 1):
         jacobian = ((now[1:] - now[0]) / STEP).T
         normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
         slope = jacobian.T @ now[0] + x / SPREAD**2
@@ -196,7 +202,9 @@ def fit_rollout(
             report(done, rounds, best)
         if fall < LEAST * best or done == rounds:
             break
-        now = match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
+        loop.after(done, (x, np.float64(damping), np.float64(best), first))
+        now = around(x)
     prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
     result = scaled(start, x, ch.n, limits)
-    return Scaled(unflat(result.tolist()), identify(prior, np.exp(x), jacobian.T @ jacobian), first, best, jacobian, done)
+    judged = identify(prior, np.exp(x), jacobian.T @ jacobian)
+    return Scaled(unflat(result.tolist()), judged, float(first), float(best), jacobian, done)

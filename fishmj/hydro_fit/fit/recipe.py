@@ -21,6 +21,7 @@ from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
 from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout, starts, swims
 from fishmj.hydro_fit.fit.code import code
+from fishmj.hydro_fit.fit.loop import Loop
 from fishmj.hydro_fit.fit.pack import packed, unpacked
 from fishmj.hydro_fit.fit.prior import flat, prior_of, unflat
 from fishmj.hydro_fit.fit.rows import Rows, rows_of
@@ -30,6 +31,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
+TYPICAL = dict(zip(STAGES, (4.0, 25.0, 12.0, 204.0, 17.0, 30.0), strict=True))  # s, of 1000 swims on 16 cores; for the bar alone
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Settings:
     rollout: bool = True
 
 
-Report = Callable[[str, float, dict], None]  # stage, share of the whole fit, figures
+Report = Callable[[str, float, dict], None]  # stage, share of the whole fit, figures: none where it begins, by compiling
 
 
 def quiet(stage: str, share: float, figures: dict) -> None:
@@ -89,6 +91,7 @@ class Fit:
         self.notes: list[str] = []
         self.found: dict[str, dict] = {}
         self.seconds: dict[str, float] = {}
+        self.loop = Loop()  # of the stage that is under way
 
     def run(self) -> HydroModel:
         """All stages; returns the model."""
@@ -97,18 +100,29 @@ class Fit:
     def through(self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
         """What the stages leave, each read where it is kept and else done; `clock` times them."""
         state: dict[str, Any] = {}
-        for number, stage in enumerate(stages := tuple(stages)):
+        for stage in stages:
             self.enter(stage)
             kept = self._read(stage)
             if kept is None:
-                began = clock()
+                self.report(stage, self._share(stage, 0.0), {})
+                path, began = self._path(stage), clock()
+                self.loop = Loop(path and path.with_name(f"loop-{path.name}"), self.key)
                 state |= getattr(self, f"_{stage}")(state)
                 self.seconds[stage] = clock() - began
                 self._write(stage, state)
+                self.loop.end()
             else:
                 state = kept
-            self.report(stage, (number + 1) / len(stages), {"seconds": self.seconds.get(stage, 0.0)})
+            self.report(stage, self._share(stage, 1.0), {"seconds": self.seconds.get(stage, 0.0)})
         return state
+
+    def words(self) -> str:
+        """Keep the stage that is under way as far as it has come; says what there is. For `interrupt.keeping`: another thread."""
+        self.loop.save()
+        if self.folder is None:
+            return "nothing of it is kept"
+        done = [stage for stage in STAGES if (path := self._path(stage)) is not None and path.is_file()]
+        return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; go on with the same command"
 
     def enter(self, stage: str) -> None:
         """Called before a stage; a fit whose stages have keys of their own sets `key`."""
@@ -129,7 +143,8 @@ class Fit:
     def _newton(self, state, learnt, stage: str) -> dict:
         before = self.score(state["water"], learnt)
         told = lambda k, n, cost: self._tell(stage, k / n, cost=cost)  # noqa: E731
-        done = newton.fit_rollout(self.robot, self.chain, self._match(self.train, learnt), unflat(state["water"]), report=told)
+        match, start = self._match(self.train, learnt), unflat(state["water"])
+        done = newton.fit_rollout(self.robot, self.chain, match, start, report=told, loop=self.loop)
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
@@ -153,7 +168,9 @@ class Fit:
         told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)  # noqa: E731
         net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
         taught = self._lessons(state["water"])
-        net = learning.learn(self.chain, taught, net, steps=s.steps, seed=s.seed, left=self._left, report=told).net
+        net = learning.learn(
+            self.chain, taught, net, steps=s.steps, seed=s.seed, left=self._left, report=told, loop=self.loop
+        ).net
         return packed(self._reached(net, state["water"]))
 
     def _swims(self, state) -> dict:
@@ -165,7 +182,7 @@ class Fit:
         pieces = swims.pieces_of(self.chain, self.robot, self.train, c)
         told = lambda k, n, cost: self._tell("swims", k / n, loss=cost)  # noqa: E731
         school = swims.School(self.robot, self.swim, pieces, held, taught, water, left=self._left)
-        net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told)
+        net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told, loop=self.loop)
         return packed(self._reached(net, water))
 
     @property
@@ -244,7 +261,13 @@ class Fit:
         return newton.Match(self.swim, fleet, self.tick, rows, newton.tow_drag(self.chain, self.robot), learnt)
 
     def _tell(self, stage: str, part: float, **figures) -> None:
-        self.report(stage, (STAGES.index(stage) + min(part, 1.0)) / len(STAGES), figures)
+        self.report(stage, self._share(stage, min(part, 1.0)), figures)
+
+    def _share(self, stage: str, part: float) -> float:
+        """Of the whole fit that is done when `part` of a stage is."""
+        took = TYPICAL | {"swims": TYPICAL["swims"] * self.settings.swims / 1000}
+        before = sum(took[s] for s in STAGES[: STAGES.index(stage)])
+        return (before + part * took[stage]) / sum(took.values())
 
     def _model(self, state) -> HydroModel:
         made, alone = (dict(zip(band.CHANNELS, row, strict=True)) for row in state["bands"].tolist())

@@ -25,6 +25,7 @@ from fishmj.hydro_fit import chain, learned, residual, terms
 from fishmj.hydro_fit.fit import learning
 from fishmj.hydro_fit.fit.dealt import dealt, devices, quick, stacked
 from fishmj.hydro_fit.fit.lessons import EVERY, Lessons, motion_of, taken
+from fishmj.hydro_fit.fit.loop import Loop
 from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, cut, is_free
 from fishmj.hydro_fit.fit.rows import attachment, base_force, rows_of
@@ -198,11 +199,18 @@ class School:
         at = rng.permutation(len(self.held.seen))[:most]
         return Held._make(a[..., at] for a in self.held)
 
-    def learn(self, net: residual.Net, *, steps: int, seed: int = 0, report: Callable | None = None) -> residual.Net:
-        """Go down L from `net`. One seed gives one result on one machine. report: called with (step, steps, loss)."""
+    def learn(
+        self, net: residual.Net, *, steps: int, seed: int = 0, report: Callable | None = None, loop: Loop | None = None
+    ) -> residual.Net:
+        """Go down L from `net`. One seed gives one result on one machine.
+
+        Args:
+            report: called with (step, steps, loss). loop: keeps the state.
+        """
         optimiser = learning.adam(RATE, steps)
         net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
-        state, rng = optimiser.init(net), np.random.default_rng([47, seed])
+        rng, loop = np.random.default_rng([47, seed]), loop or Loop()
+        since, (net, state) = loop.begin((net, optimiser.init(net)))
         drawn, count = learning.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
         swims, told = (min(most, there) for most, there in ((BATCH, len(self.share)), (LESSONS, count)))
         among = devices(swims, told)
@@ -218,12 +226,15 @@ class School:
             at = np.split(rng.choice(len(self.share), swims, replace=False, p=self.share), len(among))
             rows = np.split(rng.choice(count, told, replace=False), len(among))
             fish = [self.drawn_held(rng, HOLDS // len(among)) for _ in among]
+            if k < since:  # drawn and done before
+                continue
             hands = [
                 (some(self.pieces, a), taken(self.lessons, r), drawn[:, r], h) for a, r, h in zip(at, rows, fish, strict=True)
             ]
             net, state, value = step(net, state, *stacked(hands))
             if report is not None and (k % 5 == 4 or k + 1 == steps):
                 report(k + 1, steps, float(value))
+            loop.after(k + 1, (net, state))
         return residual.without(jax.tree.map(np.asarray, net), **self.left)
 
 

@@ -1,0 +1,211 @@
+"""Ctrl-C and SIGTERM of a fishmj command: it ends within five seconds with exit code 130 (143), whatever it is doing.
+
+Compilers (XLA, numba, Warp) run for minutes inside one call, where Python neither runs a signal's handler nor raises; what an
+exception meets in such a call may swallow it; and an interpreter that is torn down beside running XLA threads crashes. So nothing
+is raised: a thread waits for the signal, lets the verb keep what it has, says how to go on and ends the process. That loses
+nothing, because every write is atomic (`store`) and what is finished is on disk already. It works while compilers run because
+they all let go of the interpreter lock.
+
+    with keeping(words):          words() is called on the way out, in another thread: it keeps what is not kept yet and says what
+                                  was kept and how to go on
+    with finishing(words):        the same for a loop that stops by itself: it has GRACE seconds before words() is called
+    with raising():               Ctrl-C is a KeyboardInterrupt here, as anywhere in Python: where it is the usual way to end
+
+The process is watched from the import of `fishmj` on where it is a command (`python -m fishmj...` or the script `fishmj`), and
+nowhere else: a program that imports fishmj keeps its own handlers.
+"""
+
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePath
+from typing import NoReturn
+
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+GRACE = 2.0  # s that a verb has which stops by itself
+LIMIT = 4.5  # s after which the process ends, whatever is still being kept
+TWICE = 0.5  # s after which another signal counts as asked twice (some launchers pass the terminal's own on)
+
+Words = Callable[[], str]
+
+writing = threading.RLock()  # held while a file is written, so that no half of it stays behind
+_asked: list[int] = []
+_kept: list[tuple[Words, bool]] = []  # innermost last; whether the verb stops by itself
+_leaving = threading.Lock()
+_armed = False
+_left_alone: set[int] = set()
+_tell: list[Callable[[str], object]] = []
+
+
+def is_command() -> bool:
+    """Whether this process was started as `python -m fishmj...` or as the script `fishmj`."""
+    words = sys.orig_argv
+    if "-m" in words:
+        module = "".join(words[words.index("-m") + 1 :][:1])
+        return module.partition(".")[0] == "fishmj"
+    return PurePath(sys.argv[0] if sys.argv else "").stem == "fishmj"
+
+
+def arm() -> None:
+    """Watch for both signals, where this process is a command. One that is ignored (as by nohup) stays so."""
+    global _armed
+    if _armed or os.name != "posix" or threading.current_thread() is not threading.main_thread() or not is_command():
+        return
+    heard, write = os.pipe()
+    os.set_blocking(write, False)
+    threading.Thread(target=_watch, args=(heard,), name="interrupt", daemon=True).start()
+    for number in CODES:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _nothing)
+    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    os.register_at_fork(after_in_child=disarm)
+    _armed = True
+
+
+def disarm() -> None:
+    """Leave both signals to the system again: in a fork, and at the end of a command that was not interrupted."""
+    global _armed
+    if not _armed:
+        return
+    _armed = False
+    signal.set_wakeup_fd(-1)
+    for number in CODES:
+        if signal.getsignal(number) is _nothing:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def asked() -> bool:
+    """Whether this command is being interrupted."""
+    return bool(_asked)
+
+
+def telling(tell: Callable[[str], object]) -> None:
+    """Have the last line said by `tell(message)`."""
+    _tell[:] = [tell]
+
+
+@contextmanager
+def keeping(words: Words) -> Iterator[None]:
+    """On an interrupt within, `words()` keeps what is not kept yet; the last line ends with its answer."""
+    yield from _within(words, False)
+
+
+@contextmanager
+def finishing(words: Words) -> Iterator[None]:
+    """As `keeping`, for a loop that hears the signals itself: it has `GRACE` s to come to its end."""
+    yield from _within(words, True)
+
+
+def _within(words: Words, by_itself: bool) -> Iterator[None]:
+    _kept.append((words, by_itself))
+    try:
+        yield
+    finally:
+        _kept.remove((words, by_itself))
+
+
+@contextmanager
+def raising() -> Iterator[None]:
+    """Within, Ctrl-C raises KeyboardInterrupt in the main thread, which goes on from there."""
+    if not _armed:
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    _left_alone.add(signal.SIGINT)
+    try:
+        yield
+    finally:
+        _left_alone.discard(signal.SIGINT)
+        signal.signal(signal.SIGINT, before)
+
+
+def leave(words: "str | None" = "") -> NoReturn:
+    """Say the last line (None: it has been said), end the children and the process, without the interpreter's own teardown."""
+    _leaving.acquire()  # never given back: whoever comes second waits for the end
+    with suppress(Exception):
+        if words is None:
+            _at_once()
+        said = "interrupted" if _asked[:1] != [signal.SIGTERM] else "terminated"
+        message = f"{said}; {words}" if words else said
+        _tell[0](message) if _tell else os.write(2, f"fishmj: {message}\n".encode())
+    _at_once()
+
+
+def code() -> int:
+    """Exit code of the interrupt."""
+    return CODES[signal.Signals(_asked[0])] if _asked else CODES[signal.SIGINT]
+
+
+def _nothing(number, frame) -> None:
+    """The handler while a command is watched: the thread has heard the signal already."""
+
+
+def _watch(heard: int) -> None:
+    """The thread: waits for the first signal, then for the end, a second signal or the limit."""
+    first = 0.0
+    while True:
+        if _asked and not select.select([heard], [], [], max(first + LIMIT - time.monotonic(), 0.0))[0]:
+            os._exit(code())
+        numbers = [number for number in os.read(heard, 64) if number in CODES and number not in _left_alone]
+        if not numbers:
+            continue
+        if not _asked:
+            first = time.monotonic()
+            _asked.append(numbers[0])
+            threading.Thread(target=_end, name="interrupted", daemon=True).start()
+        elif time.monotonic() - first > TWICE:
+            first = min(first, time.monotonic() - LIMIT + 1.0)
+            threading.Thread(target=_at_once, name="interrupted twice", daemon=True).start()
+
+
+def _end() -> None:
+    """The way out of the first signal."""
+    kept = _kept[-1:]
+    if kept and kept[0][1]:
+        time.sleep(GRACE)  # the main thread leaves meanwhile, if it can
+    words = ""
+    with suppress(Exception):  # what cannot be kept now must not keep the process
+        words = kept[0][0]() if kept else ""
+    leave(words)
+
+
+def _at_once() -> NoReturn:
+    with suppress(Exception):
+        writing.acquire(timeout=1.0)
+        sys.stdout.flush()
+    spared = None
+    with suppress(Exception):
+        spared = _tidied()
+    for child in _children() - {spared}:
+        with suppress(OSError):
+            os.kill(child, signal.SIGKILL)
+    os._exit(code())
+
+
+def _tidied() -> int | None:
+    """Give the semaphores of multiprocessing back; the process that would do it otherwise, with a warning: it ends by itself."""
+    if "multiprocessing.resource_tracker" not in sys.modules:
+        return None
+    import multiprocessing.resource_tracker
+    import multiprocessing.util
+
+    multiprocessing.util._run_finalizers(0)  # type: ignore[attr-defined]
+    return multiprocessing.resource_tracker._resource_tracker._pid  # type: ignore[attr-defined]
+
+
+def _children() -> set[int]:
+    """Processes that this one began: where the system tells, also one that is only just being begun."""
+    found = set()
+    with suppress(OSError):
+        for listed in Path("/proc/self/task").glob("*/children"):
+            found |= {int(word) for word in listed.read_text().split()}
+    if not found and "multiprocessing" in sys.modules:
+        import multiprocessing
+
+        found = {child.pid for child in multiprocessing.active_children() if child.pid}
+    return found
