@@ -37,7 +37,7 @@ class Guarded:
     """Refuses requests that came by a foreign name."""
 
     def prepare(self):
-        request, settings = self.request, self.application.settings  # type: ignore[attr-defined]
+        request, settings = self.request, self.application.settings
         if not known_host(request.headers.get("Host", ""), settings["host"]):
             raise tornado.web.HTTPError(403)
 
