@@ -223,17 +223,23 @@ _EXAMPLES: dict[str, str] = {}  # program -> its example, for the help of a comm
 class Group:
     """The commands of a verb, as its `main`: `--help` lists them, an unknown one gets the nearest name, none is bad input.
 
-    A name may be two words (`converge fish`). Nothing is imported but the command that is called.
+    A name may be two words (`converge fish`). Nothing is imported but the command that is called. `bare` names the command that
+    runs where none is given, with the options that are there.
     """
 
-    def __init__(self, verb: str, summary: str, commands: Mapping[str, Command]):
-        self.verb, self.summary, self.commands = verb, summary, dict(commands)
+    def __init__(self, verb: str, summary: str, commands: Mapping[str, Command], bare: str = ""):
+        self.verb, self.summary, self.commands, self.bare = verb, summary, dict(commands), bare
         _EXAMPLES.update({f"fishmj {verb} {name}": command.example for name, command in commands.items()})
 
     def __call__(self, argv: list[str]) -> int | None:
-        if not argv or argv[0] in ("-h", "--help", "help"):
+        if argv and argv[0] in ("-h", "--help", "help"):
             say(self.usage())
-            return OK if argv else BAD_INPUT
+            return OK
+        if self.bare and (not argv or argv[0].startswith("-")):
+            return self.load(self.bare)(argv)
+        if not argv:
+            say(self.usage())
+            return BAD_INPUT
         words = 2 if " ".join(argv[:2]) in self.commands else 1
         name = " ".join(argv[:words])
         if name.startswith("-"):
@@ -256,6 +262,7 @@ class Group:
         wide = max(map(len, self.commands))
         rows = [(f"  {name:<{wide}}  {c.summary}", f"  {'':<{wide}}  {c.example}") for name, c in self.commands.items()]
         head = f"usage: fishmj {self.verb} COMMAND [options]     fishmj {self.verb} COMMAND --help"
+        rows += [("", f"Without a command: {self.bare}.")] if self.bare else []
         return "\n".join([head, "", self.summary, "", *(line for row in rows for line in row)])
 
 

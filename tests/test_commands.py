@@ -19,7 +19,7 @@ from fishmj.errors import ConfigError
 ROOT = Path(__file__).resolve().parent.parent
 GROUPS = {verb: main for verb in cli.present() if isinstance(main := cli.load(verb), console.Group)}
 NUMBERS = (console.Number, console.Listed)
-ELSEWHERE = ("gap", "log import")  # their options are theirs to bound; what every parser does is asked of them too
+ELSEWHERE: tuple[str, ...] = ()
 
 
 class Stop(Exception):

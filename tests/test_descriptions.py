@@ -259,7 +259,11 @@ UNLIKELY = [
 ]
 
 
-@pytest.mark.parametrize(("place", "value", "told"), UNLIKELY, ids=[f"{p[-1]}_{v}"[:30].replace("<", "") for p, v, _ in UNLIKELY])
+@pytest.mark.parametrize(
+    ("place", "value", "told"),
+    UNLIKELY,
+    ids=[f"{p[-1]}_{v if isinstance(v, int | float | str) else i}"[:30] for i, (p, v, _) in enumerate(UNLIKELY)],
+)
 def test_what_is_unlikely_or_left_out_is_read_and_said(place, value, told):
     table = put(place, value)
     if place[0] == "link":

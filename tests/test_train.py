@@ -217,7 +217,7 @@ def test_settings_survive_json(name):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("--preset papr", "unknown preset 'papr'. Did you mean 'paper'?"),
+        ("--preset papr", "got 'papr'. Did you mean 'paper'?"),
         ("--algo sacc", "Did you mean 'sac'?"),
         ("--engine planer", "Did you mean 'planar'?"),
         ("--turbulence gusts", "Did you mean 'gust'?"),

@@ -20,7 +20,7 @@ from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
 WATERS = ("structured", "surrogate", "lbm")
 FALLBACKS = ("compiled", "planar")
-BYTES = 150  # of a tick and joint of a trial at the height of a judgement, about (see `affordable`)
+HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
 ROOM = 0.8  # of the memory of the machine
 EXAMPLES = """examples:
   fishmj evaluate dob                                      the decided 72 trials
@@ -148,7 +148,7 @@ def affordable(robot, trials, brains: int) -> None:
         ConfigError: with the estimate.
     """
     ticks = trials.duration / robot.timing.bus_dt * len(trials)
-    need, there = ticks * brains * BYTES * (robot.n_joints + 3), memory_bytes()
+    need, there = ticks * (brains * HELD + WORK) * (robot.n_joints + 3), memory_bytes()
     if need > ROOM * there:
         raise ConfigError(
             f"evaluate: {len(trials)} trials of {trials.duration:g} s by {brains} controllers need about {need / 2**30:.3g} GB of"

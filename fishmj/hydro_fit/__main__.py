@@ -317,7 +317,7 @@ COMMANDS = {
         "fishmj hydro_fit rank pd pi --domain laptop --device cpu --trials 6 --seconds 10",
     ),
 }
-main = console.Group("hydro_fit", __doc__ or "", COMMANDS)
+main = console.Group("hydro_fit", __doc__ or "", COMMANDS, bare="all")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from fishmj import console
 from fishmj.calib import read_toml, resolve
 from fishmj.errors import ConfigError, DescriptionError
-from fishmj.names import checked as name_checked
 from fishmj.names import nearest
 
 if TYPE_CHECKING:
@@ -103,13 +102,6 @@ class Robot:
     density_water: float = 1000.0  # kg/m3
     effects: "tuple[Fitted, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
     notes: tuple[str, ...] = field(default=(), repr=False, compare=False)  # what the reader was told: assumed, or unlikely
-
-    def __post_init__(self) -> None:
-        """Names end up in folders, pages and models. Raises ConfigError for one that cannot stand there."""
-        name_checked(self.name, "robot")
-        for kind, parts in (("link", self.links), ("fin", self.fins)):
-            for part in parts:
-                name_checked(part.name, kind, f"robot {self.name}")
 
     @property
     def n_joints(self) -> int:

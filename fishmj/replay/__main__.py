@@ -26,7 +26,7 @@ def options() -> console.Parser:
     parser = console.parser("replay", summary, examples=EXAMPLES)
     add = parser.add_argument
     logs = "trial folder or samples.csv; more than one are overlaid"
-    add("logs", type=console.path, nargs="+", action=console.Distinct, metavar="LOG", help=logs)
+    add("logs", type=console.path, nargs="+", metavar="LOG", help=logs)
     add("--out", type=console.out_file, default="replay.html", help="the page to write")
     fields = "of the first log: vorticity slices by `lbm_oracle swim --fields`; by default none are shown"
     add("--fields", type=console.path, metavar="FOLDER", help=fields)
