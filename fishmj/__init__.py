@@ -3,8 +3,9 @@
 `import fishmj` loads NumPy only; everything heavier is imported where it is used.
 """
 
-from fishmj import interrupt
+from fishmj import gym_ids, interrupt
 
 __version__ = "0.1.0"
 
 interrupt.arm()  # before anything heavier is imported; does nothing but in a command
+gym_ids.announce()  # gymnasium.make("fishmj/StationHold-v0") works once both are imported

@@ -55,6 +55,21 @@ def test_the_name_with_its_module_works_in_a_fresh_process():
     assert done.stdout.split() == [ID, "FishVectorEnv"]
 
 
+@pytest.mark.parametrize(
+    "imports", ["import fishmj, gymnasium", "import gymnasium, fishmj", "import fishmj.names; from gymnasium import vector"]
+)
+def test_the_plain_name_is_there_once_both_are_imported_in_any_order(imports):
+    code = f"{imports}\nimport gymnasium, sys\nprint(gymnasium.spec('{ID}').id, 'mujoco' in sys.modules, 'jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.split() == [ID, "False", "False"]
+
+
+def test_importing_fishmj_imports_no_gymnasium():
+    code = "import fishmj, sys; print('gymnasium' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "False"
+
+
 def test_registering_twice_changes_nothing():
     before = dict(gymnasium.registry)
     fishmj.gym.register()

@@ -449,11 +449,11 @@ def test_the_page_quotes_the_examples_word_for_word():
         assert f"```python\n{part.strip().replace('  # noqa: E402', '')}\n```" in page
 
 
-def test_gymnasium_loads_no_entry_points_so_that_the_page_names_the_prefix():
+def test_gymnasium_loads_no_entry_points_so_that_the_import_of_fishmj_registers():
     """When this fails, Gymnasium has plugins again: register fishmj's ids by entry point, and mend the page."""
     import gymnasium
 
     folder = Path(gymnasium.__file__).parent
     assert not any("entry_points(" in path.read_text(encoding="utf-8") for path in folder.rglob("*.py"))
-    code = "import gymnasium; gymnasium.make('fishmj.gym:fishmj/StationHold-v0', engine='planar')"
+    code = "import fishmj, gymnasium; gymnasium.make('fishmj/StationHold-v0', engine='planar')"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False).returncode == 0
