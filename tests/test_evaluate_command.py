@@ -110,7 +110,9 @@ def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_pa
             return np.full((len(obs), 10, 3), np.nan)
 
     make = command.controllers.make
-    monkeypatch.setattr(command.controllers, "make", lambda name, robot: Broken() if name == "pd" else make(name, robot))
+    monkeypatch.setattr(
+        command.controllers, "make", lambda name, robot, **how: Broken() if name == "pd" else make(name, robot, **how)
+    )
     code, _, err = run_command(capsys, "drift", "pd", *SHORT, "--out", str(tmp_path / "o"))
     assert code == 2 and "controller broken" in err
     kept = json.loads((tmp_path / "o" / "results.json").read_text(encoding="utf-8"))

@@ -16,7 +16,7 @@ from fishmj import console, effects
 from fishmj.calib import resolve
 from fishmj.calibrate.logs import shipped as logs_of_calibration
 from fishmj.engines import in_water
-from fishmj.errors import ConfigError, LogError
+from fishmj.errors import ConfigError, DescriptionError, LogError
 from fishmj.gap import __main__ as gap
 from fishmj.gap import data, doors, find, null_runs, unlike, version, watch
 from fishmj.gap.bench import solver
@@ -467,12 +467,13 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
     pytest.importorskip("numba")
     texts = []
     monkeypatch.setattr("fishmj.engines.native.compiled", lambda text: texts.append(text) or SimpleNamespace(roll=None))
-    evil = '"""\nimport os  # '
-    for name in ("fish", evil):
+    for name in ("fish", "os.system"):
         robot = load_robot("fish")
         links = tuple(replace(link, name=f"{name}{i}") for i, link in enumerate(robot.links))
-        _ = Fish(replace(robot, name=name, title=name, links=links), [effects.get("servo_gain")]).kernel
-    assert texts[0] == texts[1] and "import os" not in texts[1]
+        fins = tuple(replace(fin, link=links[0].name) for fin in robot.fins)
+        _ = Fish(replace(robot, name=name, title=name, links=links, fins=fins), [effects.get("servo_gain")]).kernel
+    assert texts[0] == texts[1] and "os.system" not in texts[1]
+    pytest.raises(DescriptionError, lambda: Fish(replace(load_robot("fish"), name='"""\nimport os  # ')))
 
 
 # Progress.

@@ -159,7 +159,7 @@ def test_nothing_of_a_log_commands_the_terminal(trial, tmp_path, capsys):
     assert console.run(command.main, ["check", str(folder)]) == 0
     said = capsys.readouterr()
     assert not set(said.out + said.err) & {"\x1b", "\x07", "\x9b", "\u202e", "\r"} and "swim[31m" in said.out
-    assert console.run(command.main, ["check", str(tmp_path / "no\x1b[2J")]) == 1
+    assert console.run(command.main, ["check", str(tmp_path / "no\x1b[2J")]) == 2
     assert "\x1b" not in capsys.readouterr().err
 
 

@@ -129,8 +129,8 @@ def judged(brains, robot, trials, args, kept: Kept) -> list[Result]:
                     engine = choose_engine(args.engine, robot)
             found = judge(brain, robot, trials, engine)
         results.append(kept.keep(brain, found))
-        if args.out is not None and len(results) < len(brains):  # figures of what is finished, whatever becomes of the rest
-            save(args.out, results, findings(results))
+        if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
+            save(args.out, results, findings(results) | {"unfinished": kept.unfinished})
     return results
 
 

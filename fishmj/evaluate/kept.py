@@ -17,8 +17,6 @@ from fishmj.calib import calib_folder
 from fishmj.errors import StoreError
 from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.result import Result
-from fishmj.evaluate.statistics import summary
-from fishmj.evaluate.tables import condition
 from fishmj.mjcf.description import Robot
 
 ARRAYS = ("t", "target", "pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
@@ -31,7 +29,6 @@ class Kept:
         self.folder, self.robot, self.trials, self.engine = folder, robot, trials, engine
         self.names = names
         self.done: list[str] = []
-        self.summaries: list[dict] = []
 
     def find(self, brain) -> Result | None:
         """The finished judgement of a controller, if there is one; says so."""
@@ -48,7 +45,7 @@ class Kept:
         return Result(robot=self.robot, trials=self.trials, **known, **given)
 
     def keep(self, brain, result: Result) -> Result:
-        """Add a finished controller: its arrays, and the figures of all that are finished in results.json."""
+        """Add a finished controller: its arrays."""
         self.done.append(brain.name)
         path = self._path(brain)
         if self.folder is None or path is None or len(self.names) == 1:
@@ -56,10 +53,12 @@ class Kept:
         if not path.is_file():
             arrays = {name: value for name in ARRAYS if (value := getattr(result, name)) is not None}
             store.write_npz(path, arrays)
-        self.summaries.append(summary(result))
-        found = {"condition": condition(result), "results": self.summaries, "unfinished": self.names[len(self.done) :]}
-        store.write_text(self.folder / "results.json", json.dumps(console.plain(found), indent=1) + "\n")
         return result
+
+    @property
+    def unfinished(self) -> list[str]:
+        """Controllers that are not judged yet."""
+        return self.names[len(self.done) :]
 
     def words(self) -> str:
         """What is kept, and how to go on."""

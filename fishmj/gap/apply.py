@@ -39,14 +39,17 @@ class Written(NamedTuple):
 def main(argv: list[str]) -> int:
     parser = console.parser("gap apply", __doc__ or "")
     add = parser.add_argument
-    add("report", nargs="?", type=options.there, help="folder or verdict.json of gap find --out")
+    add("report", nargs="?", type=console.path, help="folder or verdict.json of gap find --out")
     out = "the next version, a .toml that is not there yet; default <fish>.v<N>.toml beside the report"
     add("--out", type=console.out_file, help=out)
-    add("--data", type=options.there, help="the data set, when it is no longer where the search read it; default, there")
+    data = "the data set, when it is no longer where the search read it; default, there"
+    add("--data", type=console.path, help=data)
     add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
-    add("--revert", type=options.there, metavar="MODEL", help="put the parent's text back in the place of this version")
+    back = "put the parent's text back in the place of this version (default none)"
+    add("--revert", type=console.path, metavar="MODEL", help=back)
     own_effects.option(parser)
     args = parser.parse_args(argv)
+    options.there(args.report, args.data, args.revert)
     own_effects.join(args.effects)
     if (args.report is None) == (args.revert is None):
         raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")

@@ -1,4 +1,4 @@
-"""`python -m fishmj.gap check MODEL --data DATA`: does a version of a model still close the gap that it was written for?
+"""`gap check MODEL --data DATA`: does a version of a model still close the gap that it was written for?
 
 Replays the records on which its gap was stated, with the version and with its parent. Exit 1 when the version is worse than
 stated (by more than 5 %), or no better than its parent. On another data set all records are taken and only the parent counts.
@@ -21,11 +21,12 @@ SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's
 
 def main(argv: list[str]) -> int:
     parser = console.parser("gap check", __doc__ or "")
-    parser.add_argument("model", type=options.there, help="a version that gap apply or gap find wrote")
-    parser.add_argument("--data", type=options.there, required=True, help="data set to replay")
+    parser.add_argument("model", type=console.path, help="a version that gap apply or gap find wrote")
+    parser.add_argument("--data", type=console.path, required=True, help="data set to replay (needed)")
     parser.add_argument("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
     own_effects.option(parser)
     args = parser.parse_args(argv)
+    options.there(args.model, args.data)
     own_effects.join(args.effects)
     found = check(args.model, args.data, args.same_robot)
     console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))

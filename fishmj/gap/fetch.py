@@ -184,13 +184,10 @@ def _licence(wanted: PublicSet, base: str, out: Path) -> list[str]:
 
 def main(argv: list[str]) -> int:
     """`gap fetch NAME [--out FOLDER] [--base-url URL] [--json]`."""
-    summary = (
-        "Get a public data set from its source, every file checked. Example: fishmj gap fetch tail_fish --out data/tail_fish"
-    )
-    parser = console.parser("gap fetch", summary)
+    parser = console.parser("gap fetch", "Get a public data set from its source, every file checked.")
     parser.add_argument("name", help=", ".join(names()))
     parser.add_argument("--out", type=console.out_folder, help="folder to write (default ./NAME)")
-    parser.add_argument("--base-url", help="a mirror with the same paths (default the public source)")
+    parser.add_argument("--base-url", metavar="URL", help="a mirror with the same paths (default the public source)")
     args = parser.parse_args(argv)
     got = fetch(args.name, args.out or Path(args.name), args.base_url, say=console.say)
     console.say(f"{got.files} files in {got.folder}: {got.downloaded} bytes downloaded, {got.kept} files were there", *got.notes)

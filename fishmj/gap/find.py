@@ -26,14 +26,16 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    add("data", type=Path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
+    add("data", type=console.path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
     options.of_model(add)
     add(
         "--water",
+        type=console.text,
         default="structured",
         help="a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)",
     )
-    add("--null", type=Path, help="folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew")
+    nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
+    add("--null", type=console.path, metavar="FOLDER", help=nulls)
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
     options.of_null(add)
@@ -42,6 +44,7 @@ def main(argv: list[str]) -> int:
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
+    options.there(args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)

@@ -23,15 +23,18 @@ from fishmj.mjcf.description import load_robot
 def main(argv: list[str]) -> int:
     parser = console.parser("gap next", __doc__)
     add = parser.add_argument
-    add("source", type=options.there, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
-    add("--model", help="the model that was questioned; default, the one that the report names, else fish")
+    add("source", type=console.path, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
+    questioned = "the model that was questioned; default, the one that the report names, else fish"
+    add("--model", type=console.text, help=questioned)
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
-    add("--runs", default="all", metavar="ID,..", help="experiments: ids, all, or hinted, a quick look (default all)")
-    add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list (default 5)")
+    which = "experiments: ids, all, or hinted, a quick look (default all)"
+    add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
+    add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
     options.of_null(add)
     add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
+    options.there(args.source)
     own_effects.join(args.effects)
     null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:

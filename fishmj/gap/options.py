@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from fishmj import console
+from fishmj.errors import ConfigError
 from fishmj.gap.data import LAST_SEED, LOUDEST, MOST_RUNS
 from fishmj.gap.null_runs import RUNS
 
@@ -12,7 +13,8 @@ FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter
 
 def of_model(add) -> None:
     """--model, --same-robot."""
-    add("--model", default="fish", help="the model to question: shipped name or TOML file, with its effects (default fish)")
+    what = "the model to question: shipped name or TOML file, with its effects (default fish)"
+    add("--model", type=console.text, default="fish", help=what)
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
 
 
@@ -41,11 +43,8 @@ def of_seed(add, what: str) -> None:
     add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")
 
 
-def there(text: str) -> Path:
-    """The `type=` of an option that names something to read."""
-    import argparse
-
-    path = Path(text)
-    if not path.exists():
-        raise argparse.ArgumentTypeError(f"{str(path)[:80]}: no such file or folder")
-    return path
+def there(*paths: Path | None) -> None:
+    """Whether what was named to read is there, asked before anything is loaded; None was not named. Raises ConfigError."""
+    for path in paths:
+        if path is not None and not path.exists():
+            raise ConfigError(f"{str(path)[:80]}: no such file or folder; expected one that is there")

@@ -18,6 +18,7 @@ from fishmj.effects.sites import Seen
 from fishmj.errors import ConfigError
 from fishmj.gap import data, doors, options, watch
 from fishmj.gap.data import LOUDEST
+from fishmj.lbm_oracle.domain import NAMES
 from fishmj.log import Trial, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
@@ -37,17 +38,18 @@ def main(argv: list[str]) -> int:
     add("effect", nargs="+", metavar="EFFECT[=value]", help="SI; NAME:p=1,q=2 sets several parameters; random draws one; none")
     add("--out", type=console.out_folder, required=True, metavar="DATA", help="data set folder, new or empty")
     add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
-    add("--from", dest="source", type=options.there, metavar="DATA", help="data set that --generator log works on")
-    add("--model", default="fish", help="--generator independent: the robot, of four links: name or TOML file (default fish)")
+    add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
+    robot = "--generator independent: the robot, of four links: name or TOML file (default fish)"
+    add("--model", type=console.text, default="fish", help=robot)
     add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
     shelf = "designed, casual, dry, all, or ids with commas (default designed)"
-    add("--excitations", default="designed", metavar="LIST", help=shelf)
+    add("--excitations", type=console.text, default="designed", metavar="LIST", help=shelf)
     options.of_seed(add, "of the robot and its noise")
     add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
     nuisance = "relative half width of constants that nobody measured, 0 to 0.5 (default 0.1)"
     add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
     add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
-    add("--domain", default="laptop", help="--generator lbm: box of water; paper, window, laptop (default laptop, a preview)")
+    add("--domain", choices=NAMES, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
     add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
     add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
     drop = "--generator log: share of sensor rows that are lost, 0 to 0.9 (default 0)"
@@ -56,6 +58,7 @@ def main(argv: list[str]) -> int:
     add("--truth", type=console.out_file, metavar="FILE", help=where)
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
+    options.there(args.source)
     if args.weigh and args.generator == "log":
         raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
     if args.source is not None and args.generator != "log":

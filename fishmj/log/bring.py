@@ -63,15 +63,20 @@ def options() -> console.Parser:
     """The arguments of `log import`."""
     sub = console.parser("log import", ABOUT, examples=EXAMPLE)
     sub.add_argument(
-        "source", type=Path, nargs="+", help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders"
+        "source",
+        type=console.path,
+        nargs="+",
+        help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders",
     )
     sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
-    sub.add_argument("--columns", type=Path, metavar="MAP.toml", help="which column is which (docs/logs.md); default: guessed")
+    sub.add_argument(
+        "--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/logs.md); default: guessed"
+    )
     sub.add_argument(
         "--write-map",
         type=console.out_file,
         metavar="MAP.toml",
-        help="write the guess as a map to edit; with no --out nothing else is done",
+        help="write the guess as a map to edit; with no --out nothing else is done; default: none",
     )
     sub.add_argument(
         "--set",
@@ -81,11 +86,15 @@ def options() -> console.Parser:
         help="decide one column, or COLUMN=skip; may be repeated; default: none",
     )
     sub.add_argument(
-        "--topics", type=Path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed"
+        "--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed"
     )
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
-    sub.add_argument("--format", help=f"{formats}; table: by its columns")
-    sub.add_argument("--robot", help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said")
+    sub.add_argument("--format", type=console.text, help=f"{formats}; table: by its columns")
+    sub.add_argument(
+        "--robot",
+        type=console.text,
+        help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said",
+    )
     sub.add_argument("--excitation", help="name of the experiment, such as steps_1; default: not said")
     sub.add_argument("--start", type=about.start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
     sub.add_argument("--medium", choices=("water", "air"), help="default: not said")

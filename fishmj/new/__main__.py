@@ -3,15 +3,13 @@
 import argparse
 import sys
 import tempfile
-import textwrap
 from pathlib import Path
 from typing import Any
 
 from fishmj import console
 from fishmj.errors import ConfigError, UsageError
 
-EXAMPLES = """
-examples
+EXAMPLES = """examples:
   fishmj new                                                     asks eight questions
   fishmj new carp --length 0.6 --height 0.11 --width 0.07 --tail-height 0.14 --mass 1.6 --links 5 --servo lx-824
   fishmj new carp --length "60 cm" --links 5 --yes               defaults for the rest
@@ -29,8 +27,8 @@ def options() -> console.Parser:
     from fishmj.new.quantity import KINDS, quantity
     from fishmj.new.shape import LINKS
 
-    p = console.parser("new", "Describe your fish: from eight answers, a table of sections or a photo to a checked description.")
-    p.formatter_class, p.epilog = argparse.RawDescriptionHelpFormatter, textwrap.dedent(EXAMPLES)
+    summary = "Describe your fish: from eight answers, a table of sections or a photo to a checked description."
+    p = console.parser("new", summary, examples=EXAMPLES)
     p.add_argument("name", nargs="?", metavar="NAME", help="of the fish, in logs, waters and policies (asked; default my_fish)")
     p.add_argument(
         "--out", type=console.out_file, metavar="FILE", help="description to write (default NAME.toml); NAME.png goes beside it"
@@ -59,13 +57,20 @@ def options() -> console.Parser:
         metavar="KG",
         help="as it swims, half to twice what the hull displaces (asked; default what it displaces)",
     )
-    a.add_argument("--links", metavar="N", help="rigid links, {} to {} (asked; default 4)".format(*LINKS))
-    a.add_argument("--joints", metavar="M,..", help="in place of --links: the joints' distances from the nose")
+    a.add_argument(
+        "--links", type=console.whole(*LINKS), metavar="N", help="rigid links, {} to {} (asked; default 4)".format(*LINKS)
+    )
+    a.add_argument(
+        "--joints", metavar="M,..", help="in place of --links: the joints' distances from the nose (default: by --links)"
+    )
     a.add_argument(
         "--head", type=console.number(0.1, 0.8), metavar="SHARE", help="of the length, 0.1 to 0.8, with --links (default 0.4)"
     )
     a.add_argument(
-        "--servo", metavar="NAME", help=f"{', '.join(SHELF)}, or a TOML file with the data sheet (asked; default lx-824)"
+        "--servo",
+        type=console.text,
+        metavar="NAME",
+        help=f"{', '.join(SHELF)}, or a TOML file with the data sheet (asked; default lx-824)",
     )
     a.add_argument(
         "--side-fin",
@@ -75,10 +80,18 @@ def options() -> console.Parser:
     )
     m = p.add_argument_group("measured outline, in place of length, height, width and tail height")
     m.add_argument(
-        "--sections", type=Path, metavar="CSV", help="columns x,height,width from nose to tail; units in the header or by --unit"
+        "--sections",
+        type=console.path,
+        metavar="CSV",
+        help="columns x,height,width from nose to tail; units in the header or by --unit (default none)",
     )
     m.add_argument("--unit", choices=tuple(KINDS["length"].units), help="of the table where its header does not say (default m)")
-    m.add_argument("--photo", type=Path, metavar="PNG", help="side view, PNG or JPG; the scale comes from --length or --scale")
+    m.add_argument(
+        "--photo",
+        type=console.path,
+        metavar="PNG",
+        help="side view, PNG or JPG; the scale comes from --length or --scale (default none)",
+    )
     m.add_argument(
         "--scale",
         type=quantity("scale", 1e-6, 0.1),
@@ -100,15 +113,20 @@ def options() -> console.Parser:
         "--stall-torque",
         type=quantity("torque", *TORQUE),
         metavar="T",
-        help="17kgcm, 1.67Nm, 236ozin; {:g} to {:g} N m".format(*TORQUE),
+        help="17kgcm, 1.67Nm, 236ozin; {:g} to {:g} N m (default that of --servo)".format(*TORQUE),
     )
     s.add_argument(
         "--no-load-speed",
         type=quantity("rate", *RATE),
         metavar="W",
-        help="0.2s/60deg, 50rpm, 5.2rad/s; {:g} to {:g} rad/s".format(*RATE),
+        help="0.2s/60deg, 50rpm, 5.2rad/s; {:g} to {:g} rad/s (default that of --servo)".format(*RATE),
     )
-    s.add_argument("--voltage", type=quantity("voltage", *VOLTAGE), metavar="V", help="{:g} to {:g} V".format(*VOLTAGE))
+    s.add_argument(
+        "--voltage",
+        type=quantity("voltage", *VOLTAGE),
+        metavar="V",
+        help="of both, {:g} to {:g} V (default that of --servo)".format(*VOLTAGE),
+    )
     s.add_argument(
         "--stall-current",
         type=quantity("current", *CURRENT),
@@ -218,8 +236,6 @@ def given_answers(args) -> dict[str, str]:
     """Answers on the command line, as text by question. Raises UsageError where two of them exclude each other."""
     if args.links is not None and args.joints is not None:
         raise UsageError("new: --links and --joints: one of them, not both")
-    if args.links is not None and not args.links.strip().isdecimal():
-        raise UsageError(f"new: --links: got {args.links[:40]!r}, expected a whole number; positions go to --joints")
     if args.sections is not None and args.photo is not None:
         raise UsageError("new: --sections and --photo: one of them, not both")
     measured = "--sections" if args.sections is not None else "--photo" if args.photo is not None else ""
@@ -231,7 +247,7 @@ def given_answers(args) -> dict[str, str]:
         if value is not None and measured != {"scale": "--photo", "unit": "--sections"}[key]:
             raise UsageError(f"new: --{key} goes with {'--photo' if key == 'scale' else '--sections'}")
     texts = {key: getattr(args, key) for key in ("name", "mass", "servo")}
-    texts |= {"joints": args.joints if args.joints is not None else args.links}
+    texts |= {"joints": args.joints if args.joints is not None or args.links is None else str(args.links)}
     if not measured:
         texts |= {key: getattr(args, key) for key in ("length", "height", "width", "tail_height")}
     if args.joints is not None and "," not in args.joints:

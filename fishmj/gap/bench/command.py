@@ -76,11 +76,7 @@ def main(argv: list[str]) -> int:
 
 def _kinds(text: str) -> dict[str, float]:
     """The `type=` of --kinds: their shares."""
-    names = [name.strip() for name in text.split(",")]
-    for name in names:
-        if name not in cases.KINDS:
-            raise argparse.ArgumentTypeError(f"got {name[:40]!r}, expected some of {', '.join(cases.KINDS)}")
-    return {name: cases.KINDS[name] for name in names}
+    return {name: cases.KINDS[name] for name in console.Listed(console.OneOf(tuple(cases.KINDS)))(text)}
 
 
 def _shard(text: str) -> tuple[int, int]:
