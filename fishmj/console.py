@@ -28,14 +28,14 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
 
     With `--json` among the arguments an error is also one JSON object on stdout: {"error", "kind", "exit"}.
-    A command that is interrupted (`fishmj.interrupt`) ends here and does not return.
+    A command (`fishmj.interrupt`), interrupted or not, ends here and does not return.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     interrupt.telling(lambda message: _interrupted(argv, message))
     code = _called(main, argv)
     if interrupt.asked():
         interrupt.leave(None if code == INTERRUPTED else "")
-    interrupt.disarm()
+    interrupt.finish(code)
     return code
 
 
