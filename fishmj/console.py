@@ -64,7 +64,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
 
     A bad description is one line for each of its errors. With `--json` among the arguments an error is also one JSON object on
     stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
-    A command that is interrupted (`fishmj.interrupt`) ends here and does not return.
+    A command (`fishmj.interrupt`), interrupted or not, ends here and does not return.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     _speak_any_text()
@@ -72,7 +72,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     code = _called(main, argv)
     if interrupt.asked():
         interrupt.leave(None if code == INTERRUPTED else "")
-    interrupt.disarm()
+    interrupt.finish(code)
     return code
 
 

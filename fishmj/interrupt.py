@@ -15,6 +15,7 @@ The process is watched from the import of `fishmj` on where it is a command (`py
 nowhere else: a program that imports fishmj keeps its own handlers.
 """
 
+import atexit
 import os
 import select
 import signal
@@ -68,7 +69,7 @@ def arm() -> None:
 
 
 def disarm() -> None:
-    """Leave both signals to the system again: in a fork, and at the end of a command that was not interrupted."""
+    """Leave both signals to the system again, in a fork."""
     global _armed
     if not _armed:
         return
@@ -134,6 +135,21 @@ def leave(words: "str | None" = "") -> NoReturn:
         message = f"{said}; {words}" if words else said
         _tell[0](message) if _tell else os.write(2, f"fishmj: {message}\n".encode())
     _at_once()
+
+
+def finish(code: int) -> None:
+    """End a command that was not interrupted; does nothing in a program that keeps its own handlers.
+
+    What is registered with `atexit` runs. The interpreter's teardown does not: Ctrl-C within it would be a death by signal.
+    """
+    if not _armed:
+        return
+    with suppress(Exception):
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(Exception):  # closed, or its reader is gone
+            stream.flush()
+    os._exit(code)
 
 
 def code() -> int:
