@@ -160,13 +160,13 @@ def bag(folder: Path, rows: int = 40) -> Path:
     return folder
 
 
-def mcap_cdr(path: Path, rows: int = 40, compression: str = "zstd") -> Path:
-    """An MCAP file as ROS 2 records it."""
+def mcap_cdr(path: Path, rows: int = 40, compression: str = "zstd", sums: bool = True) -> Path:
+    """An MCAP file as ROS 2 records it; without `sums` damage is not seen before the messages are decoded."""
     from mcap.writer import CompressionType, Writer
 
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "wb") as file:
-        writer = Writer(file, compression=CompressionType[compression.upper()])
+        writer = Writer(file, compression=CompressionType[compression.upper()], enable_crcs=sums)
         writer.start(profile="ros2")
         channels: dict[str, int] = {}
         for topic, kind, now, data in _messages(rows):
@@ -206,6 +206,7 @@ MAKERS = {  # name -> writes a valid source below a folder and returns it
     "parquet": lambda root: parquet(root / "log.parquet", 40),
     "npz": lambda root: npz(root / "log.npz", 40),
     "mcap_cdr": lambda root: mcap_cdr(root / "log.mcap", 12),
+    "mcap_plain": lambda root: mcap_cdr(root / "log.mcap", 12, "none", sums=False),
     "mcap_json": lambda root: mcap_json(root / "log.mcap", 12),
     "rosbag2": lambda root: bag(root / "bag", 12),
     **{name: (lambda root, make=make, name=name: make(root / name)) for name, make in recordings.MAKERS.items()},
