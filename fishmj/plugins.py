@@ -99,7 +99,7 @@ def call(what: str, function: Callable, *arguments: Any, **named: Any) -> Any:
     """
     try:
         return function(*arguments, **named)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise fault(what, error) from error
 
 

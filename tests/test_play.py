@@ -272,3 +272,15 @@ def test_an_address_of_another_machine_is_one_line_before_anything_is_made(host,
 def test_a_saved_swim_is_not_replaced_unasked(tmp_path, capsys):
     assert console.run(main, ["--save", str(tmp_path), "--headless-seconds", "1"]) == console.BAD_INPUT
     assert "--overwrite" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsys):
+    from argparse import Namespace
+
+    from fishmj.mjcf.description import load_robot
+    from fishmj.play.__main__ import steersman
+
+    asked = Namespace(controller=None, any_command_path=False)
+    assert steersman(asked, load_robot("fish")).name == "paper"
+    assert steersman(asked, load_robot("tendon_fish")).name == "drift"
+    assert "made for another fish" in capsys.readouterr().err

@@ -15,6 +15,8 @@ from fishmj.tasks import station_hold as task
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
 
+OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE makes a policy for this one"
+
 
 class Learned:
     """Wraps `fishmj.policy.Policy`; `action` is its last answer, `sha256` the file's, `notes` what is worth a line.
@@ -36,11 +38,11 @@ class Learned:
         if (self.policy.n_obs, self.policy.n_act) != wanted:
             raise ConfigError(
                 f"policy {source}: takes {self.policy.n_obs} observations and gives {self.policy.n_act} actions; "
-                f"robot {robot.name} has {wanted[0]} and {wanted[1]}"
+                f"robot {robot.name} has {wanted[0]} and {wanted[1]}; {OTHERS}"
             )
         found = fit(self.policy.meta, body_of(robot), any_path=any_command_path, known=shipped_structures())
         if found.refused:
-            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}")
+            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {OTHERS}")
         self.notes = tuple(f"policy {self.name}: {note}" for note in found.notes)
 
     def reset(self, n: int) -> None:

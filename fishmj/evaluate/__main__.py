@@ -73,7 +73,7 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The verb `evaluate`. Returns the exit code."""
     args = options().parse_args(argv)
-    own_effects.join(args.effects)
+    joined = own_effects.join(args.effects)
     if args.water not in WATERS and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, WATERS)
     if (args.plots or args.log) and args.out is None:
@@ -81,6 +81,12 @@ def main(argv: list[str]) -> int:
     if args.plots and find_spec("matplotlib") is None:
         raise MissingExtra("matplotlib", "all", "evaluate --plots")
     robot = load_robot(args.robot) if args.water == "lbm" else engines.in_water(load_robot(args.robot), args.water)
+    for effect in joined:
+        if effect.name not in {fitted.name for fitted in robot.effects}:
+            console.warn(
+                f"{effect.name} is in the catalogue now, and not in robot {robot.name}: it acts where the description has"
+                f' [[effect]] name = "{effect.name}"'
+            )
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
     trials = protocol.trials(

@@ -49,8 +49,8 @@ def main(argv: list[str]) -> int:
     add("--revert", type=console.path, metavar="MODEL", help=back)
     own_effects.option(parser)
     args = parser.parse_args(argv)
-    options.there(args.report, args.data, args.revert)
     own_effects.join(args.effects)
+    options.there(args.report, args.data, args.revert)
     if (args.report is None) == (args.revert is None):
         raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
     if args.revert:

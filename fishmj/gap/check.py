@@ -26,8 +26,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
     own_effects.option(parser)
     args = parser.parse_args(argv)
-    options.there(args.model, args.data)
     own_effects.join(args.effects)
+    options.there(args.model, args.data)
     found = check(args.model, args.data, args.same_robot)
     console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
     if found["worse"]:

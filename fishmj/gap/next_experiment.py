@@ -34,8 +34,8 @@ def main(argv: list[str]) -> int:
     add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
-    options.there(args.source)
     own_effects.join(args.effects)
+    options.there(args.source)
     null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, plant, sides, like = _opened(args, null)

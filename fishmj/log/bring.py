@@ -139,6 +139,10 @@ def _run(args: Namespace) -> int:
         raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")
     if args.out is not None and args.out.exists():
         raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
+    if args.write_map is not None and args.write_map.exists():
+        raise LogError(
+            f"{args.write_map}: exists, and may hold your own lines; choose another name for the map, or remove it first"
+        )
     meta = about.of_options(args)
     found = _found(args)
     if args.strict and found.skipped:

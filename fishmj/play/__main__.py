@@ -17,12 +17,13 @@ from fishmj.errors import ConfigError
 from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.description import Robot, load_robot
 from fishmj.play.keyboard import Keyboard, press
 from fishmj.play.pond import Pond
 from fishmj.replay.live import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures
+BEST = "paper"  # of the shipped controllers
 LATE = 0.2  # s behind real time from which on pictures are skipped
 KEYS = """keys: up, down   current faster, slower            w a s d   target up, left, down, right in the tank
       left, right  turn the current by 15 deg      space     pause        c  next controller
@@ -96,13 +97,10 @@ def options() -> console.Parser:
     """The arguments of `play`."""
     parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.", examples=EXAMPLES)
     add = parser.add_argument
-    best = "paper" if "paper" in controllers.shipped_policies() else "dob"
-    add(
-        "--controller",
-        type=console.text,
-        default=best,
-        help="controller, shipped policy, policy file, or your own as module:Name",
+    steered = (
+        f"controller, shipped policy, policy file, or your own as module:Name; default {BEST} where it fits the robot, else drift"
     )
+    add("--controller", type=console.text, help=steered)
     add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
     add("--robot", type=console.text, default="fish", help="description, name or TOML")
     add("--engine", default="batch", choices=engines.NAMES, help="what moves the fish")
@@ -121,6 +119,17 @@ def options() -> console.Parser:
     return parser
 
 
+def steersman(args, robot: Robot) -> controllers.Controller:
+    """The controller asked for; where none was, the best shipped one that can steer this robot."""
+    if args.controller is not None:
+        return controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
+    try:
+        return controllers.chosen(BEST, robot, any_command_path=True)
+    except ConfigError:
+        console.warn(f"the policy {BEST} is made for another fish: {robot.name} drifts; choose another with --controller")
+        return controllers.chosen("drift", robot)
+
+
 def main(argv: list[str] | None = None) -> int:
     """The verb `play`. Returns the exit code."""
     args = options().parse_args(argv)
@@ -132,7 +141,7 @@ def main(argv: list[str] | None = None) -> int:
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     check_host(args.host)
     robot = load_robot(args.robot)
-    brain = controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
+    brain = steersman(args, robot)
     pond = Pond(brain, robot, flow, args.engine)
     alone = args.headless_seconds is not None
     with (
