@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.log.plausible import Plausible, shipped
-from fishmj.log.schema import META, ORIGINS, SCHEMA, TableSpec, look_up, table_spec
+from fishmj.log.schema import META, ORIGINS, SCHEMA, YEAR, TableSpec, look_up, table_spec
 from fishmj.log.trial import Table, gaps
 
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
@@ -45,8 +45,12 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
     notes = [f"{name}: column {column!r} is not in the schema; kept" for column in extra]
     pauses = gaps(table["t"])
     if spec.continuous and len(pauses):
-        first = float(table["t"][pauses[0]])
-        notes.append(f"{name}: {len(pauses)} gap(s) over 0.1 s, the first after t = {first:.3f} s; segments(trial) splits there")
+        t = np.asarray(table["t"], float)
+        longest = int(pauses[np.argmax(np.diff(t)[pauses])])
+        notes.append(
+            f"{name}: {len(pauses)} gap(s) over 0.1 s, the first after t = {t[pauses[0]]:.3f} s, the longest a gap of "
+            f"{t[longest + 1] - t[longest]:.6g} s after t = {t[longest]:.3f} s ({place(longest + 1, 't')}); segments(trial) splits there"
+        )
     return notes
 
 
@@ -146,6 +150,13 @@ def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> None:
         raise LogError(
             f"{place(1, 't')}: the median step is {middle:g} s, which looks like {unit}; "
             f"the schema says s. Divide the column by {factor}"
+        )
+    jumps = np.flatnonzero(step > YEAR)
+    if len(jumps):
+        i = int(jumps[0])
+        raise LogError(
+            f"{place(i + 1, 't')}: time jumps by {step[i]:.6g} s after t = {float(t[i]):.6g} s, which is more than a year; "
+            "was the clock set? Split the file there"
         )
 
 
