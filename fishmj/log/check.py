@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.log.limits import listed, quoted
 from fishmj.log.plausible import Plausible, shipped
 from fishmj.log.schema import META, ORIGINS, SCHEMA, YEAR, TableSpec, look_up, table_spec
 from fishmj.log.trial import Table, gaps
@@ -42,7 +43,7 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
     _check_time(table["t"], place, bounds)
     for column, values in table.items():
         _check_units(spec.kind(column), column, values, table["t"], place, bounds)
-    notes = [f"{name}: column {column!r} is not in the schema; kept" for column in extra]
+    notes = [f"{name}: column {quoted(column)} is not in the schema; kept" for column in extra]
     pauses = gaps(table["t"])
     if spec.continuous and len(pauses):
         t = np.asarray(table["t"], float)
@@ -63,7 +64,7 @@ def check_columns(name: str, spec: TableSpec, columns: list[str], place: Place) 
     if missing:
         raise LogError(
             f"{place(-1, columns[-1] if columns else '')}: table {name!r} lacks column {', '.join(map(repr, missing))}; "
-            f"it has {', '.join(columns) or 'none'}; expected {spec.describe()}. Add the column or rename the one that means it"
+            f"it has {listed(columns) or 'none'}; expected {spec.describe()}. Add the column or rename the one that means it"
         )
     known = {*spec.fixed, *spec.numbered, *spec.optional}
     return [column for column in columns if re.sub(r"\d+", "#", column) not in known and column not in known]

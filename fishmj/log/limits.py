@@ -1,6 +1,7 @@
 """What a foreign file may cost: its kind, its size unpacked, and how much of it a message may repeat."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from fishmj.errors import ConfigError, LogError
@@ -48,6 +49,12 @@ def regular(path: Path, *, empty: bool = False) -> int:
         raise LogError(f"{path}: the file is empty; record it again or remove it")
     check_size(path, size)
     return size
+
+
+def listed(names: Iterable[object], most: int = 60) -> str:
+    """Names of columns for a message, with commas between them and shortened: a foreign file's first line is not repeated."""
+    clean = "".join(c if c.isprintable() else "?" for c in ", ".join(map(str, names)))
+    return clean if len(clean) <= most else clean[: most - 2] + ".."
 
 
 def quoted(text: object, most: int = 40) -> str:
