@@ -122,7 +122,7 @@ def resolve(name: str | Path) -> Path:
             raise ConfigError(f"{shown}: is a folder, expected a TOML file")
         if not there:
             why = trouble(path)
-            if why != "no such file":
+            if why.startswith("is "):
                 raise ConfigError(f"{shown}: {why}")
             raise ConfigError(f"{shown}: no such file; shipped ones go by name: {', '.join(shipped())}")
         return path
