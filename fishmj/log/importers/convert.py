@@ -156,7 +156,9 @@ def _switched(table: str, columns: Table) -> int:
     before = np.maximum.accumulate(blocks, axis=1)[:, :-1]  # largest angle up to each second, and from the next one on
     after = np.maximum.accumulate(blocks[:, ::-1], axis=1)[:, ::-1][:, 1:]
     times = np.abs(np.log(np.maximum(before, TINY) / np.maximum(after, TINY)))
-    abrupt = (blocks[:, :-1] > 0.5 * before) & (blocks[:, 1:] > 0.5 * after)
+    last = np.maximum(blocks[:, :-1], np.pad(blocks, ((0, 0), (1, 0)))[:, :-2])  # two blocks: the switch may lie inside one
+    first = np.maximum(blocks[:, 1:], np.pad(blocks, ((0, 0), (0, 1)))[:, 2:])
+    abrupt = (last > 0.5 * before) & (first > 0.5 * after)
     found = np.flatnonzero(np.all((np.abs(times - np.log(180 / np.pi)) < SAME) & abrupt, axis=0))
     return int(found[0] + 1) * reach if len(found) and len(size) > 1 else 0
 
