@@ -159,7 +159,7 @@ def _run(args: Namespace) -> int:
     left = f", {len(found.skipped)} left out" if found.skipped else ""
     console.say(
         *(console.table(rows), "", *map(_line, found.notes), *_told(notes)),
-        f"{len(rows)} trials ({found.format}) written to {args.out}{left}"
+        f"{len(rows)} trials ({found.format}) written to {args.out}{left}",
     )
     if args.json:
         console.emit_json(

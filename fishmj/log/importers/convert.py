@@ -123,7 +123,9 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
         notes.append(f"{table}: {int((~keep).sum())} of {len(keep)} rows of {sheet.name} left out, blank in one of its columns")
     rows = np.flatnonzero(keep)
     if len(rows) == 1 and table_spec(table).continuous:
-        raise LogError(f"{sheet.place(int(rows[0]), entry.t.column)}: [tables.{table}]: one row only; it has no rate and moves nothing")
+        raise LogError(
+            f"{sheet.place(int(rows[0]), entry.t.column)}: [tables.{table}]: one row only; it has no rate and moves nothing"
+        )
     t = t[rows]
     order, told = _rising(table, sheet, t, rows, entry.t.column)
     rows = rows[order]
@@ -131,7 +133,9 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     columns = {column: values[rows] for column, values in out.items()}
     notes += _still(table, columns)
     if doubt := _switched(table, columns):
-        raise LogError(f"{sheet.place(int(rows[doubt]), next(iter(entry.columns.values())).column or '')}: [tables.{table}]: {SWITCH}")
+        raise LogError(
+            f"{sheet.place(int(rows[doubt]), next(iter(entry.columns.values())).column or '')}: [tables.{table}]: {SWITCH}"
+        )
     place = renamed(lambda row, column: sheet.place(int(rows[row]) if 0 <= row < len(rows) else -1, column), names)
     return columns, place, notes, absolute
 

@@ -185,7 +185,11 @@ def _silent(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
     why = "holds no number, other joints of its table do: was it unplugged?"
     lost = lambda g: any((g.kind, _family(p)) in alive for p in g.places)  # noqa: E731
     return [
-        g if not no or g.said else replace(g, state=UNCLEAR, why=why) if lost(g) else replace(g, state=LEFT, places=(), why=why[:15])
+        g
+        if not no or g.said
+        else replace(g, state=UNCLEAR, why=why)
+        if lost(g)
+        else replace(g, state=LEFT, places=(), why=why[:15])
         for g, no in zip(guesses, dead, strict=True)
     ]
 
