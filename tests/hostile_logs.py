@@ -1,8 +1,8 @@
 """Files as an attacker would make them, for the commands that read logs and reports; the form is that of `bad_logs.py`.
 
 HOSTILE: id -> (make, argv, expectation). Besides what holds for bad logs, none of SECRETS is printed and none of SCRIPTS
-stands in a page. All files together are below 3 MB. Those of NEEDS_LOGS need pyarrow or zstandard. Nothing here does harm: what an attacker
-would run is `touch pwned` in the folder. Links and pipes need a POSIX system.
+stands in a page. All files together are below 3 MB. Those of NEEDS_LOGS need pyarrow or zstandard. Nothing here does harm:
+what an attacker would run is `touch pwned` in the folder. Links and pipes need a POSIX system.
 """
 
 import io

@@ -23,7 +23,6 @@ from fishmj.log import measurements
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 
-
 HEAVY = 10.0  # times the described mass; more is another unit
 
 
@@ -38,7 +37,7 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     """Read and turn into masses.
 
     Raises:
-        ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are those of another robot.
+        ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
     """
     path = Path(folder) / measurements.FILE
     page = read_toml(path)
@@ -46,8 +45,8 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     described_kg = float(geometry_of(robot).mass.sum())
     if masses.sum() > HEAVY * described_kg:
         raise ConfigError(
-            f"{path}: [scales] add up to {masses.sum():.4g} kg, {robot.name} is described with {described_kg:.3g} kg; are these g? "
-            "Write kg"
+            f"{path}: [scales] add up to {masses.sum():.4g} kg, {robot.name} is described with {described_kg:.3g} kg; "
+            "are these g? Write kg"
         )
     total, (com, com_sd) = float(masses.sum()), measurements.balance(page, 0.0, path)
     inertia, scatter = measurements.inertia(page, total, path)

@@ -54,7 +54,8 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
         longest = int(pauses[np.argmax(np.diff(t)[pauses])])
         notes.append(
             f"{name}: {len(pauses)} gap(s) over 0.1 s, the first after t = {t[pauses[0]]:.3f} s, the longest a gap of "
-            f"{t[longest + 1] - t[longest]:.6g} s after t = {t[longest]:.3f} s ({place(longest + 1, 't')}); segments(trial) splits there"
+            f"{t[longest + 1] - t[longest]:.6g} s after t = {t[longest]:.3f} s ({place(longest + 1, 't')}); "
+            "segments(trial) splits there"
         )
     return notes
 
@@ -191,9 +192,9 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         bad, told, name = int(away[0]), f"{x[away[0]]:g} is {abs(x[away[0]] - x[0]):g} from the first row", "reach"
     elif (row := _level(x, t, bounds)) >= 0:
         raise LogError(
-            f"{place(row + 1, column)}: column {column!r} goes from {x[row]:g} to {x[row + 1]:g} in {t[row + 1] - t[row]:.3g} s and stays "
-            "there: m before, cm, mm or px after? Split the file there; if the fish was put there, allow it with a larger speed in "
-            "[plausible] of meta.toml, or --plausible speed=... on import"
+            f"{place(row + 1, column)}: column {column!r} goes from {x[row]:g} to {x[row + 1]:g} in {t[row + 1] - t[row]:.3g} s "
+            "and stays there: m before, cm, mm or px after? Split the file there; if the fish was put there, allow it with a "
+            "larger speed in [plausible] of meta.toml, or --plausible speed=... on import"
         )
     elif len(x) > 10 and (pace := _pace(x, t)) > bounds.speed:
         bad, told, name = 1, f"moves {pace:.3g} a second", "speed"

@@ -50,6 +50,8 @@ def read_trial(path: str | Path) -> Trial:
     if path.is_file() and path.suffix == ".csv":
         return _read_flat(path)
     if not path.is_dir():
+        if (why := trouble(path)).startswith("is "):
+            raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
         raise LogError(f"{path}: no such trial; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
     _inside(path, path / FLAT_FILE)
     if (path / FLAT_FILE).is_file():

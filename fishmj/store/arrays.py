@@ -61,9 +61,10 @@ def read_npz(path: str | Path, *, widened: bool = False) -> dict[str, np.ndarray
                     raise ValueError(f"{member}: its header tells of {told} bytes, it holds {held}")
                 wide += 8 * math.prod(shape)
                 if widened and wide > unpacked_limit():
+                    whole = 8 * sum(info.file_size for info in archive.infolist())
                     raise StoreError(
                         f"{path}: {wide} bytes as float64 up to array {member[:60]!r}, at most {unpacked_limit()} bytes. "
-                        f"Split it, or, where you trust it, set FISHMJ_MAX_UNPACKED={8 * wide}"
+                        f"Split it, or, where you trust it, set FISHMJ_MAX_UNPACKED={whole}"
                     )
                 data.seek(0)
                 arrays[member.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
