@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.store.plain_file import trouble
 
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
 DEEPEST = 24  # tables and lists inside one another; ours have 5
@@ -66,8 +67,8 @@ def _text(path: Path) -> str:
     try:
         if path.is_dir():
             raise ConfigError(f"{shown}: is a folder, expected a TOML file")
-        if not path.is_file():
-            raise ConfigError(f"{shown}: no such file")
+        if why := trouble(path):
+            raise ConfigError(f"{shown}: {why}")
         with path.open("rb") as file:
             raw = file.read(LARGEST + 1)
     except OSError as error:
@@ -120,6 +121,9 @@ def resolve(name: str | Path) -> Path:
         if folder:
             raise ConfigError(f"{shown}: is a folder, expected a TOML file")
         if not there:
+            why = trouble(path)
+            if why.startswith("is "):
+                raise ConfigError(f"{shown}: {why}")
             raise ConfigError(f"{shown}: no such file; shipped ones go by name: {', '.join(shipped())}")
         return path
     if str(name) not in shipped():

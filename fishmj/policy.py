@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import policy_header
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.policy_header import MOST, is_number, shown
 from fishmj.store import read_tensors, write_tensors
+from fishmj.store.plain_file import trouble
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
@@ -44,6 +45,8 @@ class Policy:
             UnknownName: no such file or name. StoreError: damaged file. ConfigError: not a policy, or shapes that do not fit.
         """
         path = Path(source)
+        if path.suffix == ".safetensors" and (why := trouble(path)).startswith("is "):
+            raise StoreError(f"{path}: {why}")
         if not path.is_file():
             path = FOLDER / f"{source}.safetensors"
         if not path.is_file():

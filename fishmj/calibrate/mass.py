@@ -18,9 +18,12 @@ from scipy.stats import t as student
 
 from fishmj.calib import read_toml
 from fishmj.calibrate.least_squares import NORMAL, Estimate
+from fishmj.errors import ConfigError
 from fishmj.log import measurements
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
+
+HEAVY = 10.0  # times the described mass; more is another unit
 
 
 class Weighed(NamedTuple):
@@ -34,11 +37,17 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     """Read and turn into masses.
 
     Raises:
-        ConfigError: the page is missing, lacks a link, or a number is not positive.
+        ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
     """
     path = Path(folder) / measurements.FILE
     page = read_toml(path)
     masses, mass_sd = measurements.masses(page, [link.name for link in robot.links], path)
+    described_kg = float(geometry_of(robot).mass.sum())
+    if masses.sum() > HEAVY * described_kg:
+        raise ConfigError(
+            f"{path}: [scales] add up to {masses.sum():.4g} kg, {robot.name} is described with {described_kg:.3g} kg; "
+            "are these g? Write kg"
+        )
     total, (com, com_sd) = float(masses.sum()), measurements.balance(page, 0.0, path)
     inertia, scatter = measurements.inertia(page, total, path)
     inertia_sd = inertia * sqrt(scatter**2 + (mass_sd / total) ** 2)

@@ -10,12 +10,13 @@ Lines are replaced one by one; comments and everything else stay.
 
 import re
 from pathlib import Path
+from uuid import uuid4
 
 from fishmj.calib import resolve
 from fishmj.calibrate.least_squares import Estimate
 from fishmj.effects import calibration
 from fishmj.effects.calibration import Fitted, Interval
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, FishmjError
 from fishmj.mjcf.description import load_robot
 from fishmj.store import sha256, write_text
 
@@ -28,7 +29,7 @@ def start(out: Path, model: str) -> str:
 def write(
     out: Path, text: str, verb: str, estimates: dict[str, Estimate], effects: dict[str, Estimate], data: "str | Path"
 ) -> Path:
-    """Record the estimates, write the file, put the effects in, and read the fish back.
+    """Record the estimates, put the effects in, read the fish back, and only then write the file.
 
     Args:
         effects: {"coulomb_friction.torque": estimate}; one that is already there is replaced. data: the folder fitted to.
@@ -38,14 +39,25 @@ def write(
     """
     manifest = Path(data) / "manifest.json"
     source, evidence = Path(data).as_posix(), sha256(manifest) if manifest.is_file() else ""
-    write_text(out, recorded(text, verb, estimates, source, evidence))
+    trial = out.with_name(f".{out.stem}.{uuid4().hex[:8]}.toml")  # beside it: the files that a fish names lie beside the fish
+    try:
+        write_text(trial, recorded(text, verb, estimates, source, evidence))
+        _with_effects(trial, verb, effects, source, evidence)
+        write_text(out, trial.read_text(encoding="utf-8"))
+    except FishmjError as error:
+        raise ConfigError(str(error).replace(str(trial), str(out)).replace(trial.name, out.name)) from error
+    finally:
+        trial.unlink(missing_ok=True)
+    return out
+
+
+def _with_effects(out: Path, verb: str, effects: dict[str, Estimate], source: str, evidence: str) -> None:
     kept = {f.name: f for f in calibration.read(out)}
     for key, e in effects.items():
         name, parameter = key.split(".")
         kept[name] = Fitted(name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}", evidence)
     calibration.write(out, tuple(kept.values()))
     load_robot(out)
-    return out
 
 
 def put(text: str, table: str, values: dict[str, float], name: str = "") -> str:

@@ -165,7 +165,6 @@ def run_mass(args) -> Answer:
     found = mass.calibrate(args.data, robot)
     links = [{"link": name, "mass [kg]": m, "com from its front [m]": c} for name, (m, c) in found.links.items()]
     console.say(console.table(rows(found.estimates)), "", console.table(links))
-    overlay.report(args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)])
     if args.out:
         text = model.start(args.out, args.model)
         for name, (m, c) in found.links.items():
@@ -174,6 +173,7 @@ def run_mass(args) -> Answer:
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
         model.write(args.out, text, "mass", found.estimates, beyond, args.data)
+    overlay.report(args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)])
     return {"estimates": plain(found.estimates), "links": links}
 
 

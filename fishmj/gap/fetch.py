@@ -9,7 +9,6 @@ stopped. The manifest comes last, so a folder with a manifest is whole.
 
 import hashlib
 import io
-import tomllib
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from fishmj import console
+from fishmj.calib import read_toml
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.gap.download import Missing, download
 from fishmj.store import Manifest, sha256, write_bytes
@@ -80,7 +80,7 @@ def public_set(name: str) -> PublicSet:
     """The pinned description of one set; `UnknownName` lists the others."""
     if name not in names():
         raise UnknownName("public data set", name, names())
-    spec = tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    spec = read_toml(FOLDER / f"{name}.toml")
     files = tuple(Pin(path, entry["sha256"], entry["bytes"]) for path, entry in spec["files"].items())
     told = spec["licence_file"]
     return PublicSet(

@@ -21,7 +21,7 @@ def row_place(label) -> Callable[[int, str], str]:
 def read_archive(path: Path) -> tuple[Table, Callable[[int, str], str]]:
     """Columns as float64 arrays (whatever they were stored as)."""
     place, table = row_place(path), {}
-    for name, values in read_npz(path).items():
+    for name, values in read_npz(path, widened=True).items():
         if values.dtype.kind not in "fiub":
             raise LogError(f"{place(-1, name)}: column {name!r} has dtype {values.dtype}; expected numbers")
         table[name] = values.astype(float)

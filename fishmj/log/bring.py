@@ -42,6 +42,7 @@ examples:
   fishmj log import lab/ --out data/lab --columns MAP.toml"""
 TABLE = "table"  # the format of what is read by its columns
 SHOWN = 3  # first values of a column
+NOTES = 20  # of one import that are shown
 SOON = 5.0  # s before progress shows
 LONGEST = 1000  # characters of a message
 
@@ -161,7 +162,8 @@ def _run(args: Namespace) -> int:
         console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
     left = f", {len(found.skipped)} left out" if found.skipped else ""
     console.say(
-        console.table(rows), "", *map(_line, found.notes), f"{len(rows)} trials ({found.format}) written to {args.out}{left}"
+        *(console.table(rows), "", *map(_line, found.notes), *_told(notes)),
+        f"{len(rows)} trials ({found.format}) written to {args.out}{left}",
     )
     if args.json:
         console.emit_json(
@@ -305,6 +307,13 @@ def _changed(sources: Sequence[Path]) -> list[str]:
                     [f"and {len(changes) - 3} more"] if len(changes) > 3 else []
                 )
     return out
+
+
+def _told(notes: dict[str, list[str]]) -> list[str]:
+    """The remarks on the trials, one a line, and how many more there are."""
+    lines = [f"{name}: note: {note}" for name, told in notes.items() for note in told if "meta.toml: missing" not in note]
+    more = [f"and {len(lines) - NOTES} more notes, in meta.toml of each trial"] if len(lines) > NOTES else []
+    return [*map(_line, lines[:NOTES]), *more]
 
 
 def _nothing(args: Namespace, found: Found) -> None:

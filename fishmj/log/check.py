@@ -11,8 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.log.limits import listed, quoted
 from fishmj.log.plausible import Plausible, shipped
-from fishmj.log.schema import META, ORIGINS, SCHEMA, TableSpec, look_up, table_spec
+from fishmj.log.schema import META, ORIGINS, SCHEMA, YEAR, TableSpec, look_up, table_spec
 from fishmj.log.trial import Table, gaps
 
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
@@ -25,6 +26,9 @@ _LIMITS = {
 _MILLIMETRES = (
     "looks like millimetres or pixels; the schema says m. Divide the column by 1000, or multiply it by the metres of a pixel"
 )
+JUMP, AROUND = 5.0, 50  # m of a step that stays, and rows on either side that say whether it does
+FAST = 1.999e-4  # s, a median step below which the unit of the stamps is doubted
+STEP = 1e-3  # s; shorter steps of stamps are jitter
 _STAMPS = ((3e3, "milliseconds", "1000"), (3e6, "microseconds", "1e6"), (math.inf, "nanoseconds", "1e9"))  # by the median step
 
 
@@ -39,14 +43,20 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
     extra = check_columns(name, spec, list(table), place)
     for column, values in table.items():
         _check_finite(column, values, place)
-    _check_time(table["t"], place, bounds)
+    told = [f"{name}: {note}" for note in _check_time(table["t"], place, bounds)]
     for column, values in table.items():
         _check_units(spec.kind(column), column, values, table["t"], place, bounds)
-    notes = [f"{name}: column {column!r} is not in the schema; kept" for column in extra]
+    notes = told + [note for c in table if spec.kind(c) == "position" for note in _strays(name, c, table, place, bounds)]
+    notes += [f"{name}: column {quoted(column)} is not in the schema; kept" for column in extra]
     pauses = gaps(table["t"])
     if spec.continuous and len(pauses):
-        first = float(table["t"][pauses[0]])
-        notes.append(f"{name}: {len(pauses)} gap(s) over 0.1 s, the first after t = {first:.3f} s; segments(trial) splits there")
+        t = np.asarray(table["t"], float)
+        longest = int(pauses[np.argmax(np.diff(t)[pauses])])
+        notes.append(
+            f"{name}: {len(pauses)} gap(s) over 0.1 s, the first after t = {t[pauses[0]]:.3f} s, the longest a gap of "
+            f"{t[longest + 1] - t[longest]:.6g} s after t = {t[longest]:.3f} s ({place(longest + 1, 't')}); "
+            "segments(trial) splits there"
+        )
     return notes
 
 
@@ -59,7 +69,7 @@ def check_columns(name: str, spec: TableSpec, columns: list[str], place: Place) 
     if missing:
         raise LogError(
             f"{place(-1, columns[-1] if columns else '')}: table {name!r} lacks column {', '.join(map(repr, missing))}; "
-            f"it has {', '.join(columns) or 'none'}; expected {spec.describe()}. Add the column or rename the one that means it"
+            f"it has {listed(columns) or 'none'}; expected {spec.describe()}. Add the column or rename the one that means it"
         )
     known = {*spec.fixed, *spec.numbered, *spec.optional}
     return [column for column in columns if re.sub(r"\d+", "#", column) not in known and column not in known]
@@ -130,7 +140,8 @@ def _check_finite(column: str, values: np.ndarray, place: Place) -> None:
         )
 
 
-def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> None:
+def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> list[str]:
+    notes: list[str] = []
     step = np.diff(np.asarray(t, float))
     back = np.flatnonzero(step <= 0)
     if len(back):
@@ -147,6 +158,16 @@ def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> None:
             f"{place(1, 't')}: the median step is {middle:g} s, which looks like {unit}; "
             f"the schema says s. Divide the column by {factor}"
         )
+    if 0 < middle < FAST:
+        notes.append(f"the median step is {middle:.3g} s, {1 / middle:.3g} rows a second: are the stamps in s?")
+    jumps = np.flatnonzero(step > YEAR)
+    if len(jumps):
+        i = int(jumps[0])
+        raise LogError(
+            f"{place(i + 1, 't')}: time jumps by {step[i]:.6g} s after t = {float(t[i]):.6g} s, which is more than a year; "
+            "was the clock set? Split the file there"
+        )
+    return notes
 
 
 def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
@@ -169,6 +190,12 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         bad, told, name = 0, f"starts at {x[0]:g}", "start"
     elif len(away):
         bad, told, name = int(away[0]), f"{x[away[0]]:g} is {abs(x[away[0]] - x[0]):g} from the first row", "reach"
+    elif (row := _level(x, t, bounds)) >= 0:
+        raise LogError(
+            f"{place(row + 1, column)}: column {column!r} goes from {x[row]:g} to {x[row + 1]:g} in {t[row + 1] - t[row]:.3g} s "
+            "and stays there: m before, cm, mm or px after? Split the file there; if the fish was put there, allow it with a "
+            "larger speed in [plausible] of meta.toml, or --plausible speed=... on import"
+        )
     elif len(x) > 10 and (pace := _pace(x, t)) > bounds.speed:
         bad, told, name = 1, f"moves {pace:.3g} a second", "speed"
     else:
@@ -177,6 +204,28 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         f"{place(bad, column)}: column {column!r}: {told}, which {_MILLIMETRES}; "
         f"if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import"
     )
+
+
+def _steps(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> np.ndarray:
+    """Rows after which a place moves faster than anything swims."""
+    return np.flatnonzero(np.abs(np.diff(x)) > bounds.speed * np.maximum(np.diff(t), STEP))
+
+
+def _level(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> int:
+    """The row after which a place jumps by metres and does not come back; -1 where there is none."""
+    for row in _steps(x, t, bounds)[:100]:
+        before, after = np.median(x[max(row - AROUND, 0) : row + 1]), np.median(x[row + 1 : row + 2 + AROUND])
+        if min(abs(after - before), abs(x[row + 1] - x[row])) > JUMP:
+            return int(row)
+    return -1
+
+
+def _strays(name: str, column: str, table: Table, place: Place, bounds: Plausible) -> list[str]:
+    rows = _steps(np.asarray(table[column], float), np.asarray(table["t"], float), bounds)
+    if name == "target" or not len(rows):
+        return []
+    first = place(int(rows[0]) + 1, column)
+    return [f"{name}: {column} steps faster than {bounds.speed:g} m/s {len(rows)} time(s), first at {first}: a stray fix?"]
 
 
 def _pace(x: np.ndarray, t: np.ndarray) -> float:

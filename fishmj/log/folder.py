@@ -6,21 +6,23 @@ Reading never edits the source. Writing builds the whole folder beside its place
 import os
 import re
 import shutil
-import tomllib
 from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
-from fishmj.errors import FishmjError, LogError, StoreError
+from fishmj.calib import parse_toml
+from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import check, toml
 from fishmj.log.archive import read_archive, row_place, write_archive
+from fishmj.log.limits import listed, quoted
 from fishmj.log.plausible import of_meta
 from fishmj.log.schema import SCHEMA, TABLES
 from fishmj.log.text import read_csv, read_text, write_csv
 from fishmj.log.trial import Table, Trial
 from fishmj.store import sync_folder, write_text
+from fishmj.store.plain_file import trouble
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
 FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
@@ -48,7 +50,10 @@ def read_trial(path: str | Path) -> Trial:
     if path.is_file() and path.suffix == ".csv":
         return _read_flat(path)
     if not path.is_dir():
+        if (why := trouble(path)).startswith("is "):
+            raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
         raise LogError(f"{path}: no such trial; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
+    _inside(path, path / FLAT_FILE)
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
     meta, notes = read_meta(path / META_FILE, required=True)
@@ -62,6 +67,7 @@ def read_trial(path: str | Path) -> Trial:
             continue
         if file.stem in tables:
             raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
+        _inside(path, file)
         table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
         notes += check.check_table(file.stem, table, place, bounds)
         tables[file.stem] = table
@@ -69,6 +75,12 @@ def read_trial(path: str | Path) -> Trial:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
+
+
+def _inside(folder: Path, file: Path) -> None:
+    """A link that leads out of the trial's folder may lead to anything of this computer; a copy of a trial would lose it."""
+    if file.is_symlink() and not Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder)):
+        raise LogError(f"{file}: a link that leads outside {folder}; put the file itself there")
 
 
 def faults(path: Path) -> list[str]:
@@ -83,6 +95,7 @@ def faults(path: Path) -> list[str]:
     for file in files:
         if file.suffix in (".csv", ".npz") and file.stem in TABLES:
             try:
+                _inside(path, file)
                 table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
                 check.check_table(file.stem, table, place, bounds)
             except FishmjError as error:
@@ -159,23 +172,29 @@ def checked_meta(folder: Path, meta: dict) -> str:
     if "origin" not in meta:
         raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')
     text = toml.dumps(meta)
-    check.check_meta(tomllib.loads(text), str(folder / META_FILE))
+    check.check_meta(parse_toml(text, str(folder / META_FILE)), str(folder / META_FILE))
     return text
 
 
 def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
     """The dictionary of a `meta.toml` and the notes of its check; an absent one is empty unless `required`."""
-    if not path.is_file():
+    _inside(path.parent, path)
+    why = trouble(path)
+    if why and why != "no such file":
+        raise LogError(f"{path}: {why}")
+    if why:
         if required:
             raise LogError(f'{path}: missing; write at least schema = "{SCHEMA}" and origin = "measured" (or "synthetic")')
         return {}, [f"{path.name}: missing; origin, robot and flow are unknown"]
     text = read_text(path)
     try:
-        meta = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        at = f":{found[1]}:{found[2]}" if found else ":1:1"
-        raise LogError(f"{path}{at}: not valid TOML: {error}; text needs quotes, numbers a decimal point") from error
+        meta = parse_toml(text, str(path))
+    except ConfigError as error:
+        told = str(error).removeprefix(f"{path}: ")
+        found = re.search(r"\(at line (\d+), column (\d+)\)", told) or re.match(r"line (\d+)()", told)
+        at = f":{found[1]}:{found[2] or 1}" if found else ":1:1"
+        fix = "; text needs quotes, numbers a decimal point" if told.startswith("not valid TOML") else ""
+        raise LogError(f"{path}{at}: {told}{fix}") from error
     return meta, check.check_meta(meta, str(path))
 
 
@@ -188,7 +207,7 @@ def _read_flat(path: Path) -> Trial:
 def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes: list[str]) -> Trial:
     """Split the columns of a flat file over the tables; every table gets the common `t`."""
     if "t" not in samples:
-        raise LogError(f"{place(-1, '')}: column 't' is missing; it has {', '.join(samples)}. Add time stamps in s")
+        raise LogError(f"{place(-1, '')}: column 't' is missing; it has {listed(samples)}. Add time stamps in s")
     tables: dict[str, Table] = {}
     notes = list(notes)
     for column, values in samples.items():
@@ -196,7 +215,7 @@ def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes
         if name:
             tables.setdefault(name, {"t": samples["t"]})[column] = values
         elif column != "t":
-            notes.append(f"{path.name}: column {column!r} belongs to no table; left out. Known: {', '.join(FLAT)}")
+            notes.append(f"{path.name}: column {quoted(column)} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
         raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
     bounds = of_meta(meta, str(path.with_name(META_FILE)))

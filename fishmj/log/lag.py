@@ -20,6 +20,7 @@ from fishmj.errors import LogError
 from fishmj.log.trial import gaps
 
 REACH = 0.4  # s, largest lag looked for
+LONGEST = 5_000_000  # points of the common grid: 83 minutes at 1 ms
 WINDOW = 2.0  # s, one bootstrap unit
 MIN_WINDOWS = 4
 DRAWS = 400
@@ -89,6 +90,7 @@ def lag_between(
     if min(len(ta), len(tb)) < 8 or not n:
         raise LogError(f"{name_b} behind {name_a}: {len(ta)} and {len(tb)} rows; at least 8 of each are needed")
     step = float(np.clip(min(np.median(np.diff(ta)), np.median(np.diff(tb))) / 4, 1e-3, 5e-3))
+    ta, tb = _without_pauses(np.asarray(ta, float), np.asarray(tb, float), window)
     start, end = max(ta[0], tb[0]), min(ta[-1], tb[-1])
     count = int((end - start) / step)
     size = max(int(min(window, (end - start) / MIN_WINDOWS) / step), 1)
@@ -97,6 +99,11 @@ def lag_between(
         need = MIN_WINDOWS * 2 * reach
         raise LogError(
             f"{name_b} behind {name_a}: {max(end - start, 0):.2f} s in common; at least {need:g} s are needed for a lag"
+        )
+    if count > LONGEST:
+        raise LogError(
+            f"{name_b} behind {name_a}: {end - start:.0f} s in common; a lag is looked for in {LONGEST * step:.0f} s at most; "
+            "split the trial"
         )
     grid = start + step * np.arange(count)
     blur = 1.5 * max(np.median(np.diff(ta)), np.median(np.diff(tb))) / step
@@ -123,6 +130,24 @@ def lag_between(
         *(drift * step, bounds[0] * step, bounds[1] * step),
         *(len(products), _rival(sign * curve, at)),
     )
+
+
+def _without_pauses(ta: np.ndarray, tb: np.ndarray, keep: float) -> tuple[np.ndarray, np.ndarray]:
+    """Both stamps with every pause that the two share cut to `keep` s, by the same amount for both, so that no lag changes.
+
+    The grid is then as long as the motion, however long the logger slept. A drift is one per second of what is left.
+    """
+    cut_a, cut_b = ta.copy(), tb.copy()
+    ends = [(ta[i], ta[i + 1]) for i in np.flatnonzero(np.diff(ta) > keep)]
+    for start, end in ends:
+        row = int(np.searchsorted(tb, 0.5 * (start + end)))
+        if not 0 < row < len(tb):
+            continue
+        pause, resume = max(start, tb[row - 1]), min(end, tb[row])
+        if (spare := resume - pause - keep) > 0:
+            cut_a[ta >= resume] -= spare
+            cut_b[tb >= resume] -= spare
+    return cut_a, cut_b
 
 
 def _rates(t: np.ndarray, values: np.ndarray, grid: np.ndarray, blur: float) -> np.ndarray:

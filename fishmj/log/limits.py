@@ -1,10 +1,11 @@
 """What a foreign file may cost: its kind, its size unpacked, and how much of it a message may repeat."""
 
 import os
-import stat
+from collections.abc import Iterable
 from pathlib import Path
 
 from fishmj.errors import ConfigError, LogError
+from fishmj.store.plain_file import trouble
 
 VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
 DEFAULT_GB = 2.0
@@ -41,16 +42,19 @@ def regular(path: Path, *, empty: bool = False) -> int:
     Raises:
         LogError: there is none, it is a pipe, a device or a folder, it is empty, or it is beyond the limit.
     """
-    try:
-        found = path.stat()
-    except (OSError, ValueError) as error:
-        raise LogError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise LogError(f"{path}: is no plain file (a pipe, a device or a folder); save the recording to a file first")
-    if not found.st_size and not empty:
+    if why := trouble(path):
+        raise LogError(f"{path}: {why}")
+    size = path.stat().st_size
+    if not size and not empty:
         raise LogError(f"{path}: the file is empty; record it again or remove it")
-    check_size(path, found.st_size)
-    return found.st_size
+    check_size(path, size)
+    return size
+
+
+def listed(names: Iterable[object], most: int = 60) -> str:
+    """Names of columns for a message, with commas between them and shortened: a foreign file's first line is not repeated."""
+    clean = "".join(c if c.isprintable() else "?" for c in ", ".join(map(str, names)))
+    return clean if len(clean) <= most else clean[: most - 2] + ".."
 
 
 def quoted(text: object, most: int = 40) -> str:

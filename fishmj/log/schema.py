@@ -12,6 +12,7 @@ from fishmj.errors import UnknownName
 SCHEMA = "fishmj.log/1"
 ORIGINS = ("measured", "synthetic")
 GAP = 0.1  # s; a longer pause in a measured table splits the trial
+YEAR = 366 * 86_400.0  # s; a longer step is no pause: the clock was set
 
 
 @dataclass(frozen=True, kw_only=True)

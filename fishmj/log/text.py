@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.limits import regular
+from fishmj.log.limits import quoted, regular
 from fishmj.log.trial import Table
 from fishmj.store import write_text
 
@@ -52,7 +52,7 @@ def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
         if not name:
             raise LogError(f"{where}: column {k + 1} has no name; the first row must name every column")
         if name in names[:k]:
-            raise LogError(f"{where}: column {name!r} appears twice; remove one of them")
+            raise LogError(f"{where}: column {quoted(name)} appears twice; remove one of them")
     if all(_NUMBER.fullmatch(name) for name in names):
         raise LogError(
             f"{path}:{header_line + 1}:1: the first row holds numbers; write the column names there, such as t,j1,j2,j3"
@@ -107,7 +107,7 @@ def _row(path: Path, i: int, line: str, names: list[str]) -> list[float]:
         if not _NUMBER.fullmatch(text):
             what = "is blank" if not text else f"{text[:30]!r} is not a number"
             raise LogError(
-                f"{path}:{i + 1}:{_character(line, k)}: column {names[k]!r} {what}; write a plain decimal number, "
+                f"{path}:{i + 1}:{_character(line, k)}: column {quoted(names[k])} {what}; write a plain decimal number, "
                 "or leave the row or the column out"
             )
         out.append(float(text))

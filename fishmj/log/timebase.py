@@ -12,6 +12,7 @@ from fishmj.errors import LogError
 from fishmj.log.lag import Lag, lag_between
 from fishmj.log.trial import Table, Trial, gaps, stacked
 
+PAUSE = 10.0  # s; a longer step is a pause: no rate and no lost row is counted in it
 LOST = 1.5  # steps longer than this many usual steps lack rows
 LOCAL = 10  # steps on either side that say what is usual
 COUNTED = 5e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
@@ -92,17 +93,19 @@ def clock_of(name: str, table: Table) -> Clock:
     middle = float(np.median(step)) if len(step) else 0.0
     off = np.abs(step - middle) if len(step) else np.zeros(1)
     same = _repeats(table)
+    swum = float(np.sum(step[step <= max(PAUSE, 2 * middle)]))
+    steps = int(np.sum(step <= max(PAUSE, 2 * middle)))
     if "seq" in table:
         seq = np.diff(np.asarray(table["seq"], float))
         dropped, duplicated = int(np.sum(np.maximum(seq - 1, 0))), int(np.sum(seq == 0))
     else:
-        dropped, duplicated = _missing(step), int(np.sum(same & (step < 0.5 * middle)))
+        dropped, duplicated = _missing(step[step <= max(PAUSE, 2 * middle)]), int(np.sum(same & (step < 0.5 * middle)))
     return Clock(
         table=name,
         rows=len(t),
         start=float(t[0]) if len(t) else 0.0,
         span=float(t[-1] - t[0]) if len(t) else 0.0,
-        rate=float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 and t[-1] > t[0] else 0.0,
+        rate=steps / swum if swum > 0 else 0.0,
         jitter=float(np.median(off)),
         jitter_p95=float(np.quantile(off, 0.95)),
         jitter_p99=float(np.quantile(off, 0.99)),

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj.calib import DEEPEST
 from fishmj.errors import LogError
+from fishmj.log.limits import quoted
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+\Z")
 
@@ -36,6 +38,8 @@ def nested(meta: dict) -> dict:
     for key, value in meta.items():
         *path, last = str(key).split(".")
         level = out
+        if len(path) >= DEEPEST:
+            raise LogError(f"meta key {quoted(key)}: {len(path) + 1} parts with dots between, expected {DEEPEST} at most")
         for part in path:
             level = level.setdefault(part, {})
             if not isinstance(level, dict):

@@ -15,6 +15,7 @@ from fishmj.log import Trial, stacked
 from fishmj.mjcf.description import Robot, load_robot
 
 FPS = 50.0
+LONGEST = 3600.0  # s of one log; a page holds 50 frames of each of them
 ARRIVAL = 0.1  # m, the ring around the target
 TRACKS = ("#ff5a4d", "#b57bff", "#ffd24a", "#7be08a", "#c792ff")  # one colour a log, as CSS
 
@@ -67,7 +68,7 @@ def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
     """Resample a trial for drawing.
 
     Raises:
-        LogError: no pose. ConfigError: the log has another number of joints than `robot`.
+        LogError: no pose, or one that spans more than an hour. ConfigError: the log has another number of joints than `robot`.
     """
     name = trial.name or "trial"
     pose_from = next((n for n in ("truth", "pose") if n in trial.tables), None)
@@ -76,6 +77,8 @@ def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
     pose = trial.tables[pose_from]
     joints_from, joints, stamps = _joints(trial, robot)
     start, end = float(pose["t"][0]), float(pose["t"][-1])
+    if end - start > LONGEST:
+        raise LogError(_too_long(name, pose_from, np.asarray(pose["t"], float)))
     t = start + np.arange(max(2, int(round((end - start) * fps)) + 1)) / fps
     still = np.zeros((len(t), robot.n_joints))
     bend = np.stack([np.interp(t, stamps, column) for column in joints.T], 1) if joints_from else still
@@ -94,6 +97,16 @@ def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
         pose_from=pose_from,
         joints_from=joints_from or "none",
     )
+
+
+def _too_long(name: str, table: str, t: np.ndarray) -> str:
+    """What a log of more than an hour has, and where to cut it."""
+    row = int(np.argmax(np.diff(t)))
+    pause = t[row + 1] - t[row]
+    told = f"{name}: table {table!r} spans {t[-1] - t[0]:.6g} s, a replay shows at most {LONGEST:g} s; "
+    if pause > 0.5 * (t[-1] - t[0] - LONGEST):
+        return told + f"a gap of {pause:.6g} s after t = {t[row]:.6g} s (row {row + 2}): split the trial there"
+    return told + f"split the trial, for example at t = {t[0] + LONGEST:.6g} s"
 
 
 def tracks_of(trials: list[Trial], robots: list[Robot]) -> list[Track]:

@@ -15,8 +15,9 @@ import numpy as np
 
 from fishmj.errors import StoreError
 from fishmj.store.atomic import plain, write_bytes
+from fishmj.store.plain_file import trouble
 
-UNPACKED = 2**30  # bytes that one archive may hold; more where FISHMJ_MAX_UNPACKED says so
+UNPACKED = 2**28  # bytes that one archive may hold; more where FISHMJ_MAX_UNPACKED says so
 MEMBERS = 10_000
 _BROKEN = (  # what NumPy and zipfile raise on damaged input
     *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError),
@@ -34,15 +35,17 @@ def write_npz(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
     return write_bytes(path, buffer.getvalue())
 
 
-def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+def read_npz(path: str | Path, *, widened: bool = False) -> dict[str, np.ndarray]:
     """All arrays of an `.npz`, every member's CRC checked, pickled objects refused, its size known before it is unpacked.
 
+    Args:
+        widened: the caller turns every number into float64, so each counts as 8 bytes (a byte of zeros takes up eight then).
     Raises:
         StoreError: missing, truncated, bit-flipped, not an archive, with pickled objects, or too large when unpacked.
     """
-    path, arrays = Path(path), {}
-    if not path.is_file():
-        raise StoreError(f"{path}: no such file")
+    path, arrays, wide = Path(path), {}, 0
+    if why := trouble(path):
+        raise StoreError(f"{path}: {why}")
     try:
         with zipfile.ZipFile(path) as archive:
             _measure(path, archive)
@@ -56,6 +59,13 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
                 held, told = len(data.getbuffer()) - data.tell(), math.prod(shape) * dtype.itemsize
                 if told > held:  # NumPy would set aside what the header says before it reads
                     raise ValueError(f"{member}: its header tells of {told} bytes, it holds {held}")
+                wide += 8 * math.prod(shape)
+                if widened and wide > unpacked_limit():
+                    whole = 8 * sum(info.file_size for info in archive.infolist())
+                    raise StoreError(
+                        f"{path}: {wide} bytes as float64 up to array {member[:60]!r}, at most {unpacked_limit()} bytes. "
+                        f"Split it, or, where you trust it, set FISHMJ_MAX_UNPACKED={whole}"
+                    )
                 data.seek(0)
                 arrays[member.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
     except StoreError:
@@ -97,6 +107,8 @@ def read_tensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
     from safetensors.numpy import load
 
     path = Path(path)
+    if why := trouble(path):
+        raise StoreError(f"{path}: {why}")
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -128,7 +140,7 @@ def _digest(arrays: dict[str, np.ndarray], header: str) -> str:
 
 
 def unpacked_limit() -> int:
-    """Bytes that a packed file may hold when it is unpacked: 1 GiB, or FISHMJ_MAX_UNPACKED in bytes.
+    """Bytes that a packed file may hold when it is unpacked: 256 MiB, or FISHMJ_MAX_UNPACKED in bytes.
 
     Raises:
         StoreError: the variable holds no number.

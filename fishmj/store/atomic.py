@@ -18,6 +18,7 @@ import numpy as np
 
 from fishmj import interrupt
 from fishmj.errors import StoreError
+from fishmj.store.plain_file import trouble
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -92,8 +93,10 @@ def read_json(path: str | Path):
     """Parse one JSON file.
 
     Raises:
-        StoreError: missing or not JSON.
+        StoreError: missing, no plain file, or not JSON.
     """
+    if why := trouble(path):
+        raise StoreError(f"{path}: {why}")
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:

@@ -6,12 +6,15 @@ from pathlib import Path, PurePosixPath
 
 from fishmj.errors import StoreError
 from fishmj.store.atomic import read_json, write_json
+from fishmj.store.plain_file import trouble
 
 MANIFEST = "manifest.json"
 
 
 def sha256(path: str | Path) -> str:
     """Hex digest of a file's bytes."""
+    if why := trouble(path):
+        raise StoreError(f"{path}: {why}")
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

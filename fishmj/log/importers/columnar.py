@@ -94,7 +94,8 @@ def read_table(path: Path) -> Sheet:
         StoreError: damaged or pickled. LogError: no columns of one length.
     """
     regular(path)
-    arrays = {name: value for name, value in read_npz(path).items() if value.dtype.kind in "fiub" and value.ndim in (1, 2)}
+    read = read_npz(path, widened=True)
+    arrays = {name: value for name, value in read.items() if value.dtype.kind in "fiub" and value.ndim in (1, 2)}
     lengths = [len(value) for value in arrays.values() if len(value)]
     rows = max(lengths, key=lengths.count, default=0)
     columns, notes = {}, []

@@ -12,10 +12,13 @@ from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap
 from fishmj.log.importers.rows import STRAY
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import quoted
+from fishmj.log.schema import table_spec
 from fishmj.log.trial import Table, Trial
 
 EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
 DAY = 86_400.0  # s; clocks further apart than this are different clocks
+SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
+SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
 SPARSE = 0.5  # share of rows that must hold numbers when the file was not written at several rates
 
 
@@ -108,7 +111,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
                 what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
                 raise LogError(
                     f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
-                    "leave it out of the map"
+                    f"leave it out of the map, or --set {quoted(source.column)[1:-1]}=skip"
                 )
     keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)
     if not keep.any():
@@ -119,13 +122,49 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     if not keep.all():
         notes.append(f"{table}: {int((~keep).sum())} of {len(keep)} rows of {sheet.name} left out, blank in one of its columns")
     rows = np.flatnonzero(keep)
+    if len(rows) == 1 and table_spec(table).continuous:
+        raise LogError(
+            f"{sheet.place(int(rows[0]), entry.t.column)}: [tables.{table}]: one row only; it has no rate and moves nothing"
+        )
     t = t[rows]
     order, told = _rising(table, sheet, t, rows, entry.t.column)
     rows = rows[order]
     notes += told
     columns = {column: values[rows] for column, values in out.items()}
+    notes += _still(table, columns)
+    if doubt := _switched(table, columns):
+        raise LogError(
+            f"{sheet.place(int(rows[doubt]), next(iter(entry.columns.values())).column or '')}: [tables.{table}]: {SWITCH}"
+        )
     place = renamed(lambda row, column: sheet.place(int(rows[row]) if 0 <= row < len(rows) else -1, column), names)
     return columns, place, notes, absolute
+
+
+def _still(table: str, columns: Table) -> list[str]:
+    """A robot that was off, or a logger that repeats its first packet."""
+    moving = [column for column, values in columns.items() if column != "t" and np.ptp(values) > 0]
+    if moving or len(columns["t"]) < 3 or not table_spec(table).continuous:
+        return []
+    return [f"{table}: nothing moves: every column is one number in all {len(columns['t'])} rows"]
+
+
+def _switched(table: str, columns: Table) -> int:
+    """The row from which every joint is 57 times smaller or larger than in the second before, for good; 0 where there is none."""
+    names = [column for column in columns if table in ("cmd", "joint") and column[0] in "cj" and column[1:].isdecimal()]
+    step = float(np.median(np.diff(columns["t"]))) if len(columns["t"]) > 1 else 0.0
+    reach = int(np.clip(1.0 / step, 20, 2000)) if step > 0 else 0
+    if len(names) < 2 or not reach or len(columns["t"]) < 4 * reach:
+        return 0
+    size = np.abs(np.stack([columns[name] for name in names if columns[name].any()] or [np.zeros(len(columns["t"]))]))
+    blocks = size[:, : size.shape[1] // reach * reach].reshape(len(size), -1, reach).max(axis=2)
+    before = np.maximum.accumulate(blocks, axis=1)[:, :-1]  # largest angle up to each second, and from the next one on
+    after = np.maximum.accumulate(blocks[:, ::-1], axis=1)[:, ::-1][:, 1:]
+    times = np.abs(np.log(np.maximum(before, TINY) / np.maximum(after, TINY)))
+    last = np.maximum(blocks[:, :-1], np.pad(blocks, ((0, 0), (1, 0)))[:, :-2])  # two blocks: the switch may lie inside one
+    first = np.maximum(blocks[:, 1:], np.pad(blocks, ((0, 0), (0, 1)))[:, 2:])
+    abrupt = (last > 0.5 * before) & (first > 0.5 * after)
+    found = np.flatnonzero(np.all((np.abs(times - np.log(180 / np.pi)) < SAME) & abrupt, axis=0))
+    return int(found[0] + 1) * reach if len(found) and len(size) > 1 else 0
 
 
 def _seconds(table: str, sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool, list[str]]:

@@ -107,6 +107,9 @@ def _table(path: Path, lines: Iterator[tuple[int, str]], notes: list[str]) -> Sh
     if not head:
         raise LogError(f"{path}:1:1: no rows, only comments or blank lines; record it again or remove it")
     mark = said or _separator(path, head, comment)
+    if titles := _titles(head, mark):
+        notes.append(f"{path.name}: {titles} row(s) of titles above the names of the columns left out")
+        head = head[titles:]
     names = [name.strip() for name in _split(head[0][1], mark)]
     if all(_is_number(name) for name in names):
         named = [name.strip() for name in _split(comment, mark)] if comment else []
@@ -249,6 +252,18 @@ def _separator(path: Path, head: list[tuple[int, str]], comment: str) -> str:
         f"{path}:{head[0][0]}:1: one column only, {quoted(first)}; expected columns separated by commas, "
         "semicolons, tabs or blanks"
     )
+
+
+def _titles(head: list[tuple[int, str]], mark: str) -> int:
+    """How many rows of a spreadsheet's titles, mostly empty cells, stand above the first row of names; 0 where none do."""
+    for k, (_, line) in enumerate(head):
+        cells = [cell.strip() for cell in _split(line, mark)]
+        filled = [cell for cell in cells if cell]
+        if len(filled) > 1 and len(filled) == len(cells) and not any(map(_is_number, cells)):
+            return k
+        if 2 * len(filled) > len(cells) or 2 * sum(map(_is_number, filled)) > len(filled):
+            return 0
+    return 0
 
 
 def _checked_names(path: Path, line: int, names: list[str]) -> tuple[list[str], list[str]]:

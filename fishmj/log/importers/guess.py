@@ -111,7 +111,7 @@ def guess(found: Sequence[Kind], said: dict[str, tuple[str, str, float]] | None 
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
     out = _points(_once(out, found))
-    return _complete(out, found)
+    return _complete(_silent(out, found), found)
 
 
 def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
@@ -166,12 +166,32 @@ def _roles(k: int, kind: Kind, said: dict) -> list[Guess]:
         found = role(name, set(context(kind.sheets[0])))
         if told == DATE:
             found = Role(("t",), "dates or times of day")
-        if found.places and not np.isfinite(kind.values(column)).any():
+        if found.places and not np.isfinite(kind.values(column)).any() and not _of_a_joint(found.places):
             found = Role(why="holds no number")
         places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
         state = LEFT if not places else TAKEN if len(places) == 1 else UNCLEAR
         out.append(Guess(k, column, state, places, told or name.unit, why=found.why))
     return out
+
+
+def _of_a_joint(places: Sequence[str]) -> bool:
+    return all(re.fullmatch(r"(cmd\.c|joint\.j)(#|\d+)", place) for place in places)
+
+
+def _silent(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
+    """A joint without a number, of a table whose other joints have some, is one that swam unseen: the user says what then."""
+    dead = [_of_a_joint(g.places) and not np.isfinite(found[g.kind].values(g.column)).any() for g in guesses]
+    alive = {(g.kind, _family(p)) for g, no in zip(guesses, dead, strict=True) if not no for p in g.places}
+    why = "holds no number, other joints of its table do: was it unplugged?"
+    lost = lambda g: any((g.kind, _family(p)) in alive for p in g.places)  # noqa: E731
+    return [
+        g
+        if not no or g.said
+        else replace(g, state=UNCLEAR, why=why)
+        if lost(g)
+        else replace(g, state=LEFT, places=(), why=why[:15])
+        for g, no in zip(guesses, dead, strict=True)
+    ]
 
 
 def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
@@ -317,6 +337,8 @@ def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[st
     if what == "acceleration":
         middle = float(np.nanmedian(np.abs(kind.values(g.column))))
         return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
+    if what == "angle" and (doubt := values.mixed_angles({o.column: kind.values(o.column) for o in mine})):
+        return "", doubt
     if what in values.BY_VALUE:
         return values.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
     return SI.get(what, ""), "no unit said"

@@ -4,15 +4,18 @@ Each verdict is (unit or "" where the values allow two, why). A bound between tw
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from fishmj.log.importers.convert import EPOCH
+from fishmj.log.limits import quoted
 
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 400.0
+APART = (20.0, 170.0)  # times that two joints' largest angles differ when one is in rad, one in deg: 57.3, and 3 either way
+SHORT = 2e-4  # s; a median step below is a rate that no servo, camera or battery has
 TANK = 8.0  # m of spread of a position: below it is m
 TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
 FLUTTER = 30.0  # a spread beyond is cm, mm or px
@@ -53,6 +56,15 @@ def angle_unit(values: np.ndarray) -> tuple[str, str]:
     if most <= DEG:
         return "", f"{told}: rad or deg?"
     return ("deg", told) if most <= COUNTS else ("", f"{told}: a servo's counts? Say the scale in a map")
+
+
+def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
+    """Why joints of one table cannot have one unit; "" where they can. One that hardly moves tells nothing."""
+    most = {name: _most(values) for name, values in found.items() if _most(values) >= TINY_ANGLE}
+    low, high = min(most, key=most.__getitem__, default=""), max(most, key=most.__getitem__, default="")
+    if not most or most[low] > RAD or most[high] <= DEG or not APART[0] <= most[high] / most[low] <= APART[1]:
+        return ""
+    return f"{quoted(low)} goes up to {most[low]:.3g}, {quoted(high)} to {most[high]:.3g}: one in rad, one in deg?"
 
 
 def heading_unit(values: np.ndarray) -> tuple[str, str]:
@@ -118,6 +130,12 @@ def against(unit: str, what: str, values: np.ndarray) -> str:
     most = _most(values)
     if unit == "rad" and what == "angle" and most > 2 * math.pi:
         return f"the name says rad, but {most:.4g} rad is more than a turn"
+    seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
+    if what == "time" and seconds:
+        step = np.diff(values[np.isfinite(values)])
+        middle = seconds * float(np.median(step[step > 0])) if (step > 0).any() else SHORT
+        if middle < 0.999 * SHORT:
+            return f"the name says {unit}, but the steps are {middle:.3g} s, {1 / middle:.3g} rows a second"
     if unit == "s" and what == "time":
         finite = values[np.isfinite(values)]
         step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
