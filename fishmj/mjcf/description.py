@@ -129,7 +129,7 @@ def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
     """
     if isinstance(source, Robot):
         return checked(source)
-    path = resolve(source)
+    path = resolve(source, robot=True)
     return robot_from_dict(read_toml(path), str(path))
 
 
