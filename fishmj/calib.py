@@ -13,6 +13,7 @@ LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 k
 DEEPEST = 24  # tables and lists inside one another; ours have 5
 _ROOT = Path(__file__).resolve().parent
 FOLDERS = (_ROOT.parent / "data" / "calib", _ROOT / "_data" / "calib")  # checkout first, then the installed wheel
+WATERS = (_ROOT.parent / "data" / "water", _ROOT / "_data" / "water")
 
 
 def calib_folder() -> Path:
@@ -27,10 +28,10 @@ def read_toml(path: str | Path) -> dict:
     """Read one TOML file that anybody may have written.
 
     Raises:
-        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block, what to do),
-            or nested deeper than any description is.
+        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
+            what to do), or nested deeper than any description is.
     """
-    return parse_toml(_text(Path(path)), _shown(path))
+    return parse_toml(_text(Path(path)), shown_path(path))
 
 
 def parse_toml(text: str, where: str) -> dict:
@@ -63,9 +64,9 @@ _LONG_KEY = re.compile(rf"(?:\.[ \t]{{0,9}}{_PART}[ \t]{{0,9}}){{{_PARTS}}}")  #
 
 def _text(path: Path) -> str:
     """The text of a file, within bounds."""
-    shown = _shown(path)
+    shown = shown_path(path)
     try:
-        if wrong := _no_file(path):
+        if wrong := no_file(path):
             raise ConfigError(f"{shown}: {wrong}, expected a TOML file")
         with path.open("rb") as file:
             raw = file.read(LARGEST + 1)
@@ -109,14 +110,14 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
     if not isinstance(name, str | Path) or not str(name):
         raise ConfigError(f"got {name!r:.80}, expected the path of a TOML file or a shipped name: {', '.join(known)}")
     path = Path(name)
-    shown = _shown(path)
+    shown = shown_path(path)
     if path.suffix == ".xml":
         raise ConfigError(
             f"{shown}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
         )
     if path.suffix == ".toml":
         try:
-            wrong = _no_file(path)
+            wrong = no_file(path)
         except OSError as error:  # a name too long for the file system, a folder that may not be entered
             raise ConfigError(f"{shown}: cannot be read: {error.strerror or error}") from error
         if wrong == _ABSENT:
@@ -126,14 +127,15 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
         return path
     if str(name) not in (known if robot else shipped()):
         if _exists(path):
-            kind = _no_file(path) or "is a file whose name does not end in .toml"
+            kind = no_file(path) or "is a file whose name does not end in .toml"
             raise ConfigError(f"{shown}: {kind}; expected a .toml file, or a shipped name: {', '.join(known)}")
         near = next((key for key, own in robots().items() if own == str(name)), "") if robot else ""
         raise UnknownName("robot" if robot else "calibration file", str(name)[:100], known, near=near)
     return calib_folder() / f"{name}.toml"
 
 
-def _shown(path: str | Path) -> str:
+def shown_path(path: str | Path) -> str:
+    """A path for a message: printable whatever it holds, 300 characters at most."""
     text = "".join(c if c.isprintable() else "?" for c in str(path)[:300])
     return text if len(str(path)) <= 300 else f"{text}..."
 
@@ -141,7 +143,7 @@ def _shown(path: str | Path) -> str:
 _ABSENT = "no such file"
 
 
-def _no_file(path: Path) -> str:
+def no_file(path: Path) -> str:
     """What a path is that is no plain file; "" for one that is. Raises OSError where the system cannot tell."""
     if path.is_file():
         return ""
@@ -162,6 +164,11 @@ def _exists(path: Path) -> bool:
 def shipped() -> list[str]:
     """Names of the shipped calibration files."""
     return sorted(p.stem for p in calib_folder().glob("*.toml"))
+
+
+def waters() -> list[str]:
+    """Names of the fitted waters that come with fishmj."""
+    return sorted({path.stem for folder in WATERS if folder.is_dir() for path in folder.glob("*.toml")})
 
 
 @cache
