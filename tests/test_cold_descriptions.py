@@ -3,6 +3,7 @@
 import os
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import bad_descriptions
@@ -131,3 +132,15 @@ def test_numbers_that_differ_are_shown_with_the_digits_in_which_they_do(tmp_path
     assert "from 0 to 0.18 m, expected stations from 0 to length = 0.180001 m" in refusal(path)
     path.write_text(FISH.replace(tail, tail + "0000001"))
     assert load_robot(path).links[3].length == 0.180000001
+
+
+def test_a_water_of_another_fish_is_refused_in_words_and_surrogate_is_the_robots_own(tmp_path):
+    path = tmp_path / "my_fish.toml"
+    path.write_text(FISH.replace('model = "structured"', 'model = "tendon_fish"'))
+    with pytest.raises(ConfigError, match="fitted for 'tendon_fish' of 3 links, expected one for 4 links"):
+        Sim(load_robot(path))
+    for name in ("fish", "tendon_fish"):
+        robot = load_robot(name)
+        sim = Sim(replace(robot, water={**robot.water, "model": "surrogate"}))
+        sim.step(np.full(robot.n_joints, 0.2))
+        assert np.isfinite(sim.data.qpos).all()
