@@ -134,7 +134,7 @@ def in_water(robot: Robot, water: "str | Path") -> Robot:
 
 
 def residual_of(robot: Robot):
-    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of another number of links."""
+    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
     from fishmj.hydro_fit.model import shipped
 
     name = str(robot.water.get("model", STRUCTURED))
