@@ -1,17 +1,19 @@
 """Calibration files: `data/calib/*.toml`, the one place where a number of the paper or of a ruler lives."""
 
+import codecs
 import re
 import tomllib
 from functools import cache
 from pathlib import Path
 
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.store.plain_file import trouble
+from fishmj.toml_errors import explained
 
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
 DEEPEST = 24  # tables and lists inside one another; ours have 5
 _ROOT = Path(__file__).resolve().parent
 FOLDERS = (_ROOT.parent / "data" / "calib", _ROOT / "_data" / "calib")  # checkout first, then the installed wheel
+WATERS = (_ROOT.parent / "data" / "water", _ROOT / "_data" / "water")
 
 
 def calib_folder() -> Path:
@@ -26,10 +28,10 @@ def read_toml(path: str | Path) -> dict:
     """Read one TOML file that anybody may have written.
 
     Raises:
-        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (names line and column), or
-            nested deeper than any description is.
+        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
+            what to do), or nested deeper than any description is.
     """
-    return parse_toml(_text(Path(path)), _shown(path))
+    return parse_toml(_text(Path(path)), shown_path(path))
 
 
 def parse_toml(text: str, where: str) -> dict:
@@ -50,8 +52,7 @@ def parse_toml(text: str, where: str) -> dict:
     except RecursionError:
         raise ConfigError(f"{where}: lists or tables nested too deep to read, expected {DEEPEST} levels at most") from None
     except ValueError as error:  # also an integer of more than 4300 digits
-        told = " ".join(str(error).split())
-        raise ConfigError(f"{where}: not valid TOML: {told[:200]}") from error
+        raise ConfigError(f"{where}: not valid TOML: {explained(text, error)}") from error
     _check_values(table, where)
     return table
 
@@ -63,25 +64,25 @@ _LONG_KEY = re.compile(rf"(?:\.[ \t]{{0,9}}{_PART}[ \t]{{0,9}}){{{_PARTS}}}")  #
 
 def _text(path: Path) -> str:
     """The text of a file, within bounds."""
-    shown = _shown(path)
+    shown = shown_path(path)
     try:
-        if path.is_dir():
-            raise ConfigError(f"{shown}: is a folder, expected a TOML file")
-        if why := trouble(path):
-            raise ConfigError(f"{shown}: {why}")
+        if wrong := no_file(path):
+            raise ConfigError(f"{shown}: {wrong}, expected a TOML file")
         with path.open("rb") as file:
             raw = file.read(LARGEST + 1)
     except OSError as error:
         raise ConfigError(f"{shown}: cannot be read: {error.strerror or error}") from error
     if len(raw) > LARGEST:
         raise ConfigError(f"{shown}: larger than {LARGEST / 1e6:g} MB, expected a TOML file of a few kB; is this the right file?")
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise ConfigError(f"{shown}: is UTF-16 text, not UTF-8; expected TOML: save it again with the encoding UTF-8")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(
             f"{shown}: byte {error.start} (line {line}) is not UTF-8 text: a binary file, or text saved in another encoding;"
-            " expected TOML saved as UTF-8"
+            " expected TOML; save it again with the encoding UTF-8"
         ) from error
 
 
@@ -99,43 +100,58 @@ def _check_values(table: dict, where: str) -> None:
             raise ConfigError(f"{where}: {key[:64]!r}: an integer of {item.bit_length()} bits, expected 64 bits at most")
 
 
-def resolve(name: str | Path) -> Path:
-    """A TOML path, or the name of a shipped one: `fish` -> data/calib/fish.toml.
+def resolve(name: str | Path, *, robot: bool = False) -> Path:
+    """A TOML path, or the name of a shipped one: `fish` -> data/calib/fish.toml. robot: robots alone.
 
     Raises:
         ConfigError: no such file, or a folder. UnknownName: neither a TOML path nor a shipped name.
     """
+    known = list(robots()) if robot else shipped()
     if not isinstance(name, str | Path) or not str(name):
-        raise ConfigError(f"got {name!r:.80}, expected the path of a TOML file or a shipped name: {', '.join(shipped())}")
+        raise ConfigError(f"got {name!r:.80}, expected the path of a TOML file or a shipped name: {', '.join(known)}")
     path = Path(name)
-    shown = _shown(path)
+    shown = shown_path(path)
     if path.suffix == ".xml":
         raise ConfigError(
             f"{shown}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
         )
     if path.suffix == ".toml":
         try:
-            there, folder = path.is_file(), path.is_dir()
+            wrong = no_file(path)
         except OSError as error:  # a name too long for the file system, a folder that may not be entered
             raise ConfigError(f"{shown}: cannot be read: {error.strerror or error}") from error
-        if folder:
-            raise ConfigError(f"{shown}: is a folder, expected a TOML file")
-        if not there:
-            why = trouble(path)
-            if why.startswith("is "):
-                raise ConfigError(f"{shown}: {why}")
-            raise ConfigError(f"{shown}: no such file; shipped ones go by name: {', '.join(shipped())}")
+        if wrong == _ABSENT:
+            raise ConfigError(f"{shown}: no such file; shipped ones go by name: {', '.join(known)}")
+        if wrong:
+            raise ConfigError(f"{shown}: {wrong}, expected a TOML file")
         return path
-    if str(name) not in shipped():
+    if str(name) not in (known if robot else shipped()):
         if _exists(path):
-            kind = "a folder" if path.is_dir() else "a file whose name does not end in .toml"
-            raise ConfigError(f"{shown}: is {kind}; expected a .toml file, or a shipped name: {', '.join(shipped())}")
-        raise UnknownName("calibration file", str(name)[:100], shipped())
+            kind = no_file(path) or "is a file whose name does not end in .toml"
+            raise ConfigError(f"{shown}: {kind}; expected a .toml file, or a shipped name: {', '.join(known)}")
+        near = next((key for key, own in robots().items() if own == str(name)), "") if robot else ""
+        raise UnknownName("robot" if robot else "calibration file", str(name)[:100], known, near=near)
     return calib_folder() / f"{name}.toml"
 
 
-def _shown(path: str | Path) -> str:
-    return str(path) if len(str(path)) <= 300 else f"{str(path)[:300]}..."
+def shown_path(path: str | Path) -> str:
+    """A path for a message: printable whatever it holds, 300 characters at most."""
+    text = "".join(c if c.isprintable() else "?" for c in str(path)[:300])
+    return text if len(str(path)) <= 300 else f"{text}..."
+
+
+_ABSENT = "no such file"
+
+
+def no_file(path: Path) -> str:
+    """What a path is that is no plain file; "" for one that is. Raises OSError where the system cannot tell."""
+    if path.is_file():
+        return ""
+    if path.is_dir():
+        return "is a folder"
+    if path.is_symlink() and not path.exists():
+        return "is a link that leads nowhere"
+    return "is no plain file" if path.exists() else _ABSENT
 
 
 def _exists(path: Path) -> bool:
@@ -148,6 +164,22 @@ def _exists(path: Path) -> bool:
 def shipped() -> list[str]:
     """Names of the shipped calibration files."""
     return sorted(p.stem for p in calib_folder().glob("*.toml"))
+
+
+def waters() -> list[str]:
+    """Names of the fitted waters that come with fishmj."""
+    return sorted({path.stem for folder in WATERS if folder.is_dir() for path in folder.glob("*.toml")})
+
+
+@cache
+def robots() -> dict[str, str]:
+    """Names of the shipped robots, and the name that each description gives its robot."""
+    texts = {name: (calib_folder() / f"{name}.toml").read_text(encoding="utf-8") for name in shipped()}
+    own = {name: _ROBOT.search(text) for name, text in texts.items()}
+    return {name: found[1] for name, found in own.items() if found}
+
+
+_ROBOT = re.compile(r'^schema = "fishmj\.fish/1"\nname = "([^"]*)"', re.MULTILINE)  # parsing them all takes longer than a fish
 
 
 @cache

@@ -37,10 +37,10 @@ class UsageError(FishmjError, ValueError):
 class UnknownName(FishmjError, KeyError):
     """A task, water, controller, effect or key that does not exist."""
 
-    def __init__(self, kind: str, name: str, known):
+    def __init__(self, kind: str, name: str, known, *, near: str = ""):
         known = sorted(str(k) for k in known)
-        near = get_close_matches(str(name), known, 1, 0.5)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
+        near = near or "".join(get_close_matches(str(name), known, 1, 0.5))
+        hint = f" Did you mean {near!r}?" if near else ""
         self.message = f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}."
         super().__init__(self.message)
 

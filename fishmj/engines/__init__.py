@@ -6,10 +6,12 @@ batch     MuJoCo C, many fish at once; the judge
 mjx       MuJoCo in JAX; GPU, jit-able
 """
 
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj.calib import constant
 from fishmj.engines.added import Added, bus_rows, in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
@@ -17,7 +19,7 @@ from fishmj.hydro_fit import chain, terms
 from fishmj.mjcf.description import Robot, load_robot
 
 NAMES = ("planar", "compiled", "batch", "mjx")
-BUFFER = 9  # bus commands remembered, newest last: latencies up to 7 ticks
+BUFFER = 9  # bus commands remembered at least, newest last: latencies up to 7 ticks
 
 
 class FishState(NamedTuple):
@@ -26,7 +28,7 @@ class FishState(NamedTuple):
     q: Any  # (B, nv) m, rad
     v: Any  # (B, nv) m/s, rad/s
     attached: Any  # (B,) tail attachment, 0..1
-    buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last; longer where effects may delay commands (`rows_of`)
+    buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last; longer where the latency needs it (`rows_of`)
     memory: Any  # (B, M) what effects and a learnt water remember (added.py); M = 0 without them
 
 
@@ -104,8 +106,9 @@ def at_rest(robot: Robot, pose) -> FishState:
 
 
 def rows_of(robot: Robot) -> int:
-    """Bus commands that the engines remember of this robot."""
-    return bus_rows(robot, BUFFER)
+    """Bus commands that the engines remember of this robot: its own latency or a randomised one, two more for ramps, effects."""
+    longest = max(robot.timing.command_latency, constant("randomisation", "command_latency")[1])
+    return bus_rows(robot, max(BUFFER, ceil(longest / robot.timing.bus_dt - 1e-9) + 2))
 
 
 def ticks_per(robot: Robot) -> tuple[int, int]:

@@ -134,9 +134,19 @@ def in_water(robot: Robot, water: "str | Path") -> Robot:
 
 
 def residual_of(robot: Robot):
-    """The learnt force of the robot's water, or None for strips alone."""
-    name = robot.water.get("model", STRUCTURED)
-    return None if name == STRUCTURED else fitted_water(str(name)).learnt
+    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
+    from fishmj.hydro_fit.model import shipped
+
+    name = str(robot.water.get("model", STRUCTURED))
+    if name == STRUCTURED:
+        return None
+    model = fitted_water(robot.name if name == SURROGATE and robot.name in shipped() else name)
+    if (links := len(model.base.k)) != len(robot.links):
+        raise ConfigError(
+            f"robot {robot.name!r} [water] model: got {name!r}, fitted for {model.robot!r} of {links} links, expected one for"
+            f" {len(robot.links)} links; 'structured' fits every robot"
+        )
+    return model.learnt
 
 
 @lru_cache(8)

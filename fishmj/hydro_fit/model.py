@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from fishmj import calib
 from fishmj.calib import read_toml
 from fishmj.errors import ConfigError, FishmjError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, learned, residual, terms
@@ -28,8 +29,7 @@ from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
 
 SCHEMA = "fishmj.water/1"
 UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"
-_ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (_ROOT.parent / "data" / "water", _ROOT / "_data" / "water")  # checkout first, then the installed wheel
+FOLDERS = calib.WATERS
 _NET, _RANGE = residual.Net._fields, learned.Range._fields
 
 
@@ -40,7 +40,7 @@ def robot_hash(robot: Robot) -> str:
 
 def shipped() -> list[str]:
     """Names of the fitted waters that come with fishmj."""
-    return sorted({path.stem for folder in FOLDERS if folder.is_dir() for path in folder.glob("*.toml")})
+    return calib.waters()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

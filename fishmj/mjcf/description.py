@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fishmj import console
-from fishmj.calib import read_toml, resolve
+from fishmj.calib import read_toml, resolve, shown_path
 from fishmj.errors import ConfigError, DescriptionError
 from fishmj.names import nearest
 
@@ -129,13 +129,13 @@ def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
     """
     if isinstance(source, Robot):
         return checked(source)
-    path = resolve(source)
-    return robot_from_dict(read_toml(path), str(path))
+    path = resolve(source, robot=True)
+    return robot_from_dict({"name": _name_of(path)} | read_toml(path), shown_path(path))
 
 
 def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
     """Build and check a robot from a parsed TOML table; `where`, its file, begins the messages. Raises as `load_robot`."""
-    table = {"name": nearest(Path(where).stem) or "fish"} | dict(table)
+    table = {"name": _name_of(Path(where))} | dict(table)
     notes = _examined(table, where)
     given = table.get("servo", {})
     servo = {key: value for key, value in given.items() if not key.endswith("_deg")}
@@ -162,6 +162,11 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
         notes=tuple(notes),
     )
     return _sound(robot)
+
+
+def _name_of(path: Path) -> str:
+    """The name of a robot whose description has none."""
+    return nearest(path.stem) or "fish"
 
 
 def checked(robot: Robot) -> Robot:

@@ -1,6 +1,7 @@
 """One thing that is wrong with a description, and the line that tells it: file, block, key, got, expected, what to do."""
 
 from collections.abc import Mapping
+from datetime import date, time
 from typing import Any, NamedTuple
 
 from fishmj import names
@@ -45,6 +46,8 @@ def shown(value: Any, most: int = 60) -> str:
             text = f"{text[: most - 4]}...{text[0]}"
     elif isinstance(value, Mapping):
         text = f"a block of {len(value)} keys"
+    elif isinstance(value, date | time):
+        text = f"the {'time' if isinstance(value, time) else 'date'} {value.isoformat()}"
     elif isinstance(value, list):
         text = f"[{', '.join(shown(item, 20) for item in value[:6])}{', ...' * (len(value) > 6)}]"
     else:

@@ -1,13 +1,15 @@
 """What is possible in a description, but unlikely: it is read, and said once."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from fishmj.calib import constant
 from fishmj.mjcf.findings import Finding
-from fishmj.mjcf.relations import servo_of, width_scale
+from fishmj.mjcf.relations import apart, servo_of, width_scale
 
 LONG, HEAVY = (0.05, 3.0), (0.01, 300.0)  # m, kg: of robotic fish
 WIDTHS = (0.8, 1.25)  # factor on the widths that lets the fish float
+JUMP = 2.0  # times, of heights at a hinge
 MOTOR = 3.0  # times: figures of one motor that differ by more do not belong together
 
 
@@ -39,16 +41,44 @@ def unlikely(table: Mapping[str, Any]) -> Iterator[Finding]:
                 f"a point in the link, 0 to {link['length']:g} m",
                 "com counts from the link's own front",
             )
+    yield from _unlikely_outline(links)
+    stated = table.get("body", {}).get("mass_total")
+    if stated is not None and abs(mass - stated) > 1e-6 * mass:
+        a, b = apart(stated, mass)
+        todo = "the links' masses are what counts"
+        yield Finding("body", None, "mass_total", f"{a} kg", f"the sum of the links' masses, {b} kg", todo)
     rho = table.get("body", {}).get("density_water", 1000.0)
     if not 950.0 <= rho <= 1100.0:
         yield Finding("body", None, "density_water", f"{rho:g} kg/m3", "about 1000 kg/m3 in fresh water, 1025 in the sea")
     yield from _unlikely_servo(servo)
-    t = table.get("timing", {})
-    latency, tick = t.get("command_latency", 0.06), t.get("bus_dt", 0.02)
-    if latency > 7 * tick + 1e-9:
-        expected = f"at most 7 bus ticks, {7 * tick:g} s"
-        todo = "engines of many fish remember no older commands and play it as 8 ticks at most; fishmj.sim plays it"
-        yield Finding("timing", None, "command_latency", f"{latency:g} s", expected, todo)
+    yield from _unlikely_timing(table.get("timing", {}))
+
+
+def _unlikely_outline(links: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    """Hinges, plates and ballast, from nose to tail."""
+    for i, (front, rear) in enumerate(zip(links, links[1:], strict=False), 1):
+        a, b = front["sections"][-1][1], rear["sections"][0][1]
+        if max(a, b) >= JUMP * min(a, b):
+            got = f"height {b:g} m at its front, {a:g} m at the rear end of the link before it"
+            todo = "check that the links stand nose first and their sections front to rear"
+            yield Finding("link", i, "sections", got, "heights that meet at the hinge", todo)
+    for i, link in enumerate(links[:-1]):
+        if link.get("fin_from") is not None:
+            got, todo = f"a plate from {link['fin_from']:g} m on", "check that the links stand nose first"
+            yield Finding("link", i, "fin_from", got, "a plate on the last link only", todo)
+    high = sum(link["mass"] * link["com"][2] for link in links if link.get("com")) / sum(link["mass"] for link in links)
+    if high > 1e-9:
+        todo = "such a fish capsizes; up counts positive, ballast stands at a negative third number"
+        yield Finding("link", None, "com", f"{1000 * high:.3g} mm above the axis on average", "the mass below the axis", todo)
+
+
+def _unlikely_timing(given: Mapping[str, Any]) -> Iterator[Finding]:
+    """Latencies longer than any that a randomised fish has: the task draws those of the paper, whatever the description says."""
+    for key in ("command_latency", "camera_latency"):
+        (low, high), latency = constant("randomisation", key), given.get(key)
+        if latency is not None and latency > high:
+            todo = f"it is played as it is; randomised fish (training, judgement) draw theirs from {low:g} to {high:g} s"
+            yield Finding("timing", None, key, f"{latency:g} s", f"at most {high:g} s", todo)
 
 
 def _unlikely_servo(s: Mapping[str, float]) -> Iterator[Finding]:

@@ -3,13 +3,16 @@
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from math import isfinite, pi, radians
+from pathlib import Path
 from typing import Any
 
-from fishmj import names
+from fishmj import calib, names
 from fishmj.mjcf.findings import Finding, shown
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
+ROUNDED = 0.01  # of the mass: mass_total may be rounded
+NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
 
 
@@ -49,11 +52,10 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Find
 def _link(i: int, link: Mapping[str, Any]) -> Iterator[Finding]:
     length, rows = link["length"], link["sections"]
     stations = [row[0] for row in rows]
-    if stations[0] != 0 or abs(stations[-1] - length) > 1e-9:
-        expected = f"stations from 0 to length = {length:g} m"
-        yield Finding(
-            "link", i, "sections", f"stations from {stations[0]:g} to {stations[-1]:g} m", expected, "mend length or the rows"
-        )
+    if stations[0] != 0 or abs(stations[-1] - length) > NEAR * length:
+        last, whole = apart(stations[-1], length)
+        got, expected = f"stations from {stations[0]:g} to {last} m", f"stations from 0 to length = {whole} m"
+        yield Finding("link", i, "sections", got, expected, "mend length or the rows; a station counts from the link's own front")
     if any(b - a < 1e-6 for a, b in zip(stations, stations[1:], strict=False)):
         todo = "sort the rows; for a step in the outline set two rows 0.1 mm apart"
         yield Finding("link", i, "sections", f"stations {shown(stations)}", "stations that rise from row to row", todo)
@@ -68,10 +70,10 @@ def _link(i: int, link: Mapping[str, Any]) -> Iterator[Finding]:
             yield Finding(
                 "link", i, "com", shown(com), "y = 0, [back from the front, 0.0, up]", "the fish is the same left and right"
             )
-        if not -length <= com[0] <= 2 * length or abs(com[2]) > 3 * tall:
-            expected = f"a point in the link: 0 to {length:g} m from its front, up to {tall / 2:g} m up or down"
+        if not -length <= com[0] <= 2 * length or abs(com[2]) > tall / 2 * (1 + NEAR):
+            expected = f"a point in the link: 0 to {length:g} m from its front, up to {tall / 2:g} m up or down, half its height"
             yield Finding("link", i, "com", shown(com), expected, "com is measured from the link's own front, not from the nose")
-    if (start := link.get("fin_from")) is not None and start > length:
+    if (start := link.get("fin_from")) is not None and start > length * (1 + NEAR):
         yield Finding(
             "link",
             i,
@@ -106,19 +108,33 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
                 f"at most {most:g} {unit} for the whole fish",
                 f"check the unit: {unit}",
             )
+    if links[0].get("fin_from") is not None and links[-1].get("fin_from") is None:
+        got = f"a plate on the first link, {told[0]!r}, and none on the last, {told[-1]!r}"
+        yield Finding(
+            "link", 0, "fin_from", got, "the plate of a tail on the last link", "the links stand nose first; turn them round"
+        )
     if not body_sound:
         return
     body = table.get("body", {})
     stated = body.get("mass_total")
-    if stated is not None and abs(mass - stated) > 1e-9:
+    if stated is not None and abs(mass - stated) > ROUNDED * mass:
         todo = "mend one of them, or leave mass_total out"
-        yield Finding("body", None, "mass_total", f"{stated:g} kg", f"the sum of the links' masses, {mass:.9g} kg", todo)
+        a, b = apart(stated, mass)
+        yield Finding("body", None, "mass_total", f"{a} kg", f"the sum of the links' masses, {b} kg, within 1 %", todo)
     scale = width_scale(table)
     if scale is not None and not THINNEST <= scale <= FATTEST:
         got = f"{mass:g} kg in all for a hull that displaces {mass / scale:.3g} kg"
         yield Finding(
             "link", None, "mass", got, "about as much mass as displaced water", "check the units: kg, and sections in m"
         )
+
+
+def apart(a: float, b: float) -> tuple[str, str]:
+    """Two numbers with as many digits as it takes to see their difference, 4 at least."""
+    for digits in range(4, 17):
+        if (texts := (f"{a:.{digits}g}", f"{b:.{digits}g}"))[0] != texts[1]:
+            break
+    return texts
 
 
 def width_scale(table: Mapping[str, Any]) -> float | None:
@@ -140,8 +156,11 @@ def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]])
             todo = f"did you mean {near[0]!r}?" if near else "name the link that carries the fin"
             yield Finding("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
             continue
+        if fin["span"] > (most := sum(lengths.values()) / 2):
+            todo = "check the unit: m, of one plate from the hull to its tip"
+            yield Finding("fin", i, "span", f"{fin['span']:g} m", f"at most half the fish's length, {most:.4g} m", todo)
         (front, rear), length = fin["station"], lengths[fin["link"]]
-        if not (front < rear <= length + 1e-9 and rear - front >= 1e-4):
+        if not (front < rear <= length * (1 + NEAR) and rear - front >= 1e-4):
             expected = f"[front edge, rear edge], the rear one behind, both within the link's {length:g} m"
             yield Finding("fin", i, "station", shown(fin["station"]), expected, "measure both from the link's front, in m")
 
@@ -182,10 +201,11 @@ def _servo(given: Mapping[str, Any]) -> Iterator[Finding]:
     s = servo_of(given)
     kb = s["torque"] / s["speed_no_load"]
     if s["kd"] < kb * (1 - 1e-4):
+        default = "" if "kd" in given else ", the default fish's, since none is given"
         expected = f"at least torque / speed_no_load = {kb:.4g} N m s/rad, the damping of the motor's own back-EMF"
         figures = f"torque ({s['torque']:g} N m) or speed_no_load ({s['speed_no_load']:g} rad/s)"
-        todo = f"raise kd to {kb:.4g} or more, or correct {figures}"
-        yield Finding("servo", None, "kd", f"{s['kd']:g} N m s/rad", expected, todo)
+        todo = f"{_of_a_data_sheet(s)}raise kd to {kb:.4g} or more, or correct {figures}"
+        yield Finding("servo", None, "kd", f"{s['kd']:g} N m s/rad{default}", expected, todo)
     if s["resolution"] >= s["range"]:
         yield Finding(
             "servo",
@@ -200,6 +220,22 @@ def _servo(given: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding(
             "servo", None, "kp", f"{s['kp']:g} N m/rad", f"kp times range at least 1 % of the torque, {s['torque']:g} N m", todo
         )
+
+
+def _of_a_data_sheet(s: Mapping[str, float]) -> str:
+    """Torque in kg cm, speed in s/60 deg: what they are in SI, where that makes the figures fit; "" otherwise."""
+    from fishmj.mjcf.servos import KG_CM, S_PER_60_DEG
+
+    torque, speed = s["torque"] * KG_CM, S_PER_60_DEG / s["speed_no_load"]
+    heavy = f"{s['torque']:g} kg cm is {torque:.4g} N m"
+    slow = f"{s['speed_no_load']:g} s/60 deg is {speed:.4g} rad/s"
+    fits = lambda t, w: t / w <= 1.05 * s["kd"]  # noqa: E731
+    possible = 0.03 <= s["speed_no_load"] <= 0.7  # s/60 deg, of servos
+    if possible and fits(s["torque"], speed):
+        return f"{slow}: is that its unit? or "
+    if s["torque"] >= 2.0 and fits(torque, s["speed_no_load"]):
+        return f"{heavy}: is that its unit? or "
+    return f"{heavy}, {slow}: are these their units? or " if possible and fits(torque, speed) else ""
 
 
 def timing(given: Mapping[str, Any]) -> Iterator[Finding]:
@@ -229,9 +265,35 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Finding]:
         if key in given and n_links is not None and len(given[key]) != n_links:
             got = f"{shown(given[key])}, {len(given[key])} of them"
             yield Finding("water", None, key, got, f"one number a link, {n_links}", "the robot has as many [[link]] blocks")
+    if (model := given.get("model")) is not None and (wrong := _no_water(model)):
+        yield wrong
     if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5:
         got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:g}"
         yield Finding("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/water.md)")
+
+
+def _no_water(model: str) -> Finding | None:
+    """Strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or a file that is there."""
+    known = ["structured", "surrogate", *calib.waters()]
+    if model in known or model.removesuffix("-base") in calib.waters():
+        return None
+    if model.endswith(".toml"):
+        try:
+            wrong = calib.no_file(Path(model))
+        except (OSError, ValueError) as error:
+            wrong = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        if not wrong:
+            return None
+        return Finding(
+            "water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH
+        )
+    near = get_close_matches(model, known, 1, 0.5)
+    todo = f"did you mean {near[0]!r}? " if near else ""
+    return Finding("water", None, "model", shown(model), _WATER, f"{todo}Known: {', '.join(known)}".strip())
+
+
+_WATER = "'structured', 'surrogate', or a fitted water by name or .toml file"
+_PATH = "a path counts from the folder in which the command runs"
 
 
 def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
@@ -263,4 +325,4 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
             )
 
 
-__all__ = ["angle", "relations", "servo_of", "timing", "width_scale"]
+__all__ = ["angle", "apart", "relations", "servo_of", "timing", "width_scale"]

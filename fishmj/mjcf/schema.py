@@ -77,7 +77,7 @@ class Block(BaseModel):
 class Body(Block):
     """The whole fish."""
 
-    mass_total: float | None = number("a check: the links' masses must add up to it", 1e-3, 3e5, "kg", default=None)
+    mass_total: float | None = number("a check: the links' masses must add up to it within 1 %", 1e-3, 3e5, "kg", default=None)
     density_water: float = number("of the water that it floats in", 500.0, 2000.0, "kg/m3", default=1000.0)
     reference: Literal["straight_com"] = _field("the point whose pose is reported", "", "'straight_com'", "straight_com")
 
@@ -92,15 +92,22 @@ class LinkBlock(Block):
         list[Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]],
         Field(min_length=2, max_length=500),
     ] = _field(
-        "ellipses; their stations rise from 0 to `length`",
+        "ellipses; the first station is 0, the last is `length`, each above the one before",
         "m",
         "2 to 500 rows [from the front, height, width] in m, the last two from 0.0001 to 10",
         REQUIRED,
     )
     com: (
         Annotated[list[Annotated[float, Field(ge=-30.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)] | None
-    ) = _field("centre of mass; left out: that of the shape", "m", "[back from the front, 0.0, up] in m", None)
-    fin_from: float | None = number("behind this station a single sheet for the flow solver", 0.0, 30.0, "m", default=None)
+    ) = _field(
+        "centre of mass, up at most half the link's height; left out: that of the shape",
+        "m",
+        "[back from the front, 0.0, up] in m",
+        None,
+    )
+    fin_from: float | None = number(
+        "behind this station a single sheet for the flow solver; on the last link", 0.0, 30.0, "m", default=None
+    )
     colour: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)] = (
         _field("for pictures", "", "[red, green, blue], each from 0 to 1", [0.4, 0.5, 0.6])
     )
@@ -114,7 +121,7 @@ class FinBlock(Block):
     station: Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=2, max_length=2)] = (
         _field("from the link's front", "m", "[front edge, rear edge] in m, within the link, the rear edge behind", REQUIRED)
     )
-    span: float = number("of each plate", 1e-4, 10.0, "m")
+    span: float = number("of each plate, at most half the fish's length", 1e-4, 10.0, "m")
     count: int = whole("left alone, or left and right", 1, 2, default=2)
 
 
@@ -144,8 +151,10 @@ class TimingBlock(Block):
     command_path: Literal["linear", "hold", "move_time"] | None = _field(
         "what the bus does between two decisions", "", "'linear', 'hold' or 'move_time'", None
     )
-    command_latency: float | None = number("nominal, bus to servo", 0.0, 1.0, "s", default=None)
-    camera_latency: float | None = number("nominal", 0.0, 1.0, "s", default=None)
+    command_latency: float | None = number(
+        "nominal, bus to servo; played as it is, whatever its length", 0.0, 1.0, "s", default=None
+    )
+    camera_latency: float | None = number("nominal; played as it is, in bus ticks, rounded up", 0.0, 1.0, "s", default=None)
     velocity_window: int | None = whole("in the tracker's line fit", 2, 500, "frames", default=None)
 
 
@@ -155,7 +164,12 @@ Each = Annotated[list[Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=Fals
 class WaterBlock(Block):
     """Start values of the strip model (docs/water.md); what is left out comes from the shape of the sections."""
 
-    model: Text | None = text("strips alone, or a fitted water by name or file", default=None, most=500, least=1)
+    model: Text | None = text(
+        "'structured': strips alone; or a fitted water: 'surrogate', a name or a .toml file",
+        default=None,
+        most=500,
+        least=1,
+    )
     k: Each | None = _field("added mass over rho pi/4 h^2", "", "one number a link, each from 0 to 50", None)
     cn: Each | None = _field("cross-flow drag", "", "one number a link, each from 0 to 50", None)
     cf: float | None = number("tangential friction", 0.0, 3.0, default=None)

@@ -15,7 +15,9 @@ from fishmj import names
 from fishmj.mjcf import schema
 from fishmj.mjcf.findings import Finding, line, shown
 from fishmj.mjcf.plausible import unlikely
-from fishmj.mjcf.relations import relations
+from fishmj.mjcf.relations import relations, servo_of
+
+MOST = 100  # errors that are collected: more tell nobody more
 
 
 def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]:
@@ -30,7 +32,10 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
     listed = not any(f.block == "link" and f.nth is None for f in found)
     found += list(relations(table, bad, listed))
     notes = [] if found else [line(note, table, where) for note in unlikely(table)]
-    return [line(finding, table, where) for finding in sorted(found, key=_order)], notes
+    lines = [line(finding, table, where) for finding in sorted(found, key=_order)]
+    if len(found) >= MOST:
+        lines.append(f"{where}: got {MOST} errors, expected a robot; the rest of the file was not looked at")
+    return lines, notes
 
 
 def _order(f: Finding) -> tuple:
@@ -44,15 +49,29 @@ def _order(f: Finding) -> tuple:
 
 def _single_keys(table: Mapping[str, Any]) -> Iterator[Finding]:
     """What pydantic finds; several complaints about one key are one."""
+    surplus = set([key for key in table if key not in schema.keys()][MOST:])
     try:
-        schema.Description.model_validate(dict(table))
+        schema.Description.model_validate({key: item for key, item in table.items() if key not in surplus})
     except ValidationError as error:
-        told = set()
-        for entry in error.errors(include_url=False, include_context=False):
+        told: dict[tuple, Finding] = {}
+        entries = error.errors(include_url=False, include_context=False)
+        meant = {
+            (*e["loc"][:-1], near[0]) for e in entries[:MOST] if e["type"] == "extra_forbidden" and (near := _nearest(e["loc"]))
+        }
+        for entry in entries:
+            if entry["type"] == "missing" and entry["loc"] in meant:
+                continue  # mistyped, which is another line
             finding = _finding(entry, table)
-            if finding[:3] not in told:
-                told.add(finding[:3])
-                yield finding
+            told.setdefault(finding[:3], finding)
+            if len(told) == MOST:
+                break
+        yield from told.values()
+
+
+def _nearest(place: Sequence[Any]) -> list[str]:
+    """The known key of a block that an unknown one is nearest to."""
+    block, _, key, _ = _split(place)
+    return get_close_matches(key, schema.keys(block), 1, 0.6) if block in schema.BLOCKS and key else []
 
 
 def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Finding:
@@ -74,7 +93,17 @@ def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Finding:
     if block not in schema.BLOCKS and block:  # [origin], [calibration.servo]
         return Finding(block, None, key, shown(value), schema.said("", block)[2], f"({schema.said('', block)[0]})")
     what, unit, expected = schema.said(block, key)
+    if (block, key, kind) == ("servo", "kd", "greater_than_equal") and (least := _least_damping(table)):
+        expected = f"at least {least:.3g} {unit} = torque / speed_no_load"
     return Finding(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
+
+
+def _least_damping(table: Mapping[str, Any]) -> float:
+    """torque / speed_no_load where both are sound; 0 otherwise."""
+    servo = servo_of(table["servo"])
+    torque, speed = servo["torque"], servo["speed_no_load"]
+    sound = all(isinstance(v, int | float) and 1e-4 <= v <= 1e5 for v in (torque, speed))
+    return torque / speed if sound else 0.0
 
 
 def _split(place: Sequence[Any]) -> tuple[str, int | None, str, list[Any]]:

@@ -20,7 +20,7 @@ from fishmj.tracker import delayed, estimate
 
 JOINTS = 3
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
-MAX_CAMERA_TICKS = 5  # 100 ms
+LEAST_CAMERA_TICKS = 5  # camera frames remembered at least; 100 ms at 50 Hz
 N_START, N_FLOW = 7, 4
 
 
@@ -84,7 +84,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
         effects=rows,
     )
     sensors = Sensors(robot)
-    most = MAX_CAMERA_TICKS + sensors.frames - sensors.slow
+    most = camera_ticks(robot) + sensors.frames - sensors.slow
     return fish, xp.minimum(sensors.ticks(xp, camera, rows, "pose"), most)
 
 
@@ -122,7 +122,13 @@ def visible(joints: int, hide=()) -> list[bool]:
 
 def history_length(robot: Robot) -> int:
     """How many past poses the camera and its filter need, bus ticks."""
-    return robot.timing.velocity_window + MAX_CAMERA_TICKS + Sensors(robot).frames
+    return robot.timing.velocity_window + camera_ticks(robot) + Sensors(robot).frames
+
+
+def camera_ticks(robot: Robot) -> int:
+    """The longest camera latency of this robot in bus ticks, its own or a randomised one, without what effects add."""
+    longest = max(robot.timing.camera_latency, constant("randomisation", "camera_latency")[1])
+    return max(LEAST_CAMERA_TICKS, ceil(longest / robot.timing.bus_dt - 1e-6))
 
 
 def look(xp, robot: Robot, sensors: Sensors, params: FishParams, history, camera, recent, target, noise):
