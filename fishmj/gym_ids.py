@@ -56,5 +56,5 @@ class _Wait(MetaPathFinder):
                 execute(module)
                 register()
 
-            spec.loader.exec_module = then_register  # type: ignore[method-assign]
+            spec.loader.exec_module = then_register
         return spec

@@ -6,8 +6,8 @@ them from `fishmj.console`, which offers them all.
 
 import argparse
 import math
-import os
 import re
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -168,5 +168,9 @@ def _writable(where: Path, folder: Path) -> None:
     there = next(p for p in (folder.absolute(), *folder.absolute().parents) if _is(p, Path.exists))
     if not there.is_dir():
         raise argparse.ArgumentTypeError(f"{where}: {there} is a file, so nothing can be written below it; choose another place")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise argparse.ArgumentTypeError(f"{where}: {there} cannot be written by this user; choose another place")
+    try:
+        with tempfile.TemporaryFile(dir=there):  # tried, because permissions alone say nothing to root or of /proc
+            pass
+    except OSError as error:
+        said = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
+        raise argparse.ArgumentTypeError(said) from error

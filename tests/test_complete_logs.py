@@ -1,7 +1,6 @@
 """Logs of `play`, `evaluate --log`, `Sim` and the flow solver are complete trials: what a robot would log, and the truth."""
 
 import math
-from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from fishmj.engines.added import with_effects
 from fishmj.evaluate import logs
 from fishmj.flow import Flow
 from fishmj.gap import find
+from fishmj.gap.data import taken
 from fishmj.gap.records import record_of
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
@@ -70,7 +70,7 @@ def test_two_live_swims_are_a_data_set_that_search_and_calibration_read(folder):
         assert np.isfinite(record.joint.sigma).all() and record.placed is not None
         assert record.flow == pytest.approx((-0.2, 0.0)) and record.medium == "water"
         assert np.ptp(record.commands) > 0.2
-    assert find.missing(Namespace(data=data, model="fish")) is None
+    assert find.missing(taken(data), load_robot("fish")) is None
     records = calibrate_logs.read(data).records(0.004)
     assert len(records) == 2 and [calibrate_logs.angles(r).values.shape for r in records] == [(200, 3)] * 2
 
@@ -146,7 +146,7 @@ def test_a_folder_that_is_no_trial_is_refused_before_the_swim(tmp_path, monkeypa
     (tmp_path / "home").mkdir()
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(play, "Pond", lambda *a: pytest.fail("it swims"))
-    for place, said in (("home", "is no trial"), ("file", "is a file"), ("file/x", "nothing can be written below it")):
+    for place, said in (("home", "is there already"), ("file", "is a file"), ("file/x", "nothing can be written below it")):
         assert console.run(play.main, ["--save", str(tmp_path / place), "--headless-seconds", "1"]) == console.BAD_INPUT
         error = capsys.readouterr().err
         assert said in error and len(error.splitlines()) == 1
@@ -161,7 +161,7 @@ def result(body):
 
 def test_a_judged_trial_is_complete(result, tmp_path):
     logs.write_logs(result, tmp_path)
-    assert find.missing(Namespace(data=tmp_path, model="fish")) is None, "gap find takes the folder as it is"
+    assert find.missing(taken(tmp_path), load_robot("fish")) is None, "gap find takes the folder as it is"
     for trial in log.read_dataset(tmp_path):
         assert set(trial.tables) == TABLES | {"action"} and missing(trial) <= UNTOLD
         assert trial.value("sigma.x") == 0.005 and trial.value("start") == pytest.approx(trial.value("start"))

@@ -176,7 +176,7 @@ def test_no_cell_of_a_csv_is_a_formula(trial, tmp_path):
         tmp_path / "a", log.Trial({"origin": "measured", "notes": "=cmd|' /C calc'!A0"}, {"joint": columns}), form="npz"
     )
     export(tmp_path / "a", "csv", tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["joint.csv", "meta.toml"]
+    assert sorted(p.name for p in (tmp_path / "out").glob("[!.]*")) == ["joint.csv", "meta.toml"]
     lines = (tmp_path / "out" / "joint.csv").read_text().splitlines()
     assert not any(cell.startswith(("=", "+", "@", "\t")) for line in lines for cell in line.split(","))
     assert all(cell.lstrip("-").replace("e-", "").replace(".", "").isdigit() for line in lines[1:] for cell in line.split(","))
@@ -235,11 +235,17 @@ def test_nothing_is_overwritten_unless_an_export_wrote_it_and_it_is_told_to(fold
     with pytest.raises(StoreError, match="exists; choose another name, or pass --force"):
         export(folder, "csv", tmp_path / "out")
     export(folder, "csv", tmp_path / "out", tables=["pose"], force=True)
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["meta.toml", "pose.csv"]
+    assert sorted(p.name for p in (tmp_path / "out").glob("[!.]*")) == ["meta.toml", "pose.csv"]
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("ten years")
-    with pytest.raises(StoreError, match="so no export wrote it; not replaced"):
+    with pytest.raises(StoreError, match="no export wrote it"):
         export(folder, "csv", tmp_path / "home", force=True)
+    log.write_trial(tmp_path / "measured", log.read_trial(folder))
+    with pytest.raises(StoreError, match="no export wrote it"):
+        export(folder, "csv", tmp_path / "measured", force=True)
+    (tmp_path / "notes.mcap").write_text("ten years")
+    with pytest.raises(StoreError, match="is no MCAP file"):
+        export(folder, "mcap", tmp_path / "notes.mcap", force=True)
     with pytest.raises(StoreError, match="is a folder, and a file would replace it"):
         export(folder, "mcap", tmp_path / "home", force=True)
     for place in (folder, folder / "inside", tmp_path):

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fishmj import console, excitation
+from fishmj.errors import ConfigError
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.domain import NAMES
 from fishmj.log import Trial, write_dataset
@@ -188,6 +189,8 @@ def main(argv: list[str]) -> int:
     add("--seed", type=console.SEED, help="of the robot; by default drawn by the system")
     add("--overwrite", action="store_true", help="replace the data set that is there")
     args = parser.parse_args(argv)
+    if args.out.is_dir() and any(args.out.iterdir()) and not (args.overwrite and (args.out / SEALED).is_file()):
+        raise ConfigError(f"--out {args.out}: is not empty; choose another folder, or --overwrite one that this command wrote")
     seed = secrets.randbits(48) if args.seed is None else args.seed
     swimming, wet = GENERATORS[args.water]
     made = second_swims(seed, args.repeats_swims, args.seconds) if swimming == SECOND else solver_trials(seed, args)

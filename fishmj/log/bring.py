@@ -144,6 +144,9 @@ def _run(args: Namespace) -> int:
         raise LogError(
             f"{args.write_map}: exists, and may hold your own lines; choose another name for the map, or remove it first"
         )
+    for source in args.source:
+        if args.out is not None and source.is_dir() and args.out.resolve().is_relative_to(source.resolve()):
+            raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
     meta = about.of_options(args)
     found = _found(args)
     if args.strict and found.skipped:

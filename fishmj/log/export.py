@@ -39,6 +39,8 @@ from fishmj.store.manifest import MANIFEST, Manifest
 
 FORMS = ("mcap", "csv", "parquet")
 NEEDS = {"mcap": "mcap", "parquet": "pyarrow"}
+MARK = ".fishmj-export"  # in a folder that an export wrote: what --force may replace
+MAGIC = b"\x89MCAP"
 METADATA = "fishmj.log"  # name of the metadata record in an MCAP file
 Entry = tuple[int, int, str, Json]  # log time ns, row, topic, message
 Shape = Callable[[Trial], tuple[Solid, ...]]
@@ -97,6 +99,8 @@ def export(
             if source.is_dir() and (page := measurements.read(source)):
                 measurements.write(temporary, page)
             Manifest.of(temporary, meta).write(temporary)
+        if temporary.is_dir():
+            write_text(temporary / MARK, "written by fishmj log export; --force replaces this folder\n")
         _place(temporary, out)
     except OSError as error:
         raise error if isinstance(error, StoreError) else StoreError(f"{out}: could not be written: {error}") from error
@@ -118,8 +122,10 @@ def check_place(source: Path, out: Path, *, folder: bool, force: bool) -> None:
         raise StoreError(f"{out}: exists; choose another name, or pass --force to replace it")
     if folder != out.is_dir():
         raise StoreError(f"{out}: is a {'file' if folder else 'folder'}, and a {'folder' if folder else 'file'} would replace it")
-    if folder and not ((out / META_FILE).is_file() or (out / MANIFEST).is_file()):
-        raise StoreError(f"{out}: holds neither {META_FILE} nor {MANIFEST}, so no export wrote it; not replaced. Choose another")
+    if folder and not (out / MARK).is_file():
+        raise StoreError(f"{out}: no export wrote it (no {MARK} in it); not replaced. Choose another place")
+    if not folder and out.read_bytes()[: len(MAGIC)] != MAGIC:
+        raise StoreError(f"{out}: is no MCAP file; not replaced. Choose another place")
 
 
 def carried(path: Path) -> dict | None:
