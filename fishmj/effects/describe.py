@@ -9,7 +9,7 @@ def rows(effects) -> list[dict]:
         {
             "effect": e.name,
             "stage": e.stage,
-            "formula": e.formula.replace("|", "\\|"),
+            "formula": e.formula,
             "parameters": ", ".join(f"{p.name} [{p.unit}]" for p in e.parameters),
             "typical": ", ".join(f"{p.typical[0]:g} to {p.typical[1]:g}" for p in e.parameters),
             "null": ", ".join(f"{p.null:g}" for p in e.parameters),
