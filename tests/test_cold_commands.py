@@ -10,20 +10,8 @@ from bad_commands import COMMANDS, prepare
 from fishmj import cli, console
 
 PENDING = {  # what a command does today in place of refusing: to be mended one by one
-    "train_seed_and_seeds": "--seed beside --seeds is dropped",
-    "evaluate_domain_without_the_solver": "--domain without --water lbm is ignored",
-    "calibrate_ratios_without_recompute": "ignored",
     "calibrate_out_is_another_toml": "is refused after the calibration",
-    "lbm_oracle_volume_without_fields": "ignored",
-    "replay_picture_after_the_end": "draws the end",
     "replay_out_twice": "the last one wins",
-    "gap_plant_none_and_one": "plants the one",
-    "hydro_fit_rank_the_same": "not seen as the same",
-    "train_resume_nothing": "is refused after compiling",
-    "train_resume_and_force": "is refused after compiling",
-    "gap_plant_typo": "shows a progress line first",
-    "gap_plant_unit": "shows a progress line first",
-    "lbm_oracle_case_typo": "Warp speaks first",
     "campaign_truth_in_the_data": "prints its plan first",
     "train_robot_is_another_toml": "two lines",
     "gap_without_a_command": "prints the help",

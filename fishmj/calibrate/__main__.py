@@ -6,8 +6,9 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.console import Command
+from fishmj.errors import ConfigError
 
-RATIOS = "0,0.9,0.95,0.98,0.99,0.998,1"
+RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 
 def fit(verb: str, argv: list[str]) -> int:
@@ -15,6 +16,10 @@ def fit(verb: str, argv: list[str]) -> int:
     from fishmj.calibrate.verbs import VERBS
 
     args = options(verb).parse_args(argv)
+    if verb == "slip":
+        if args.ratios and not args.recompute:
+            raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
+        args.ratios = args.ratios or RATIOS
     answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
@@ -54,7 +59,12 @@ def options(verb: str) -> console.Parser:
         )
         add("--recompute", action="store_true", help="run the solver and print a new entry of the table")
         ratios = console.Listed(console.number(0, 1), 20)
-        add("--ratios", type=ratios, default=RATIOS, metavar="S,..", help="with --recompute: slip ratios to run")
+        add(
+            "--ratios",
+            type=ratios,
+            metavar="S,..",
+            help="with --recompute: slip ratios to run; default 0,0.9,0.95,0.98,0.99,0.998,1",
+        )
         add("--device", type=console.device, default="cpu", help="with --recompute: auto, cpu, cuda")
         add("--tanks", type=console.whole(1, 64), default=1, help="with --recompute: swims side by side")
     return made

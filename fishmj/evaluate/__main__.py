@@ -19,6 +19,7 @@ from fishmj.lbm_oracle.domain import NAMES
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
 WATERS = ("structured", "surrogate", "lbm")
+SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
 ROOM = 0.8  # of the memory of the machine
@@ -73,6 +74,9 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The verb `evaluate`. Returns the exit code."""
     args = options().parse_args(argv)
+    unused = [o for o in SOLVER if any(word == o or word.startswith(f"{o}=") for word in argv)]
+    if unused and args.water != "lbm":
+        raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
     joined = own_effects.join(args.effects)
     if args.water not in WATERS and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, WATERS)

@@ -44,7 +44,7 @@ def options() -> console.Parser:
     parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
     add = parser.add_argument
     brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
-    add("controllers", type=console.text, nargs="*", metavar="CONTROLLER", help=brains)
+    add("controllers", type=console.text, nargs="*", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
     model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
@@ -76,7 +76,7 @@ def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
-    names = list(dict.fromkeys(args.controllers)) or list(DEFAULT)
+    names = list(args.controllers) or list(DEFAULT)
     brains = controllers.several(names, robot, any_command_path=args.any_command_path)
     trials = chosen(args)
     preset(args.domain)

@@ -72,10 +72,10 @@ def main(argv: list[str]) -> int:
     names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)
-    texts = [text for text in args.effect if text != "none"]
+    hidden = understood(args)
     with watch.shown(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}[args.generator]
-        hidden, trials, facts = make(texts, args, bar.update, given)
+        trials, facts = make(hidden, args, bar.update, given)
     page = weighings(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
     facts = {"generator": args.generator, "seed": args.seed, **facts}
     write_hidden(out, truth, trials, hidden, facts, args.overwrite, page)
@@ -85,13 +85,29 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
-def independent(texts: list[str], args, tick, _) -> tuple[dict, list[Trial], dict]:
-    """(hidden, trials, facts) of the second robot."""
-    from fishmj.virtual_robot import dataset, generate
+def understood(args) -> dict[str, dict[str, float]]:
+    """The effects that are asked for, with their values: looked at before any trial is made.
 
-    hidden, runs = dataset.parse(texts, args.seed, limits), experiments(args)
+    Raises:
+        ConfigError: `none` beside an effect; UnknownName, ConfigError as of `parse`.
+    """
+    texts = [text for text in args.effect if text != "none"]
+    if texts and len(texts) < len(args.effect):
+        raise ConfigError(f"gap plant: none beside {', '.join(texts)[:60]}; expected none alone, or effects")
+    if args.generator == "log":
+        return parse(texts, args.seed)
+    from fishmj.virtual_robot import dataset
+
+    return dataset.parse(texts, args.seed, limits)
+
+
+def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
+    """(trials, facts) of the second robot."""
+    from fishmj.virtual_robot import generate
+
+    runs = experiments(args)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
-    return hidden, generate(hidden, runs, args.seed, args.noise, args.nuisance, args.model, tick=tick), facts
+    return generate(hidden, runs, args.seed, args.noise, args.nuisance, args.model, tick=tick), facts
 
 
 def limits(name: str, parameter) -> tuple[float, float]:
@@ -103,9 +119,8 @@ def limits(name: str, parameter) -> tuple[float, float]:
     return low, high
 
 
-def logged(texts: list[str], args, tick, given: Taken | None) -> tuple[dict, list[Trial], dict]:
-    """(hidden, trials, facts): an existing data set seen through other sensors and clocks."""
-    hidden = parse(texts, args.seed)
+def logged(hidden: dict, args, tick, given: Taken | None) -> tuple[list[Trial], dict]:
+    """(trials, facts): an existing data set seen through other sensors and clocks."""
     rng = np.random.default_rng([args.seed, 17])
     trials = []
     for name, trial in given.trials.items() if given else ():
@@ -113,19 +128,18 @@ def logged(texts: list[str], args, tick, given: Taken | None) -> tuple[dict, lis
         tick(len(trials))
     for name, why in given.broken.items() if given else ():
         console.warn(f"{name} left out: {why}")
-    return hidden, trials, {"from": str(args.source), "drop": args.drop}
+    return trials, {"from": str(args.source), "drop": args.drop}
 
 
-def solver(texts: list[str], args, tick, _) -> tuple[dict, list[Trial], dict]:
-    """(hidden, trials, facts) of the flow solver's fish on the second robot's servos, network and camera."""
+def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
+    """(trials, facts) of the flow solver's fish on the second robot's servos, network and camera."""
     from fishmj.campaign.hidden import generate_lbm
-    from fishmj.virtual_robot import dataset
 
-    hidden, runs = dataset.parse(texts, args.seed, limits), experiments(args)
+    runs = experiments(args)
     numbers = (args.seed, args.noise, args.nuisance, args.domain, args.device)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "domain": args.domain}
     done = count(1)
-    return hidden, generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=lambda text: tick(next(done))), facts
+    return generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=lambda text: tick(next(done))), facts
 
 
 def experiments(args) -> list[str]:

@@ -15,6 +15,7 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if args.list:
         return _list(args.json)
+    cases.pick(args.names, quick=not args.all, everything=args.all, gpu=True)  # a wrong name fails before a device is looked for
     device = str(device_of(args.device))
     outcomes, table = [], []
     for case in cases.pick(args.names, quick=not args.all, everything=args.all, gpu=device.startswith("cuda")):

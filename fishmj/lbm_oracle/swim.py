@@ -17,7 +17,7 @@ from math import degrees, radians
 import numpy as np
 
 from fishmj import console, interrupt
-from fishmj.errors import OracleUnstable, SimDiverged, StoreError
+from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle import state
 from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
@@ -34,6 +34,8 @@ INTERRUPTED = "interrupted"  # of `Run.stopped`
 
 def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
+    if args.volume and args.fields is None:
+        raise ConfigError("lbm_oracle swim: --volume is of --fields; add --fields FOLDER, or leave it out")
     robot, gait = load_robot(args.robot), _gait(args)
     seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
     if args.out and args.out.exists() and not args.overwrite:

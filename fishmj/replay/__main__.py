@@ -4,6 +4,7 @@ import webbrowser
 from pathlib import Path
 
 from fishmj import console
+from fishmj.errors import ConfigError
 from fishmj.log import Trial, read_trial
 from fishmj.replay.film import write_mp4, write_png
 from fishmj.replay.html import write_html
@@ -45,6 +46,9 @@ def main(argv: list[str] | None = None) -> int:
     """The verb `replay`. Returns the exit code."""
     args = options().parse_args(argv)
     trials = [read_trial(path) for path in args.logs]
+    ends = max(end - start for start, end in (trial.span for trial in trials))
+    if args.png and args.at > ends:
+        raise ConfigError(f"replay: --at {args.at:g} s, and the logs end at {ends:.2f} s; expected 0 to {ends:.2f}")
     title = args.title or " and ".join(trial.name or Path(path).stem for trial, path in zip(trials, args.logs, strict=True))
     written = [write_html(trials, args.out, args.robot, title, speed=args.speed, fields=args.fields)]
     if args.mp4:

@@ -44,7 +44,7 @@ def options() -> console.Parser:
     steps = "control steps of 0.2 s, all fish together (default: the preset's)"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
     add("--envs", type=console.whole(1, 2**20), metavar="N", help="fish that swim at once (default: the preset's)")
-    add("--seed", type=SEED, default=0, help="of the run")
+    add("--seed", type=SEED, help="of the run (default: the preset's, 0)")
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help="several runs, for example 0,1,2 (default: --seed)")
     together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
     add("--together", action="store_true", help=together)
@@ -156,6 +156,8 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
     from fishmj.store import Checkpoints
 
     algo = plugins.name_of(settings.algo)
+    if args.resume and args.force:
+        raise ConfigError("--resume goes on with a run and --force removes it; leave one of them out")
     if args.together:
         if args.resume:
             raise ConfigError("--together cannot resume; train the seeds one after another")
@@ -177,6 +179,8 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
         several = args.together and any(folder.glob("seed-*/settings.json"))
         if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
+    if args.resume and not any((folder / "checkpoints").is_dir() for folder in found.values()) and settings.algo != "sb3-sac":
+        raise ConfigError(f"{', '.join(map(str, found.values()))}: nothing to resume; start without --resume")
     return found
 
 
@@ -186,6 +190,8 @@ def main(argv: list[str] | None = None) -> int:
     from fishmj.train.settings import change
 
     settings = settings_from(args)
+    if args.seeds and args.seed is not None:
+        raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
     seeds = args.seeds or [settings.seed]
     folders = folders_of(args, settings, seeds)
     if args.force and not args.resume:
