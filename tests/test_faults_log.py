@@ -79,7 +79,7 @@ def test_windows_line_ends_quotes_and_spaces_are_fine(tmp_path):
 
 
 def test_broken_meta_is_refused_at_its_line(tmp_path):
-    with pytest.raises(LogError, match=r"meta.toml:2:10: not valid TOML"):
+    with pytest.raises(LogError, match=r"meta.toml:2:1: not valid TOML"):
         log.read_trial(csv_trial(tmp_path, "t,j1\n0,0\n", meta='schema = "fishmj.log/1"\norigin = measured\n'))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fishmj import console
-from fishmj.errors import ConfigError, DatasetError
+from fishmj.errors import DatasetError, UsageError
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import chain, check, correct, learned, residual
 from fishmj.hydro_fit.dataset import open_dataset
@@ -272,5 +272,5 @@ def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():
 
 
 def test_a_negative_number_of_steps_is_refused_before_anything_is_read():
-    with pytest.raises(ConfigError, match=r"--swims -1; expected 0 or more"):
+    with pytest.raises(UsageError, match=r"--swims: got '-1', expected a whole number from 0"):
         verb.main(["fit", "--swims", "-1"])

@@ -26,6 +26,7 @@ _LIMITS = {
 _MILLIMETRES = (
     "looks like millimetres or pixels; the schema says m. Divide the column by 1000, or multiply it by the metres of a pixel"
 )
+SCALED = 0.1  # of a decade: how near to a factor of 10, 100, 1000 a change of units is
 JUMP, AROUND = 5.0, 50  # m of a step that stays, and rows on either side that say whether it does
 FAST = 1.999e-4  # s, a median step below which the unit of the stamps is doubted
 STEP = 1e-3  # s; shorter steps of stamps are jitter
@@ -212,10 +213,16 @@ def _steps(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> np.ndarray:
 
 
 def _level(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> int:
-    """The row after which a place jumps by metres and does not come back; -1 where there is none."""
+    """The row after which a place is 10, 100 or 1000 times what it was, metres away, and stays; -1 where there is none.
+
+    A jump alone is no change of units: the fixes of a satellite come back metres from where they were.
+    """
     for row in _steps(x, t, bounds)[:100]:
         before, after = np.median(x[max(row - AROUND, 0) : row + 1]), np.median(x[row + 1 : row + 2 + AROUND])
-        if min(abs(after - before), abs(x[row + 1] - x[row])) > JUMP:
+        small, large = sorted((abs(before), abs(after)))
+        power = math.log10(large / small) if small > 0 else 0.0
+        units = round(power) in (1, 2, 3) and abs(power - round(power)) < SCALED
+        if units and min(abs(after - before), abs(x[row + 1] - x[row])) > JUMP:
             return int(row)
     return -1
 
