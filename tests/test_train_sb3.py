@@ -181,5 +181,6 @@ def test_the_command_trains_and_wrong_settings_are_named(tmp_path, capfd):
     assert (made["engine"], made["steps"]) == ("batch", 64) and Policy.load(made["policy"]).meta["algorithm"] == "sb3-sac"
     assert console.run(main, [*argv, "--steps", "64"]) == console.BAD_INPUT
     assert "already holds a run" in capfd.readouterr().err
-    assert console.run(main, [*argv, "--critic", "privileged"]) == console.BAD_INPUT
+    elsewhere = ["--out", str(tmp_path / "other")]
+    assert console.run(main, [*argv, *elsewhere, "--critic", "privileged"]) == console.BAD_INPUT
     assert "unknown setting of sb3-sac 'privileged'" in capfd.readouterr().err
