@@ -34,7 +34,7 @@ from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
 from fishmj.log.schema import SCHEMA, TABLES, table_spec
 from fishmj.log.trial import Trial, stacked
-from fishmj.store import sync_folder, write_text
+from fishmj.store import put_in_place, write_text
 from fishmj.store.manifest import MANIFEST, Manifest
 
 FORMS = ("mcap", "csv", "parquet")
@@ -101,7 +101,7 @@ def export(
             Manifest.of(temporary, meta).write(temporary)
         if temporary.is_dir():
             write_text(temporary / MARK, "written by fishmj log export; --force replaces this folder\n")
-        _place(temporary, out)
+        put_in_place(temporary, out)
     except OSError as error:
         raise error if isinstance(error, StoreError) else StoreError(f"{out}: could not be written: {error}") from error
     finally:
@@ -217,21 +217,6 @@ def _plain_names(table: dict) -> dict:
             safe += "_"
         out[safe] = values
     return out
-
-
-def _place(temporary: Path, out: Path) -> None:
-    """One rename; what stood there before is put back when it fails."""
-    old = out.with_name(f".{out.name}.{uuid4().hex[:8]}.old.tmp")
-    if out.is_dir():
-        os.rename(out, old)
-    try:
-        os.replace(temporary, out)
-    except OSError:
-        if old.exists():
-            os.rename(old, out)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-    sync_folder(out.parent)
 
 
 def _meta_text(trial: Trial) -> str:

@@ -6,7 +6,6 @@ Reading never edits the source. Writing builds the whole folder beside its place
 import os
 import re
 import shutil
-from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -21,7 +20,7 @@ from fishmj.log.plausible import of_meta
 from fishmj.log.schema import SCHEMA, TABLES
 from fishmj.log.text import read_csv, read_text, write_csv
 from fishmj.log.trial import Table, Trial
-from fishmj.store import sync_folder, write_text
+from fishmj.store import put_in_place, write_text
 from fishmj.store.plain_file import trouble
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
@@ -139,27 +138,12 @@ def write_trial(
             else:
                 write_csv(temporary / f"{name}.csv", table)
         write_text(temporary / META_FILE, meta_text)
-        _swap(temporary, folder)
+        put_in_place(temporary, folder)
     except OSError as error:
         raise error if isinstance(error, StoreError) else StoreError(f"{folder}: could not be written: {error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return folder
-
-
-def _swap(temporary: Path, folder: Path) -> None:
-    """Rename `temporary` to `folder`; an old folder is moved aside first and put back when that fails."""
-    old = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.old.tmp")
-    if folder.exists():
-        os.rename(folder, old)
-    try:
-        os.rename(temporary, folder)
-    except OSError:
-        with suppress(OSError):
-            os.rename(old, folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-    sync_folder(folder.parent)
 
 
 def checked_meta(folder: Path, meta: dict) -> str:

@@ -1,7 +1,7 @@
 """Files that survive a crash: atomic writes, checksums, arrays without pickle, rotating checkpoints. NumPy only."""
 
 from fishmj.store.arrays import read_npz, read_tensors, write_npz, write_tensors
-from fishmj.store.atomic import plain, read_json, sync_folder, write_bytes, write_json, write_text
+from fishmj.store.atomic import plain, put_in_place, read_json, sync_folder, write_bytes, write_json, write_text
 from fishmj.store.checkpoints import Checkpoint, Checkpoints
 from fishmj.store.manifest import Change, Manifest, sha256
 
@@ -15,6 +15,7 @@ __all__ = [
     "read_npz",
     "read_tensors",
     "sha256",
+    "put_in_place",
     "sync_folder",
     "write_bytes",
     "write_json",

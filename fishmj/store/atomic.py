@@ -65,6 +65,22 @@ def write_json(path: str | Path, value) -> Path:
     return write_text(path, json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n")
 
 
+def put_in_place(temporary: Path, place: Path) -> None:
+    """Rename a finished file or folder to `place`; a folder that stands there is moved aside, and put back when that fails."""
+    old = place.with_name(f".{place.name}.{uuid4().hex[:8]}.old.tmp")
+    if place.is_dir():
+        os.rename(place, old)
+    try:
+        os.replace(temporary, place)
+    except OSError:
+        if old.exists():
+            with suppress(OSError):
+                os.rename(old, place)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    sync_folder(place.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames inside `folder` durable."""
     handle = os.open(folder, os.O_RDONLY)
