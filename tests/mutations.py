@@ -58,11 +58,23 @@ def seconds(least: float) -> float:
     return float(os.environ.get("FISHMJ_FUZZ_SECONDS", least))
 
 
-def fuzz(read: Callable[[Any], Any], document: Any, allowed: type[Exception], least: float = 2.0, seed: int = 0) -> int:
+def first_seed() -> int:
+    """Where the seeds of a fuzz test begin: FISHMJ_FUZZ_FIRST, or 0."""
+    return int(os.environ.get("FISHMJ_FUZZ_FIRST", "0"))
+
+
+def tell(name: str, count: int) -> None:
+    """Add to the file FISHMJ_FUZZ_REPORT, if one is named, how many examples ran."""
+    with open(os.environ.get("FISHMJ_FUZZ_REPORT", os.devnull), "a") as report:
+        report.write(f"{name}: {count} examples\n")
+
+
+def fuzz(read: Callable[[Any], Any], document: Any, allowed: type[Exception], least: float = 2.0) -> int:
     """Call `read` with mutations of `document` for that long; any other exception than `allowed` fails with its recipe.
 
     Returns the number of documents tried.
     """
+    seed = first_seed()
     rng, until, tried = random.Random(seed), time.monotonic() + seconds(least), 0
     while time.monotonic() < until:
         broken, done = mutated(document, rng)
@@ -73,4 +85,5 @@ def fuzz(read: Callable[[Any], Any], document: Any, allowed: type[Exception], le
             pass
         except Exception as error:
             raise AssertionError(f"mutation {tried} of seed {seed} ({done}): {type(error).__name__}: {error}") from error
+    tell(os.environ.get("PYTEST_CURRENT_TEST", "fuzz").split(" ")[0], tried)
     return tried

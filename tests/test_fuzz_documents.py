@@ -1,17 +1,22 @@
 """Fuzzing of what fishmj reads: JSON and TOML with anything in the place of anything raise our errors and no other.
 
-FISHMJ_FUZZ_SECONDS sets how long each test tries (default 2 s); the seeds are fixed.
+FISHMJ_FUZZ_SECONDS sets how long each test tries (default 2 s); FISHMJ_FUZZ_FIRST is the first seed (default 0).
 """
 
 import json
+import random
 import shutil
+import time
 import tomllib
 from pathlib import Path
 
+import lab_files
 import numpy as np
 import pytest
-from mutations import fuzz
+from mutations import first_seed, fuzz, seconds, tell
+from test_descriptions import whole
 
+from fishmj import mjcf
 from fishmj.errors import FishmjError
 from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.model import FOLDERS, HydroModel
@@ -35,6 +40,32 @@ def finite(document):
     if isinstance(document, dict):
         return {k: finite(v) for k, v in document.items() if v is not None}
     return [finite(v) for v in document if v is not None] if isinstance(document, list) else document
+
+
+def test_a_description_with_anything_in_it(tmp_path):
+    path = tmp_path / "fish.toml"
+
+    def read(document):
+        path.write_text(toml.dumps(finite(document)), encoding="utf-8")
+        mjcf.build(mjcf.load_robot(path))
+
+    assert fuzz(read, whole(), FishmjError) > 5
+
+
+def test_a_description_of_damaged_bytes(tmp_path):
+    path, raw = tmp_path / "fish.toml", toml.dumps(whole()).encode()
+    number, until = first_seed(), time.monotonic() + seconds(2.0)
+    while time.monotonic() < until:
+        path.write_bytes(lab_files.mutated(raw, random.Random(number)))
+        try:
+            mjcf.build(mjcf.load_robot(path))
+        except FishmjError:
+            pass
+        except Exception as error:
+            raise AssertionError(f"seed {number}: {type(error).__name__}: {error}") from error
+        number += 1
+    tell("description_bytes", number - first_seed())
+    assert number - first_seed() > 5
 
 
 def test_a_fitted_water_with_anything_in_it(water):

@@ -14,13 +14,12 @@ import time
 
 import lab_files
 import pytest
+from mutations import first_seed, seconds, tell
 from synthetic import whole_trial
 
 from fishmj import console, log
 from fishmj.log import __main__ as command
 
-FIRST = int(os.environ.get("FISHMJ_FUZZ_FIRST", "0"))
-SECONDS = float(os.environ.get("FISHMJ_FUZZ_SECONDS", "1"))
 SLOW = 30.0  # s that no example may take
 
 
@@ -39,12 +38,12 @@ def files_of(path):
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_damaged_recording_is_read_or_refused_in_one_line(tmp_path, monkeypatch, name):
     monkeypatch.setattr(os, "fsync", lambda handle: None)  # durability is tested elsewhere
-    rng_seed, count, refused = FIRST, 0, 0
+    rng_seed, count, refused = first_seed(), 0, 0
     source = MAKERS[name](tmp_path / "source")
     kept = {file: file.read_bytes() for file in files_of(source)}
     out = tmp_path / "out" / "set"
     out.parent.mkdir()
-    until = time.monotonic() + SECONDS
+    until = time.monotonic() + seconds(1.0)
     while time.monotonic() < until or count < 3:
         rng = random.Random(f"{name} {rng_seed}")
         file = rng.choice(sorted(kept))
@@ -66,5 +65,4 @@ def test_a_damaged_recording_is_read_or_refused_in_one_line(tmp_path, monkeypatc
         file.write_bytes(kept[file])
         rng_seed += 1
         count += 1
-    with open(os.environ.get("FISHMJ_FUZZ_REPORT", os.devnull), "a") as report:
-        report.write(f"{name}: {count} examples, {refused} refused\n")
+    tell(f"{name}, {refused} refused", count)
