@@ -233,3 +233,10 @@ _TREES = st.recursive(_LEAVES, lambda kids: st.lists(kids, max_size=3) | st.dict
 @given(st.dictionaries(_KEYS, _TREES, max_size=5))
 def test_written_toml_reads_back_as_it_was(table):
     assert tomllib.loads(toml.dumps(table)) == table
+
+
+def test_a_place_that_leaps_from_next_to_nothing_is_read(trial):
+    pose = trial.tables["pose"]
+    half = len(pose["t"]) // 2
+    pose["x"] = np.where(np.arange(len(pose["t"])) < half, 5e-324, 1.5)  # the ratio of the two levels is infinite
+    assert "x steps faster" in " ".join(check.check_table("pose", pose, lambda row, column: f"row {row}"))

@@ -220,7 +220,7 @@ def _level(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> int:
     for row in _steps(x, t, bounds)[:100]:
         before, after = np.median(x[max(row - AROUND, 0) : row + 1]), np.median(x[row + 1 : row + 2 + AROUND])
         small, large = sorted((abs(before), abs(after)))
-        power = math.log10(large / small) if small > 0 else 0.0
+        power = math.log10(large) - math.log10(small) if small > 0 else 0.0  # their ratio may be infinite
         units = round(power) in (1, 2, 3) and abs(power - round(power)) < SCALED
         if units and min(abs(after - before), abs(x[row + 1] - x[row])) > JUMP:
             return int(row)
