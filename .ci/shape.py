@@ -1,7 +1,7 @@
 """Size and shape of the package in figures: `python .ci/shape.py [FOLDER]`; FOLDER is a checkout, this one when none is given.
 
 lines       of fishmj/ without studies/, blank lines and docstrings included
-floors      longest chain of imports inside the package, circles counted as one floor; `upwards` are the imports of a lower level
+floors      longest chain of imports inside the package; a circle is one floor
 doubled     names of files, and of public classes, that occur more than once
 """
 
