@@ -186,14 +186,14 @@ def test_a_map_whose_column_is_absent_names_the_nearest(tmp_path, bring):
 )
 def test_every_unit_is_converted(tmp_path, bring, table, column, unit, factor):
     n = np.arange(40)
-    si, t = 0.3 + 0.1 * np.sin(n), 0.05 * n
+    si, t = (7.3 if column == "V" else 0.3) + 0.1 * np.sin(n), 0.05 * n
     if table == "t":
         lab_files.write(tmp_path / "a.csv", {f"zeit [{unit}]": t / factor, "c1": si})
         assert bring(tmp_path / "a.csv", "--yes")[0] == 0
         near(only(tmp_path / "set").tables["cmd"]["t"], t)
         return
     others = {"cmd": (), "joint": ("j1",), "pose": ("y", "yaw"), "velocity": (), "power": ("V",), "imu": ("ay",)}[table]
-    lab_files.write(tmp_path / "a.csv", {"t": t, "k": si / factor, "rest": 0.5 + 0.01 * n})
+    lab_files.write(tmp_path / "a.csv", {"t": t, "k": si / factor, "rest": 1.5 + 0.01 * n})
     rest = {name: "rest" for name in others if name != column}
     made = of_dict({"tables": {table: {"t": "t", "columns": {column: {"column": "k", "unit": unit}, **rest}}}}, "map")
     from fishmj.log.importers.column_map import written
@@ -343,7 +343,72 @@ def test_millimetres_called_metres_are_seen_by_their_pace(tmp_path, bring):
     t = 0.02 * np.arange(200)
     lab_files.write(tmp_path / "a.csv", {"t_s": t, "x_m": 100 + 80 * t + 3 * np.sin(40 * t), "y_m": 0 * t, "yaw_rad": 0 * t})
     code, _, err = bring(tmp_path / "a.csv", "--yes")
-    assert code == 2 and "moves " in err and "looks like millimetres" in err and "Divide the column by 1000" in err
+    assert code == 2 and "column 'x_m' in m as pose.x is 80" in err and "m/s; plausible is at most 20" in err
+    assert 'columns.x = {column = "x_m", unit = "cm"}' in err and "Divide" not in err
+
+
+def named(values, name, **others):
+    """A log with a swim's command and one more column."""
+    return {"time_s": 0.02 * N, "servo1_deg": 20 * WAVE, name: values + 0 * N, **others}
+
+
+@pytest.mark.parametrize(
+    ("columns", "said", "mended"),
+    [
+        (named(7.4, "batt_mV"), "the name says mV, which makes it 0.0074 V, plausible is 1 to 500", "batt_mV=power.V:V"),
+        (named(7400, "batt_V"), "the name says V, which makes it 7400 V, plausible is 1 to 500", "batt_V=power.V:mV"),
+        (named(7.4, "batt_V", i_mA=0.8 + 0 * N), "makes it 0.0008 A, plausible is 0.005 to 200", "i_mA=power.I:A"),
+        (named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE), "makes it 12 m, plausible is at most 8", "x_cm=pose.x:mm"),
+        (named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE), "makes it 12 m, plausible is at most 8", "y_cm=pose.y:mm"),
+        ({"time_s": 0.02 * N, "servo1_deg": 0.4 * WAVE}, "the name says deg, but no joint goes beyond", "servo1_deg=cmd.c1:rad"),
+    ],
+)
+def test_a_unit_in_a_name_that_does_not_fit_the_values_is_asked(tmp_path, bring, columns, said, mended):
+    lab_files.write(tmp_path / "log.csv", columns)
+    code, _, err = bring(tmp_path / "log.csv", "--yes")
+    assert code == 2 and said in err and f"--set {mended}" in err and "\n" not in err
+    name = mended.partition("=")[0]
+    assert guessed(tmp_path, columns)[name].state == guess.UNCLEAR
+
+
+def test_what_is_asked_is_answered_either_way(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE))
+    for unit, place in (("mm", 1.2), ("cm", 12.0)):
+        said = ("--set", f"x_cm=pose.x:{unit}", "--set", f"y_cm=pose.y:{unit}")
+        code, _, err = bring(tmp_path / "a.csv", "--yes", *said, out=tmp_path / unit)
+        assert code == 0, err
+        assert only(tmp_path / unit).tables["pose"]["x"][0] == pytest.approx(place)
+
+
+@pytest.mark.parametrize(
+    ("table", "source", "said", "line"),
+    [
+        ("power", {"V": ("k", "mV", 7.4)}, "in mV as power.V is usually 0.0074 V; plausible is 1 to 500", ("V", "V")),
+        ("cmd", {"c1": ("k", "", 20.0)}, "in rad as cmd.c1 is 20 rad; plausible is at most 3.142", ("c1", "deg")),
+        ("target", {"x": ("k", "", 1200.0), "y": ("k", "mm", 1.0)}, "starts at 1200 m; plausible is at most 1000", ("x", "cm")),
+    ],
+)
+def test_a_unit_of_a_map_that_does_not_fit_names_the_line_that_mends_it(tmp_path, bring, table, source, said, line):
+    lab_files.write(tmp_path / "a.csv", {"t": 0.02 * N, "k": next(iter(source.values()))[2] + 0 * N})
+    rows = "".join(
+        f'columns.{ours} = {{ column = "{k}"{f", unit = {unit!r}" if unit else ""} }}\n' for ours, (k, unit, _) in source.items()
+    )
+    (tmp_path / "MAP.toml").write_text(f'[tables.{table}]\nt = "t"\n{rows}')
+    code, _, err = bring(tmp_path / "a.csv", "--columns", tmp_path / "MAP.toml")
+    assert code == 2 and said in err and "a.csv:2:k" in err and "the column by" not in err
+    assert 'columns.{} = {{column = "k", unit = "{}"}} in the map'.format(*line) in err
+
+
+def test_stamps_of_a_map_in_another_unit_name_the_line_that_mends_it(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"t": 20.0 * N, "k": 0.3 * WAVE})
+    (tmp_path / "MAP.toml").write_text('[tables.cmd]\nt = "t"\ncolumns.c1 = "k"\n')
+    code, _, err = bring(tmp_path / "a.csv", "--columns", tmp_path / "MAP.toml")
+    assert code == 2 and 't = {column = "t", unit = "ms"} in the map, or --set t=t:ms' in err
+
+
+def test_a_battery_that_is_off_is_no_mistake_of_units(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"time_s": 0.02 * N, "servo1_deg": 20 * WAVE, "batt_mV": 0 * N})
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from fishmj.log.importers import header, values
 from fishmj.log.importers.column_map import ColumnMap, is_column, measured, of_dict
 from fishmj.log.importers.roles import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.importers.units import SI, measures, of_kind, unit_of
+from fishmj.log.importers.units import SI, likely, measures, unit_of
 from fishmj.log.limits import quoted
 from fishmj.log.schema import TABLES, table_spec
 
@@ -42,6 +42,7 @@ class Guess:
     scale: float = 1.0
     why: str = ""
     said: bool = False  # by the user
+    fits: tuple[str, ...] = ()  # units that its values allow, where its name says another
 
     @property
     def place(self) -> str:
@@ -290,10 +291,12 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
         elif g.unit:
-            doubt = values.against(g.unit, what, kind.values(g.column)) if g.unit != DATE else ""
+            alike = [kind.values(o.column) for o in [g, *guesses] if o is g or _share(o, g, what)]
+            kin = "joint" if _of_a_joint(g.places) else what
+            doubt, fits = values.against(g.unit, kin, alike) if g.unit != DATE else ("", ())
             if g.unit == "px":
                 doubt = "px: say the metres of a pixel, and y's direction, in a map"
-            out.append(replace(g, state=UNCLEAR, why=doubt) if doubt else g)
+            out.append(replace(g, state=UNCLEAR, why=doubt, fits=tuple(fits)) if doubt else g)
         elif not what:
             out.append(g)
         else:
@@ -313,6 +316,12 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
             state = UNCLEAR if not unit else g.state
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
     return out
+
+
+def _share(one: Guess, other: Guess, what: str) -> bool:
+    """Whether two columns whose names say one unit are of one sensor: x beside y, joints of one kind."""
+    apart = (lambda place: place.partition(".")[0]) if what == "length" else _family
+    return one.state != LEFT and one.unit == other.unit and apart(one.place) == apart(other.place)
 
 
 def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
@@ -495,6 +504,6 @@ def choices(g: Guess) -> str:
     """What --set could say of an unclear column."""
     table, _, column = g.place.partition(".")
     what = "time" if g.place == "t" else measured(table, column)
-    units = [u for u in of_kind(what) if u not in ("rev", "mrad", "min", "rpm", "g")] if not g.unit else [g.unit]
+    units = g.fits or ([g.unit] if g.unit else likely(what))
     options = [f"{place}:{unit}" if unit else place for place in g.places for unit in units or [""]]
     return " or ".join(f"{o}*SCALE" if o.endswith(":px") else o for o in options)

@@ -69,3 +69,14 @@ def measures(unit: str) -> str:
 def of_kind(what: str) -> list[str]:
     """The units of one quantity that have a factor, or take a scale (px)."""
     return [unit for unit, (measured, _) in UNITS.items() if measured == what]
+
+
+def likely(what: str) -> list[str]:
+    """Those that a laboratory's column is in; the others are taken where its name says so."""
+    return [unit for unit in of_kind(what) if unit not in ("rev", "mrad", "min", "rpm", "g")]
+
+
+def fitting(what: str, value: float, unit: str, span: tuple[float, float]) -> list[str]:
+    """The likely units in which a value [SI] that was read in `unit` lies within `span`."""
+    raw = abs(value) / UNITS[unit or SI[what]][1]
+    return [u for u in likely(what) if u != unit and span[0] <= raw * UNITS[u][1] <= span[1]]
