@@ -15,9 +15,10 @@ from fishmj import console, log
 from fishmj.errors import LogError
 from fishmj.log import __main__ as command
 from fishmj.log import plausible
-from fishmj.log.importers import guess
+from fishmj.log.importers import guess, header
 from fishmj.log.importers.column_map import of_dict, read_map
 from fishmj.log.importers.delimited import read as read_text_table
+from fishmj.log.importers.roles import role
 
 
 @pytest.fixture
@@ -282,6 +283,40 @@ def test_angles_beside_commands_are_measured_and_numbers_from_0_move_up(tmp_path
         tmp_path, {"t": 0.02 * N, "goal0": 0.4 * WAVE, "goal1": 0.4 * WAVE, "joint0": 0.3 * WAVE, "joint1": 0.3 * WAVE}
     )
     assert [found[c].place for c in ("goal0", "goal1", "joint0", "joint1")] == ["cmd.c1", "cmd.c2", "joint.j1", "joint.j2"]
+
+
+@pytest.mark.parametrize(
+    ("names", "place"),
+    [
+        ("zeit_ms Zeit[s] zeitstempel uhrzeit temps_s ts t_us tstamp zeit_sekunden", "t"),
+        ("kurs kurs_deg kurs_grad hdg HDG_deg heading psi ψ gierwinkel gier yawangle orientierung", "pose.yaw"),
+        ("spannung akku_V akkuspannung batteriespannung vbat v_bat u_batt vcc lipo_mV spannung_akku", "power.V"),
+        ("strom strom_A akkustrom i_a i_mA i_bat ibat curr_mA courant", "power.I"),
+        ("servo1_soll sollwinkel1 stellwinkel_1_grad sollwert1 gelenk1_soll consigne1", "cmd.c#"),
+        ("servo1_ist istwinkel1 istwert1 gelenk1_ist winkel1_gemessen", "joint.j#"),
+        ("temperatur_servo1", "joint.temp#"),
+        ("gierrate kurs_rate", "velocity.yaw_rate"),
+        ("beschleunigung_x beschl_x", "imu.ax"),
+    ],
+)
+def test_names_of_other_tongues_and_habits_are_known(names, place):
+    for name in names.split():
+        assert role(header.parse(name), set()).places == (place,), name
+
+
+@pytest.mark.parametrize("name", "geschwindigkeit_x pressure_psi cam_v kurs_soll tension cap kompass druck motor1_strom".split())
+def test_what_only_sounds_like_a_column_of_ours_is_left_out(name):
+    assert role(header.parse(name), set()).places == ()
+
+
+@pytest.mark.parametrize("name", ["akku", "batt", "winkel1", "gelenk1"])
+def test_a_name_with_two_meanings_is_asked(name):
+    assert len(role(header.parse(name), set()).places) == 2
+
+
+def test_a_battery_in_millivolts_under_a_name_without_a_unit_is_told_by_its_values(tmp_path):
+    found = guessed(tmp_path, named(7400.0, "vbat"))["vbat"]
+    assert (found.place, found.unit, found.state) == ("power.V", "mV", guess.TAKEN)
 
 
 def test_a_place_without_a_heading_is_a_point_and_no_pose(tmp_path):
