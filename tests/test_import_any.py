@@ -101,6 +101,18 @@ def test_a_written_map_is_read_back_and_gives_the_same_trial(tmp_path, bring):
     assert all(np.array_equal(one.tables[t][c], two.tables[t][c]) for t in one.tables for c in one.tables[t])
 
 
+def test_a_written_map_names_every_column_of_the_files(tmp_path, bring):
+    columns = {"time_ms": 20 * N, "servo1_deg": 20 * WAVE, "gripper": N, "humidity": N, "fx": N, "akku": 7 + 0 * N}
+    lab_files.write(tmp_path / "log.csv", columns)
+    said = ("--set", "gripper=skip", "--write-map", tmp_path / "MAP.toml")
+    assert bring(tmp_path / "log.csv", *said, out=None)[0] == 0
+    text = (tmp_path / "MAP.toml").read_text()
+    assert all(name in text for name in columns) and "# left out: log.csv: fx (a force or torque" in text
+    assert "# unclear: log.csv: akku may be power.V:V" in text and read_map(tmp_path / "MAP.toml").skip == ["gripper"]
+    assert bring(tmp_path / "log.csv", "--columns", tmp_path / "MAP.toml")[0] == 0
+    assert any("not read: humidity, fx, akku" in note for note in only(tmp_path / "set").meta["notes"])
+
+
 # ------------------------------------------------------------------------------------------------------------------- maps
 MAP = """
 [meta]

@@ -371,13 +371,19 @@ def _write_map(args: Namespace, found: Found) -> None:
         raise LogError(
             f"{args.source[0]}: {len(found.maps)} layouts of files, one map cannot describe them; import them one after the other"
         )
-    doubts = [(kinds, g) for kinds, made in found.guesses for g in guess.unclear(made)]
-    text = written(found.maps[0])
-    for kinds, g in doubts:
-        name = quoted(kinds[g.kind].sheets[0].name)[1:-1]
-        text += f"# unclear: {name}: {quoted(g.column)[1:-1]} may be {guess.choices(g)} ({g.why})\n"
-    write_text(args.write_map, text)
+    write_text(args.write_map, written(found.maps[0]) + "".join(_remarks(found)))
     console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
+
+
+def _remarks(found: Found) -> Iterator[str]:
+    """Comments of a map: every column of the files that no line of it takes."""
+    for kinds, made in found.guesses:
+        for g in made:
+            name = f"{quoted(kinds[g.kind].sheets[0].name)[1:-1]}: {quoted(g.column)[1:-1]}"
+            if g.state == UNCLEAR:
+                yield f"# unclear: {name} may be {guess.choices(g)} ({g.why})\n"
+            elif g.state == LEFT and not g.said:
+                yield f"# left out: {name} ({g.why})\n"
 
 
 def _first_unclear(found: Found) -> str:

@@ -486,7 +486,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: s
             entry["file"] = found[k].pattern
     if not tables:
         raise LogError(_nothing(guesses, where))
-    return of_dict({"tables": tables, "meta": meta}, where)
+    return of_dict({"tables": tables, "meta": meta, "skip": [g.column for g in guesses if g.said and not g.places]}, where)
 
 
 def _nothing(guesses: Sequence[Guess], where: str) -> str:
