@@ -186,7 +186,11 @@ def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> list[str]:
             place(1, "t"),
             f"the median step is {middle:g} s, which looks like {unit}; the schema says s.",
             f"Divide the column by {factor}",
-            **{"column": "t", "value": middle, "span": (0.0, bounds.period), "si": "s", "bound": "period"},
+            column="t",
+            value=middle,
+            span=(0.0, bounds.period),
+            si="s",
+            bound="period",
         )
     if 0 < middle < FAST:
         notes.append(f"the median step is {middle:.3g} s, {1 / middle:.3g} rows a second: are the stamps in s?")
@@ -215,7 +219,11 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
                 place(int(bad[0]), column),
                 f"column {column!r}: {value:g} looks like {looks}",
                 fix,
-                **{"column": column, "value": value, "span": (0.0, most), "si": si, "bound": bound},
+                column=column,
+                value=value,
+                span=(0.0, most),
+                si=si,
+                bound=bound,
             )
 
 
@@ -229,7 +237,11 @@ def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausib
             place(int(np.argmax(np.abs(values) >= value)), column),
             f"column {column!r}: usually {value:g}, which looks like {looks}; the schema says {si}.",
             f"{fix} the column by 1000",
-            **{"column": column, "value": value, "span": span, "si": si, "bound": bound},
+            column=column,
+            value=value,
+            span=span,
+            si=si,
+            bound=bound,
         )
 
 
@@ -261,7 +273,10 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         place(bad, column),
         f"column {column!r}: {told}, which {_MILLIMETRES}",
         f"{_METRES}; if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import",
-        **{"column": column, "value": value, "span": (0.0, getattr(bounds, name)), "si": "m/s" if name == "speed" else "m"},
+        column=column,
+        value=value,
+        span=(0.0, getattr(bounds, name)),
+        si="m/s" if name == "speed" else "m",
         bound=name,
     )
 
@@ -315,5 +330,9 @@ def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bo
             place(bad, column),
             f"column {column!r}: {yaw[bad]:g} looks like degrees; the schema says rad.",
             "Multiply the column by pi/180",
-            **{"column": column, "value": float(yaw[bad]), "span": (0.0, most), "si": "rad", "bound": "turns"},
+            column=column,
+            value=float(yaw[bad]),
+            span=(0.0, most),
+            si="rad",
+            bound="turns",
         )
