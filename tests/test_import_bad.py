@@ -195,10 +195,23 @@ BAD = {
     "truncated mcap": ("a.mcap", lambda p: (lab_files.mcap_cdr(p, 4), p.write_bytes(p.read_bytes()[:-100])), "damaged, cut off"),
     "mcap bomb, zstd": ("a.mcap", lambda p: bomb_mcap(p, "zstd"), "says 1000 bytes unpacks to more"),
     "mcap bomb, lz4": ("a.mcap", lambda p: bomb_mcap(p, "lz4"), "says 1000 bytes unpacks to more"),
+    "protobuf": ("a.mcap", lambda p: protobuf(p), "'protobuf' are not read; convert .* pip install mcap-protobuf-support"),
     "no database": ("a.db3", b"SQLite format 3\0" + bytes(2000), "damaged or no rosbag2|no rosbag2"),
     "another database": ("a.db3", lambda p: another_database(p), "expected topics and messages"),
     "a view for a table": ("a.db3", lambda p: another_database(p, view=True), "expected topics and messages"),
 }
+
+
+def protobuf(path):
+    from mcap.writer import Writer
+
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(name="lab.Command", encoding="protobuf", data=b"")
+        channel = writer.register_channel(topic="/command", message_encoding="protobuf", schema_id=schema)
+        writer.add_message(channel, log_time=0, publish_time=0, data=b"\x0d\0\0\0\0")
+        writer.finish()
 
 
 def another_database(path, view=False):
