@@ -274,6 +274,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
 def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
     """A unit for every column that has a place: said by its name or file, else by the values of its family."""
     out = []
+    doubts: dict[tuple[str, str], tuple[str, Sequence[str]]] = {}  # by unit and sensor
     known: dict[tuple[str, str], tuple[str, str]] = {}  # by family: its values are looked at once
     for g in guesses:
         if g.state == LEFT:
@@ -291,9 +292,10 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
         elif g.unit:
-            alike = [kind.values(o.column) for o in [g, *guesses] if o is g or _share(o, g, what)]
-            kin = "joint" if _of_a_joint(g.places) else what
-            doubt, fits = values.against(g.unit, kin, alike) if g.unit != DATE else ("", ())
+            if (shared := (g.unit, _sensor(g, what))) not in doubts:
+                alike = [kind.values(o.column) for o in guesses if o.state != LEFT and (o.unit, _sensor(o, what)) == shared]
+                doubts[shared] = values.against(g.unit, "joint" if _of_a_joint(g.places) else what, alike)
+            doubt, fits = doubts[shared]
             if g.unit == "px":
                 doubt = "px: say the metres of a pixel, and y's direction, in a map"
             out.append(replace(g, state=UNCLEAR, why=doubt, fits=tuple(fits)) if doubt else g)
@@ -318,10 +320,9 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
     return out
 
 
-def _share(one: Guess, other: Guess, what: str) -> bool:
-    """Whether two columns whose names say one unit are of one sensor: x beside y, joints of one kind."""
-    apart = (lambda place: place.partition(".")[0]) if what == "length" else _family
-    return one.state != LEFT and one.unit == other.unit and apart(one.place) == apart(other.place)
+def _sensor(g: Guess, what: str) -> str:
+    """What columns have in common whose names say one unit: x and y of one table, joints of one kind; a stamp is alone."""
+    return g.column if what == "time" else g.place.partition(".")[0] if what == "length" else _family(g.place)
 
 
 def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:

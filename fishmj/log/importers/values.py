@@ -10,6 +10,7 @@ import numpy as np
 
 from fishmj.log.check import usual
 from fishmj.log.importers.convert import EPOCH
+from fishmj.log.importers.sheet import DATE
 from fishmj.log.importers.units import SI, UNITS, fitting, likely
 from fishmj.log.limits import quoted
 from fishmj.log.plausible import of_meta
@@ -134,6 +135,8 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
         what: it measures; "joint" for the angle of one. values: of the column, and of those that share its unit: the joints of
             one kind, x beside y.
     """
+    if unit == DATE:
+        return "", ()
     bounds = of_meta({}, "")
     most = max(map(_most, values), default=0.0)
     if what == "time":
