@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.store.plain_file import ABSENT, trouble
 from fishmj.toml_errors import explained
 
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
@@ -65,9 +66,9 @@ _LONG_KEY = re.compile(rf"(?:\.[ \t]{{0,9}}{_PART}[ \t]{{0,9}}){{{_PARTS}}}")  #
 def _text(path: Path) -> str:
     """The text of a file, within bounds."""
     shown = shown_path(path)
+    if wrong := trouble(path, "a TOML file"):
+        raise ConfigError(f"{shown}: {wrong}")
     try:
-        if wrong := no_file(path):
-            raise ConfigError(f"{shown}: {wrong}, expected a TOML file")
         with path.open("rb") as file:
             raw = file.read(LARGEST + 1)
     except OSError as error:
@@ -116,18 +117,15 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
             f"{shown}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
         )
     if path.suffix == ".toml":
-        try:
-            wrong = no_file(path)
-        except OSError as error:  # a name too long for the file system, a folder that may not be entered
-            raise ConfigError(f"{shown}: cannot be read: {error.strerror or error}") from error
-        if wrong == _ABSENT:
-            raise ConfigError(f"{shown}: no such file; shipped ones go by name: {', '.join(known)}")
+        wrong = trouble(path, "a TOML file")
+        if wrong == ABSENT:
+            raise ConfigError(f"{shown}: {ABSENT}; shipped ones go by name: {', '.join(known)}")
         if wrong:
-            raise ConfigError(f"{shown}: {wrong}, expected a TOML file")
+            raise ConfigError(f"{shown}: {wrong}")
         return path
     if str(name) not in (known if robot else shipped()):
         if _exists(path):
-            kind = no_file(path) or "is a file whose name does not end in .toml"
+            kind = trouble(path, "") or "is a file whose name does not end in .toml"
             raise ConfigError(f"{shown}: {kind}; expected a .toml file, or a shipped name: {', '.join(known)}")
         near = next((key for key, own in robots().items() if own == str(name)), "") if robot else ""
         raise UnknownName("robot" if robot else "calibration file", str(name)[:100], known, near=near)
@@ -138,20 +136,6 @@ def shown_path(path: str | Path) -> str:
     """A path for a message: printable whatever it holds, 300 characters at most."""
     text = "".join(c if c.isprintable() else "?" for c in str(path)[:300])
     return text if len(str(path)) <= 300 else f"{text}..."
-
-
-_ABSENT = "no such file"
-
-
-def no_file(path: Path) -> str:
-    """What a path is that is no plain file; "" for one that is. Raises OSError where the system cannot tell."""
-    if path.is_file():
-        return ""
-    if path.is_dir():
-        return "is a folder"
-    if path.is_symlink() and not path.exists():
-        return "is a link that leads nowhere"
-    return "is no plain file" if path.exists() else _ABSENT
 
 
 def _exists(path: Path) -> bool:

@@ -12,6 +12,8 @@ import recordings
 
 from fishmj import console, log
 from fishmj.log import __main__ as command
+from fishmj.log.importers import guess
+from fishmj.log.importers.delimited import read as read_text_table
 
 ROWS = 120
 N = np.arange(100)
@@ -35,6 +37,12 @@ def only(folder):
     data = log.read_dataset(folder)
     assert len(data) == 1
     return data[data.names[0]]
+
+
+def guessed(tmp_path, columns, name="log.csv"):
+    """Column -> what it is taken for."""
+    sheet = read_text_table(write(tmp_path / name, columns))
+    return {g.column: g for g in guess.guess(guess.kinds([sheet]))}
 
 
 def near(got, wanted, tolerance=1e-6):

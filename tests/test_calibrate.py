@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 pytest.importorskip("numba")
 
+from fishmj import console
 from fishmj.calib import read_toml
+from fishmj.calibrate import __main__ as command
 from fishmj.calibrate import latency, mass, model, servo
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, correlation_length, fit
 from fishmj.calibrate.logs import Logs
@@ -20,7 +23,7 @@ from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.gap.plants.bench import Bench
 from fishmj.gap.records import Sensor
 from fishmj.hydro_fit import chain
-from fishmj.log import measurements
+from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json, write_text
@@ -105,6 +108,40 @@ def test_latencies_come_back(robot, fitted):
 def test_without_bench_trials_it_says_what_to_record():
     with pytest.raises(LogError, match="at least two"):
         servo.calibrate(Logs(Path("empty"), {}), Bench())
+
+
+def some_trials(folder: Path, names: str, change=lambda table, column, values: values) -> Path:
+    """Shipped trials with other values in them, as a data set without a manifest."""
+    for name in names.split():
+        trial = read_trial(SHIPPED / name)
+        tables = {t: {c: change(t, c, v) for c, v in columns.items()} for t, columns in trial.tables.items()}
+        write_trial(folder / name, replace(trial, tables={t: c for t, c in tables.items() if c.get("j1", 0) is not None}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("names", "change", "said"),
+    [
+        ("air_sine_1", None, "finds 1 sine in air. Record square, impulse in air and in water, three times each"),
+        ("air_sine_1 air_sine_2 water_sine_1", None, "finds 2 sine in air, 1 sine in water. Record square, impulse"),
+        ("water_sine_1 water_square_1", lambda t, c, v: None if t == "joint" else v, "water_sine_1 is left out: no table joint"),
+        ("air_sine_1 air_square_1", lambda t, c, v: 0.01 * v if (t, c[0]) == ("cmd", "c") else v, "commands stay within 0."),
+        ("air_sine_1 air_square_1", lambda t, c, v: 0 * v if c[0] == "j" else v, "do not tell kp "),
+    ],
+)
+@pytest.mark.parametrize("verb", ["servo", "latency"])
+def test_too_little_to_calibrate_a_servo_is_one_line_and_nothing_is_written(tmp_path, capsys, verb, names, change, said):
+    data = some_trials(tmp_path / "data", names, change or (lambda t, c, v: v))
+    where = ["--data", data, "--out", tmp_path / "new.toml", "--report", tmp_path / "report"]
+    assert console.run(command.main, [verb, *map(str, where)]) == console.BAD_INPUT
+    last = capsys.readouterr().err.strip().split("\n")[-1]
+    assert last.startswith("fishmj: ") and said in last
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_page_of_weighings_that_is_absent_says_what_to_write(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"measurements.toml: no such file; write there what was weighed"):
+        mass.calibrate(tmp_path, load_robot())
 
 
 def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):

@@ -1,13 +1,17 @@
 """The slip calibration: what the table was read from is found again, what no ratio explains is told, a coast says little."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fishmj import console
+from fishmj.calibrate import __main__ as command
 from fishmj.calibrate import slip
 from fishmj.calibrate.logs import read
 from fishmj.errors import LogError
+from fishmj.log import read_trial, write_trial
 
 SHIPPED = Path(__file__).resolve().parent.parent / "data" / "calib" / "trials"
 
@@ -64,3 +68,14 @@ def test_a_longer_trial_has_the_same_speed():
     pose = {"t": t, "x": 0.004 * t**2, "y": 0 * t, "yaw": 0 * t}
     short = {k: v[t < 8.2] for k, v in pose.items()}
     assert slip.metric("gait_slow", pose) == pytest.approx(slip.metric("gait_slow", short)) == pytest.approx(0.0472, rel=1e-3)
+
+
+@pytest.mark.parametrize(("slower", "said"), [(0.1, "no slip ratio explains"), (0.0, "the fish stays where it is in a gait")])
+def test_a_slip_that_cannot_be_told_writes_nothing(tmp_path, capsys, slower, said):
+    trial = read_trial(SHIPPED / "swim_gait_1")
+    pose = {c: slower * v if c in "xy" else v for c, v in trial.tables["pose"].items()}
+    write_trial(tmp_path / "data" / "gait", replace(trial, tables=trial.tables | {"pose": pose}))
+    where = ["--data", tmp_path / "data", "--out", tmp_path / "new.toml", "--report", tmp_path / "report"]
+    assert console.run(command.main, ["slip", *map(str, where)]) == console.BAD_INPUT
+    assert said in capsys.readouterr().err.strip().split("\n")[-1]
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]

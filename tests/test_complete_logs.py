@@ -10,6 +10,7 @@ from fishmj import console, engines, evaluate, log
 from fishmj.calib import constant
 from fishmj.calibrate import logs as calibrate_logs
 from fishmj.engines.added import with_effects
+from fishmj.errors import LogError
 from fishmj.evaluate import logs
 from fishmj.flow import Flow
 from fishmj.gap import find
@@ -81,6 +82,44 @@ def test_a_live_swim_is_the_same_log_for_the_same_seed(folder):
     for table, columns in one.tables.items():
         assert all(np.array_equal(columns[c], again.tables[table][c]) for c in columns), table
     assert not np.array_equal(one.tables["joint"]["j1"], other.tables["joint"]["j1"])
+
+
+def test_a_swim_that_beats_from_the_first_row_begins_where_it_truly_was(folder):
+    """Averaged over 0.3 s of it, the joints would be 5 to 8 deg off and the heading 0.05 rad."""
+    for name in "ab":
+        trial = log.read_trial(folder / name)
+        record, truth = record_of(trial, 0.004), trial.table("truth")
+        assert np.abs(record.joints - stacked(truth, "j#")[0]).max() < np.radians(1.5)
+        assert (
+            abs(record.start[2] - truth["yaw"][0]) < 0.03
+            and math.hypot(*(record.start - [truth[c][0] for c in ("x", "y", "yaw")])[:2]) < 0.01
+        )
+
+
+def cut(trial, start):
+    """From `start` s on."""
+    tables = {name: {c: v[t["t"] >= start] for c, v in t.items()} for name, t in trial.tables.items()}
+    return replace(trial, tables=tables)
+
+
+def test_a_record_that_begins_amid_a_swim_is_refused_unless_its_push_is_stated():
+    sim = Sim("fish")
+    trial = sim.run(lambda t: 0.5 * np.sin(2 * math.pi * t - np.arange(3)) * min(t, 1.0), 5.0)
+    record_of(trial, 0.004)
+    late = cut(trial, 4.0)
+    with pytest.raises(LogError, match=r"the fish moves at 0\.\d+ m/s at the first row and no push is stated"):
+        record_of(late, 0.004)
+    record_of(replace(late, meta=late.meta | {"push": [0.3, 0.0, 0.0]}), 0.004)
+
+
+def test_a_fish_at_rest_is_averaged_for_0_3_s():
+    t = np.arange(0, 2, 0.02)
+    rng = np.random.default_rng(0)
+    values = {c: 0.002 * rng.standard_normal(len(t)) for c in ("x", "y", "yaw")}
+    beat = np.where(t > 0.6, 0.5 * np.sin(6 * (t - 0.6)), 0.0)
+    table = {"t": t, **{f"j{k}": beat for k in (1, 2, 3)}}
+    trial = log.Trial({}, {"cmd": {"t": t, **{f"c{k}": beat for k in (1, 2, 3)}}, "joint": table, "pose": {"t": t, **values}})
+    assert record_of(trial, 0.004).start == pytest.approx([values[c][:16].mean() for c in values])
 
 
 def test_what_a_log_states_of_its_sensors_is_what_they_did(body):

@@ -1,7 +1,9 @@
 """Claims about `fishmj log export`: the same numbers in MCAP, CSV and Parquet, with units, in one step or not at all."""
 
 import json
+from dataclasses import replace
 
+import describing
 import numpy as np
 import pytest
 from synthetic import swim, whole_trial
@@ -14,6 +16,7 @@ from fishmj.log.bundle import write_bundle
 from fishmj.log.columns import unit
 from fishmj.log.export import carried, export
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.solids import solids
 
 SHAPE = lambda trial: solids(load_robot())  # noqa: E731
@@ -112,11 +115,43 @@ def test_the_frames_put_every_link_where_the_skin_has_it(tmp_path):
     assert np.isclose(yaw, q[2:].sum())
 
 
-def test_the_links_are_as_long_as_the_fish(tmp_path):
-    made, robot = solids(load_robot()), load_robot()
-    assert made[0].front - made[-1].front + made[-1].size[0] == pytest.approx(robot.length)
-    spheres = [e["spheres"][0] for e in foxglove.body(0, made)["entities"]]
-    assert spheres[0]["pose"]["position"]["x"] == pytest.approx(made[0].front - made[0].size[0] / 2)
+@pytest.fixture
+def pike(tmp_path, monkeypatch, capsys):
+    """A description of one's own, with five links."""
+    monkeypatch.chdir(tmp_path)
+    assert describing.new("pike", *describing.FIVE) == 0
+    capsys.readouterr()
+    return tmp_path / "pike.toml"
+
+
+@pytest.mark.parametrize("name", ["fish", "tendon_fish", "pike"])
+def test_the_links_are_drawn_as_long_as_wide_and_as_high_as_the_fish(name, pike):
+    robot = load_robot(pike if name == "pike" else name)
+    made = solids(robot)
+    entities = foxglove.body(0, made)["entities"]
+    assert len(entities) == robot.n_joints + 1 and all(e["triangles"][0]["indices"] for e in entities)
+    whole = np.concatenate([s.points + [s.front if i else 0.0, 0, 0] for i, s in enumerate(made)])
+    high, wide = (max(section[k] for link in robot.links for section in link.sections) for k in (1, 2))
+    assert np.ptp(whole[:, 0]) == pytest.approx(robot.length) and whole[:, 0].max() == pytest.approx(made[0].front)
+    assert (
+        np.ptp(whole[:, 2]) == pytest.approx(high, rel=0.02)
+        and np.ptp(whole[:, 1]) <= 1.01 * wide * geometry_of(robot).width_scale
+    )
+    assert sum(len(e["cubes"]) for e in entities) == sum(fin.count for fin in robot.fins)
+
+
+def test_a_fish_of_ones_own_is_drawn_from_its_description(tmp_path, capsys, pike):
+    trial = swim(1.0)
+    folder = log.write_trial(tmp_path / "s", replace(trial, meta=trial.meta | {"robot": "my own"}))
+    words = ["export", folder, "--to", "mcap", "--out"]
+    assert console.run(command.main, [*map(str, words), str(tmp_path / "arrow.mcap")]) == 0
+    assert "my own: not a shipped one, drawn as an arrow" in capsys.readouterr().out
+    assert console.run(command.main, [*map(str, words), str(tmp_path / "a.mcap"), "--robot", "fish"]) == 0
+    scene = next(m for _, topic, m, _ in read_mcap(tmp_path / "a.mcap")[0] if topic == "/scene_fish")
+    assert [len(e["triangles"]) for e in scene["entities"]] == [1] * 4 and "arrow" not in capsys.readouterr().out
+    assert console.run(command.main, [*map(str, words), str(tmp_path / "b.mcap"), "--robot", str(pike)]) == 2
+    assert "has 3 joints" in capsys.readouterr().err and not (tmp_path / "b.mcap").exists()
+    assert console.run(command.main, ["export", str(folder), "--to", "csv", "--out", str(tmp_path / "c"), "--robot", "fish"]) == 2
 
 
 def test_a_robot_that_nobody_knows_is_an_arrow(folder, tmp_path):

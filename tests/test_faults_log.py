@@ -63,6 +63,21 @@ def test_fault_20_wrong_units_of_a_pose_are_noticed(tmp_path, text, message):
         log.read_trial(csv_trial(tmp_path, text, "pose.csv"))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,V\n0,7400\n0.02,7390\n", r"power.csv:2:3: column 'V': usually 7395, which looks like mV; the schema says V. Divide"),
+        ("t,V\n0,0.0074\n0.02,0.0074\n", r"column 'V': usually 0.0074, which looks like kV; the schema says V. Multiply"),
+        ("t,V,I\n0,7,800\n0.02,7,800\n", r"power.csv:2:5: column 'I': usually 800, which looks like mA"),
+    ],
+)
+def test_wrong_units_of_a_supply_are_noticed_unless_they_are_allowed(tmp_path, text, message):
+    with pytest.raises(LogError, match=message):
+        log.read_trial(csv_trial(tmp_path, text, "power.csv"))
+    allowed = "[plausible]\nvoltage = 1e4\nvoltage_least = 1e-3\ncurrent = 1e3\n"
+    log.read_trial(csv_trial(tmp_path, text, "power.csv", 'schema = "fishmj.log/1"\norigin = "measured"\n' + allowed))
+
+
 def test_an_unwrapped_heading_of_many_turns_is_fine(tmp_path):
     rows = "".join(f"{i / 50},0,0,{0.02 * i}\n" for i in range(3000))  # 1 rad/s for a minute
     assert log.read_trial(csv_trial(tmp_path, "t,x,y,yaw\n" + rows, "pose.csv")).tables["pose"]["yaw"][-1] == 0.02 * 2999

@@ -8,16 +8,14 @@ import sys
 import lab_files
 import numpy as np
 import pytest
-from lab_files import WAVE, N, near, only
+from lab_files import WAVE, N, guessed, near, only
 from synthetic import whole_trial
 
 from fishmj import console, log
 from fishmj.errors import LogError
 from fishmj.log import __main__ as command
-from fishmj.log import plausible
 from fishmj.log.importers import guess
 from fishmj.log.importers.column_map import of_dict, read_map
-from fishmj.log.importers.delimited import read as read_text_table
 
 
 @pytest.fixture
@@ -98,6 +96,18 @@ def test_a_written_map_is_read_back_and_gives_the_same_trial(tmp_path, bring):
     assert bring(tmp_path / "lab", "--columns", tmp_path / "MAP.toml", out=tmp_path / "two")[0] == 0
     one, two = only(tmp_path / "one"), only(tmp_path / "two")
     assert all(np.array_equal(one.tables[t][c], two.tables[t][c]) for t in one.tables for c in one.tables[t])
+
+
+def test_a_written_map_names_every_column_of_the_files(tmp_path, bring):
+    columns = {"time_ms": 20 * N, "servo1_deg": 20 * WAVE, "gripper": N, "humidity": N, "fx": N, "akku": 7 + 0 * N}
+    lab_files.write(tmp_path / "log.csv", columns)
+    said = ("--set", "gripper=skip", "--write-map", tmp_path / "MAP.toml")
+    assert bring(tmp_path / "log.csv", *said, out=None)[0] == 0
+    text = (tmp_path / "MAP.toml").read_text()
+    assert all(name in text for name in columns) and "# left out: log.csv: fx (a force or torque" in text
+    assert "# unclear: log.csv: akku may be power.V:V" in text and read_map(tmp_path / "MAP.toml").skip == ["gripper"]
+    assert bring(tmp_path / "log.csv", "--columns", tmp_path / "MAP.toml")[0] == 0
+    assert any("not read: humidity, fx, akku" in note for note in only(tmp_path / "set").meta["notes"])
 
 
 # ------------------------------------------------------------------------------------------------------------------- maps
@@ -186,14 +196,14 @@ def test_a_map_whose_column_is_absent_names_the_nearest(tmp_path, bring):
 )
 def test_every_unit_is_converted(tmp_path, bring, table, column, unit, factor):
     n = np.arange(40)
-    si, t = 0.3 + 0.1 * np.sin(n), 0.05 * n
+    si, t = (7.3 if column == "V" else 0.3) + 0.1 * np.sin(n), 0.05 * n
     if table == "t":
         lab_files.write(tmp_path / "a.csv", {f"zeit [{unit}]": t / factor, "c1": si})
         assert bring(tmp_path / "a.csv", "--yes")[0] == 0
         near(only(tmp_path / "set").tables["cmd"]["t"], t)
         return
     others = {"cmd": (), "joint": ("j1",), "pose": ("y", "yaw"), "velocity": (), "power": ("V",), "imu": ("ay",)}[table]
-    lab_files.write(tmp_path / "a.csv", {"t": t, "k": si / factor, "rest": 0.5 + 0.01 * n})
+    lab_files.write(tmp_path / "a.csv", {"t": t, "k": si / factor, "rest": 1.5 + 0.01 * n})
     rest = {name: "rest" for name in others if name != column}
     made = of_dict({"tables": {table: {"t": "t", "columns": {column: {"column": "k", "unit": unit}, **rest}}}}, "map")
     from fishmj.log.importers.column_map import written
@@ -204,11 +214,6 @@ def test_every_unit_is_converted(tmp_path, bring, table, column, unit, factor):
 
 
 # ---------------------------------------------------------------------------------------------------------- what is unclear
-def guessed(tmp_path, columns, name="log.csv"):
-    sheet = read_text_table(lab_files.write(tmp_path / name, columns))
-    return {g.column: g for g in guess.guess(guess.kinds([sheet]))}
-
-
 @pytest.mark.parametrize(
     ("columns", "column"),
     [
@@ -320,50 +325,6 @@ def test_the_check_tells_milli_from_micro_from_nanoseconds(tmp_path, scale, word
         log.read_trial(tmp_path)
 
 
-# ------------------------------------------------------------------------------------------------------------ plausibility
-def boat(path, reach=150.0, unit="m"):
-    t = 0.1 * np.arange(600)
-    return lab_files.write(path, {"t_s": t, f"x_{unit}": reach * t / t[-1], f"y_{unit}": 0 * t, "heading_deg": 0 * t})
-
-
-def test_a_boat_at_150_m_is_fine(tmp_path, bring):
-    assert bring(boat(tmp_path / "boat.csv"), "--yes")[0] == 0
-    assert only(tmp_path / "set").tables["pose"]["x"][-1] == pytest.approx(150)
-
-
-def test_a_longer_course_is_allowed_by_a_flag_which_travels_with_the_trial(tmp_path, bring):
-    source = boat(tmp_path / "boat.csv", 800)
-    code, _, err = bring(source, "--yes")
-    assert code == 2 and "boat.csv" in err and "--plausible reach=" in err
-    assert bring(source, "--yes", "--plausible", "reach=1000")[0] == 0
-    assert only(tmp_path / "set").meta["plausible"] == {"reach": 1000.0}
-
-
-def test_millimetres_called_metres_are_seen_by_their_pace(tmp_path, bring):
-    t = 0.02 * np.arange(200)
-    lab_files.write(tmp_path / "a.csv", {"t_s": t, "x_m": 100 + 80 * t + 3 * np.sin(40 * t), "y_m": 0 * t, "yaw_rad": 0 * t})
-    code, _, err = bring(tmp_path / "a.csv", "--yes")
-    assert code == 2 and "moves " in err and "looks like millimetres" in err and "Divide the column by 1000" in err
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("reach=far", "expected NAME=NUMBER"),
-        ("reech=10", "Did you mean 'reach'"),
-        ("reach=-1", "expected a positive number"),
-        ("reach=nan", "positive"),
-    ],
-)
-def test_a_wrong_bound_is_one_line(tmp_path, bring, text, message):
-    code, _, err = bring(boat(tmp_path / "a.csv"), "--yes", "--plausible", text)
-    assert code == 2 and message in err and "\n" not in err
-
-
-def test_the_shipped_bounds_are_whole():
-    assert plausible.shipped().reach >= 200 and plausible.shipped().angle == math.pi
-
-
 # ------------------------------------------------------------------------------------------------------- files and folders
 def names_in(folder):
     return list(log.read_dataset(folder).names)
@@ -458,15 +419,3 @@ def test_the_map_in_the_docs_is_valid():
     text = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
     shown = text.partition("### MAP.toml")[2].split("```toml")[1].split("```")[0]
     assert set(of_dict(tomllib.loads(shown), "docs/logs.md").tables) == {"cmd", "pose"}
-
-
-def test_a_trials_own_meta_relaxes_a_bound(tmp_path):
-    lab_files.write(tmp_path / "pose.csv", {"t": 1.0 * N, "x": 9.0 * N, "y": 0 * WAVE, "yaw": 0 * WAVE})
-    (tmp_path / "meta.toml").write_text('origin = "measured"\n')
-    with pytest.raises(LogError, match="from the first row, which looks like millimetres"):
-        log.read_trial(tmp_path)
-    (tmp_path / "meta.toml").write_text('origin = "measured"\n[plausible]\nreach = 5000.0\n')
-    assert log.read_trial(tmp_path).tables["pose"]["x"][-1] == 891
-    (tmp_path / "meta.toml").write_text('origin = "measured"\nplausible = "all"\n')
-    with pytest.raises(LogError, match="expected a table such as"):
-        log.read_trial(tmp_path)

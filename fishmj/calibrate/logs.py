@@ -1,16 +1,22 @@
 """The trials that a calibration reads: sorted by signal, medium and repeat; what is missing is said in one line."""
 
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from fishmj.calib import calib_folder
 from fishmj.errors import LogError
 from fishmj.gap.records import Record, Sensor, record_of
 from fishmj.log import Trial
 from fishmj.log.dataset import take
+from fishmj.log.trial import stacked
 
 SIGNALS = ("sine", "square", "impulse")  # the paper's
 MEDIA = ("air", "water")
+LEAST = 2  # signals: a sine alone has one frequency, at which gain, damping and latency stand in for each other
+QUIET = np.radians(2.0)  # of command, peak to peak: less is within dead band and gear play
 FOLDER = Path("data") / "calib" / "trials"
 
 
@@ -37,18 +43,36 @@ class Logs(NamedTuple):
         return [name for name, trial in self.trials.items() if wanted(trial)]
 
     def bench(self) -> list[str]:
-        """Sine, square and impulse in both media.
+        """Sine, square and impulse in both media, of trials in which a servo was told to move and its angles were measured.
 
         Raises:
-            LogError: there is none, or the fish was never under load of the one or the other signal.
+            LogError: fewer than two signals, of which each tells what the other cannot.
         """
         names = [name for medium in MEDIA for name in self.of(medium, SIGNALS)]
-        if len(names) < 2:
+        silent = {name: why for name in names if (why := unfit(self.trials[name]))}
+        names = [name for name in names if name not in silent]
+        kinds = Counter((str(t.value("excitation", "")), t.value("medium", "water")) for t in map(self.trials.get, names) if t)
+        lacking = [signal for signal in SIGNALS if not any(signal == found for found, _ in kinds)]
+        if len(lacking) > len(SIGNALS) - LEAST:
+            found = ", ".join(f"{n} {signal} in {medium}" for (signal, medium), n in kinds.items()) or "none"
+            left = "".join(f"; {name} is left out: {why}" for name, why in silent.items())
             raise LogError(
-                f"{self.folder}: {len(names)} trials of {', '.join(SIGNALS)}; a servo calibration needs at least two."
-                " Record each in air and in water, three times (meta: excitation, medium)"
+                f"{self.folder}: a servo calibration needs at least two of {', '.join(SIGNALS)}, and finds {found}{left}. "
+                f"Record {', '.join(lacking)} in air and in water, three times each (meta: excitation, medium)"
             )
         return names
+
+
+def unfit(trial: Trial) -> str:
+    """Why a trial says nothing of a servo; "" where it does."""
+    if "joint" not in trial.tables:
+        return "no table joint, a servo is calibrated by its angles"
+    span = float(np.ptp(stacked(trial.table("cmd"), "c#"), axis=0).max())
+    return (
+        ""
+        if span >= QUIET
+        else f"its commands stay within {np.degrees(span):.2g} deg, at least {np.degrees(QUIET):.2g} are needed"
+    )
 
 
 def angles(record: Record) -> Sensor:

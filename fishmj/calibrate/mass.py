@@ -40,6 +40,10 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
         ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
     """
     path = Path(folder) / measurements.FILE
+    if not path.is_file():
+        raise ConfigError(
+            f"{path}: no such file; write there what was weighed: [scales] with every link, [balance], [pendulum] (docs/logs.md)"
+        )
     page = read_toml(path)
     masses, mass_sd = measurements.masses(page, [link.name for link in robot.links], path)
     described_kg = float(geometry_of(robot).mass.sum())

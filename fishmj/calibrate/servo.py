@@ -10,12 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, Tick, fit
-from fishmj.calibrate.logs import MEDIA, Logs, angles
+from fishmj.calibrate.logs import MEDIA, SIGNALS, Logs, angles
+from fishmj.errors import LogError
 from fishmj.gap.plants.bench import CONSTANTS, Bench
 from fishmj.gap.records import Record
 from fishmj.gap.watch import Bar, Bars, silent
 
 FREE = ("kp", "kd", "friction", "command_latency")
+OPEN = 1.0  # width of a 90 % interval, of the number itself (friction: of the stall torque); wider is not told
 STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
 
 
@@ -52,9 +54,9 @@ def calibrate(logs: Logs, plant: Bench, *, alone: bool = True, bars: Bars = sile
         alone: fit air and water by themselves as well: two media that disagree are a missing effect. bars: of the fits.
 
     Raises:
-        LogError: too few trials, or none with joint angles.
+        LogError: too few trials with joint angles and moving commands, or they leave a number open.
     """
-    records = [r for r in logs.records(plant.dt, logs.bench()) if r.joint is not None]
+    records = logs.records(plant.dt, logs.bench())
     media = [m for m in MEDIA if any(r.medium == m for r in records)] if alone else []
     sets = {"": records} | {m: [r for r in records if r.medium == m] for m in media if len(media) > 1}
     fits = {}
@@ -62,6 +64,11 @@ def calibrate(logs: Logs, plant: Bench, *, alone: bool = True, bars: Bars = sile
         for i, (medium, part) in enumerate(sets.items()):
             fits[medium] = fitted(plant, part, partial(_counted, bar, i))
     whole, apart = fits.pop(""), fits
+    if left := open_numbers(plant, whole.estimates):
+        raise LogError(
+            f"{logs.folder}: {len(records)} trials do not tell {'; '.join(left)}. "
+            f"Record {', '.join(SIGNALS)} in air and in water, three times each, with amplitudes that move the joints"
+        )
     return Found(plant, records, row_of(plant, whole.theta), whole, apart)
 
 
@@ -75,6 +82,17 @@ def parameters(plant: Bench) -> list[Parameter]:
         Parameter("command_latency", "s", late, 0.001, 0.0, late + 0.25),
     ]
     return free + [Parameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in CONSTANTS[2:]]
+
+
+def open_numbers(plant: Bench, estimates: dict[str, Estimate]) -> list[str]:
+    """Of what is free, the numbers that the trials leave open: an interval as wide as the number, or one at its bound."""
+    out = []
+    for p in (p for p in parameters(plant) if p.name in FREE):
+        e = estimates[p.name]
+        scale = plant.robot.servo.torque if p.name == "friction" else abs(e.value)
+        if e.high - e.low > OPEN * scale or e.value >= p.high or (e.value <= p.low and p.name != "friction"):
+            out.append(f"{p.name} ({e.low:.3g} to {e.high:.3g} {e.unit}, sought in {p.low:.3g} to {p.high:.3g})")
+    return out
 
 
 def row_of(plant: Bench, theta) -> np.ndarray:

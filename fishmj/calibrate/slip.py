@@ -48,15 +48,20 @@ class Profile(NamedTuple):
     @property
     def words(self) -> str:
         """What the profile says beyond the interval."""
+        return self.doubt or f"J = {self.cost.min():.2f} at its least, {len(self.predicted)} metrics"
+
+    @property
+    def doubt(self) -> str:
+        """Why the estimate is none; "" where it is one."""
         from scipy.stats import chi2
 
         e, least = self.estimate, float(self.cost.min())
-        free = len(self.predicted) - 1
-        if free and chi2.sf(least, free) < DOUBTFUL:
+        free = max(len(self.predicted) - 1, 1)  # one metric is met by some ratio, unless its fish is another
+        if chi2.sf(least, free) < DOUBTFUL:
             return f"no slip ratio explains all of these swims: J = {least:.1f} at its least, {len(self.predicted)} metrics"
         if e.low <= self.s[0] and e.high >= self.s[-1]:
             return f"cannot be told: every slip ratio from {self.s[0]:g} on explains these swims with some thrust"
-        return f"J = {least:.2f} at its least, {len(self.predicted)} metrics"
+        return ""
 
     def rows(self) -> list[dict]:
         """The profile at a few ratios, for a table."""
@@ -82,6 +87,10 @@ def measured(trials: Iterable[Trial]) -> dict[str, tuple[float, int]]:
         name = str(trial.value("excitation", ""))
         if (name in SWIMS or name == COAST) and trial.value("medium", "water") == "water" and "pose" in trial.tables:
             value = metric(name, trial.table("pose"))
+            if value == 0.0:
+                raise LogError(
+                    f"slip: trial {trial.name}: the fish stays where it is in a {name}; is the camera's pose recorded?"
+                )
             if np.isfinite(value):
                 found.setdefault(name, []).append(value)
     if not found:

@@ -12,9 +12,13 @@ from fishmj.log import Trial
 from fishmj.log.trial import stacked
 
 MEDIA = ("water", "air")
-REST = 0.3  # s at the start of a trial over which its start pose is averaged
+REST = 0.3  # s at the start of a trial, as long as it rests, over which its start pose is averaged
+TINY = 1e-9  # s: the row that has moved is not one of rest
+STILL = np.radians(2.0)  # a command or a joint that has moved by this no longer rests
+NOISE = 6.0  # standard deviations of an encoder, which are no movement
+SWIMS = 0.15  # m/s at the first row; a model begins at rest, or with the push that the log states
 LONGEST = 3600.0  # s of a record; beyond it, two clocks that do not share a zero
-MOVING = 0.09  # s, when it starts with a push: what the camera's own delay still shows of the start
+MOVING = 0.09  # s after it begins to move: what the camera's own delay still shows of the start
 
 
 class Sensor(NamedTuple):
@@ -56,8 +60,8 @@ def record_of(trial: Trial, dt: float) -> Record:
     """Read one trial.
 
     Raises:
-        LogError: no commands, nothing measured, joints that differ in number, clocks of another zero, or meta data that are no
-            numbers.
+        LogError: no commands, nothing measured, joints that differ in number, clocks of another zero, a fish that swims at the
+            first row, or meta data that are no numbers.
     """
     if "cmd" not in trial.tables:
         raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")
@@ -78,7 +82,10 @@ def record_of(trial: Trial, dt: float) -> Record:
     steps = int(np.ceil(end / dt)) + 1
     rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
     push = _three(trial, "push", (0.0, 0.0, 0.0))
-    begins = _first(pose, 3, MOVING if push.any() else REST)
+    still = _still(cmd["t"] - begin, c, joint)
+    begins = _first(pose, 3, MOVING if push.any() else min(REST, still + MOVING))
+    if pose is not None and not push.any():
+        _at_rest(trial.name, pose, min(REST, still + MOVING))
     place = None if trial.value("start", None) is None else _three(trial, "start", ())
     speed, bearing, session = (_finite(trial, key) for key in ("flow.speed", "flow.direction", "session_time"))
     medium = str(trial.value("medium", "water"))
@@ -98,7 +105,7 @@ def record_of(trial: Trial, dt: float) -> Record:
         place=begins if place is None else place,
         start=begins,
         push=push,
-        joints=_first(joint, c.shape[1], REST),
+        joints=_first(joint, c.shape[1], min(REST, still)),
         session=session,
         placed=None if place is None or pose is None or push.any() else _placed(begins, place, pose.sigma),
     )
@@ -154,6 +161,31 @@ def _three(trial: Trial, key: str, otherwise) -> np.ndarray:
     if found.shape != (3,) or not np.isfinite(found).all():
         raise LogError(f"trial {trial.name}: {key} = {str(value)[:60]!r}; expected three finite numbers")
     return found
+
+
+def _still(t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> float:
+    """s from the first command for which neither the commands nor the joints move; without joints, a first command is a move."""
+    moves = [t[np.abs(commands - (0.0 if joint is None else commands[0])).max(1) > STILL]]
+    if joint is not None:
+        least = np.fmax(STILL, NOISE * joint.sigma)
+        moves.append(joint.t[(np.abs(joint.values - joint.values[0]) > least).any(1)])
+    return min((float(found[0]) for found in moves if len(found)), default=np.inf) - TINY
+
+
+def _at_rest(name: str, pose: Sensor, rest: float) -> None:
+    """Raise LogError where the first rows show a fish that swims: its joints' rates are in no log, no model can go on there."""
+    rows = pose.t <= rest
+    t, seen = pose.t[rows] - pose.t[rows].mean(), pose.values[rows]
+    spread = float(np.sqrt(np.sum(t**2)))
+    if rows.sum() < 3 or not spread:
+        return
+    speed = float(np.hypot(*(t @ seen[:, :2]) / spread**2))
+    noise = float(np.nan_to_num(pose.sigma[:2]).max()) / spread
+    if speed > SWIMS + NOISE * noise:
+        raise LogError(
+            f"trial {name}: the fish moves at {speed:.2g} m/s at the first row and no push is stated; a model begins at rest. "
+            "Begin the record, or cut it, where the fish lies still; where it is let go from a carriage, state push in meta.toml"
+        )
 
 
 def _first(sensor: Sensor | None, size: int, rest: float) -> np.ndarray:

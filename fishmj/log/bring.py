@@ -15,7 +15,7 @@ from fishmj.errors import FishmjError, LogError, UsageError
 from fishmj.log import about, importers, measurements, plausible
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta, read_trial
-from fishmj.log.importers import gather, guess, registry
+from fishmj.log.importers import gather, guess, guessed, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
 from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
@@ -213,7 +213,7 @@ def _found(args: Namespace) -> Found:
     if found.trials and not foreign and not mapped:
         found.format = "fishmj.log/1"
     found.skipped |= shelf.skipped
-    if not found.trials and not any(guess.unclear(gs) for _, gs in found.guesses):
+    if not found.trials and not any(guessed.unclear(gs) for _, gs in found.guesses):
         _nothing(args, found)
     return found
 
@@ -227,9 +227,9 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
         made = guess.guess(kinds, here)
         where = ", ".join(item.name for item in group[:3]) + (", .." if len(group) > 3 else "")
         try:
-            wanted = guess.map_of(made, kinds, {}, where)
+            wanted = guessed.map_of(made, kinds, {}, where)
         except LogError as error:
-            if guess.unclear(made):
+            if guessed.unclear(made):
                 found.guesses.append((kinds, made))
             else:
                 found.skipped |= {str(item.files[0]): str(error) for item in group}
@@ -346,7 +346,7 @@ def _as_row(kinds: Sequence[Kind], g: Guess) -> dict:
     sheet = kinds[g.kind].sheets[0]
     values = sheet.columns[g.column]
     first = values[values == values][:SHOWN]
-    becomes = f"UNCLEAR: {guess.choices(g)}" if g.state == UNCLEAR else "left out" if g.state == LEFT else g.place
+    becomes = f"UNCLEAR: {guessed.choices(g)}" if g.state == UNCLEAR else "left out" if g.state == LEFT else g.place
     more = f" (and {len(kinds[g.kind].sheets) - 1} more)" if len(kinds[g.kind].sheets) > 1 else ""
     unit = g.unit + (f"*{g.scale:g}" if g.scale != 1 else "")
     return {
@@ -371,26 +371,24 @@ def _write_map(args: Namespace, found: Found) -> None:
         raise LogError(
             f"{args.source[0]}: {len(found.maps)} layouts of files, one map cannot describe them; import them one after the other"
         )
-    doubts = [(kinds, g) for kinds, made in found.guesses for g in guess.unclear(made)]
-    text = written(found.maps[0])
-    for kinds, g in doubts:
-        name = quoted(kinds[g.kind].sheets[0].name)[1:-1]
-        text += f"# unclear: {name}: {quoted(g.column)[1:-1]} may be {guess.choices(g)} ({g.why})\n"
-    write_text(args.write_map, text)
+    write_text(
+        args.write_map,
+        written(found.maps[0]) + "".join(line for kinds, made in found.guesses for line in guessed.remarks(kinds, made)),
+    )
     console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
 
 
 def _first_unclear(found: Found) -> str:
-    g = next((g for _, made in found.guesses for g in guess.unclear(made)), None)
-    return f"{quoted(g.column)[1:-1]}={guess.choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
+    g = next((g for _, made in found.guesses for g in guessed.unclear(made)), None)
+    return f"{quoted(g.column)[1:-1]}={guessed.choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
 
 
 def _agreed(args: Namespace, found: Found) -> None:
     """Nothing unclear is left, and the user agrees."""
-    doubts = [g for _, made in found.guesses for g in guess.unclear(made)]
+    doubts = [g for _, made in found.guesses for g in guessed.unclear(made)]
     if doubts:
         told = "; ".join(
-            f"{quoted(g.column)[1:-1]}: {g.why}, --set {quoted(g.column)[1:-1]}={guess.choices(g)}" for g in doubts[:4]
+            f"{quoted(g.column)[1:-1]}: {g.why}, --set {quoted(g.column)[1:-1]}={guessed.choices(g)}" for g in doubts[:4]
         )
         more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
         raise LogError(

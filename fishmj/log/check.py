@@ -19,18 +19,43 @@ from fishmj.log.trial import Table, gaps
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
 
 _LIMITS = {
-    "angle": ("angle", "degrees; the schema says rad. Multiply the column by pi/180"),
-    "rate": ("rate", "degrees per second; the schema says rad/s. Multiply the column by pi/180"),
-    "speed": ("speed", "mm/s; the schema says m/s. Divide the column by 1000"),
+    "angle": ("angle", "rad", "degrees; the schema says rad.", "Multiply the column by pi/180"),
+    "rate": ("rate", "rad/s", "degrees per second; the schema says rad/s.", "Multiply the column by pi/180"),
+    "speed": ("speed", "m/s", "mm/s; the schema says m/s.", "Divide the column by 1000"),
 }
-_MILLIMETRES = (
-    "looks like millimetres or pixels; the schema says m. Divide the column by 1000, or multiply it by the metres of a pixel"
-)
+_SUPPLY = {"V": ("voltage", "V"), "I": ("current", "A")}  # of the table power: bound, unit
+VERBS = {  # what a bound is about
+    **{"start": "starts at", "reach": "goes away from its first row by", "period": "has a median step of"},
+    **{"voltage": "is usually", "current": "is usually"},
+}
+_MILLIMETRES = "looks like millimetres or pixels; the schema says m."
+_METRES = "Divide the column by 1000, or multiply it by the metres of a pixel"
 SCALED = 0.1  # of a decade: how near to a factor of 10, 100, 1000 a change of units is
 JUMP, AROUND = 5.0, 50  # m of a step that stays, and rows on either side that say whether it does
 FAST = 1.999e-4  # s, a median step below which the unit of the stamps is doubted
 STEP = 1e-3  # s; shorter steps of stamps are jitter
 _STAMPS = ((3e3, "milliseconds", "1000"), (3e6, "microseconds", "1e6"), (math.inf, "nanoseconds", "1e9"))  # by the median step
+
+
+class Implausible(LogError):
+    """A value beyond what a log may hold: its unit is doubted.
+
+    column: of the schema. value: what `verb` says of it, in `si`; span: what a log may hold; bound: its name in plausible.toml.
+    """
+
+    def __init__(
+        self, place: str, fault: str, fix: str, *, column: str, value: float, span: tuple[float, float], si: str, bound: str
+    ):
+        super().__init__(f"{place}: {fault} {fix}")
+        self.place, self.column, self.value, self.span, self.si = place, column, value, span, si
+        self.verb, self.bound = VERBS.get(bound, "is"), f"{bound}_least" if abs(value) < span[0] else bound
+
+    @property
+    def told(self) -> str:
+        """What is found and what would be plausible, without advice."""
+        low, high = self.span
+        allowed = f"{low:g} to {high:.4g}" if low else f"at most {high:.4g}"
+        return f"{self.verb} {self.value:.4g} {self.si}; plausible is {allowed}"
 
 
 def check_table(name: str, table: Table, place: Place, bounds: Plausible | None = None) -> list[str]:
@@ -47,6 +72,8 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
     told = [f"{name}: {note}" for note in _check_time(table["t"], place, bounds)]
     for column, values in table.items():
         _check_units(spec.kind(column), column, values, table["t"], place, bounds)
+        if name == "power" and column in _SUPPLY:
+            _check_supply(column, np.asarray(values, float), place, bounds)
     notes = told + [note for c in table if spec.kind(c) == "position" for note in _strays(name, c, table, place, bounds)]
     notes += [f"{name}: column {quoted(column)} is not in the schema; kept" for column in extra]
     pauses = gaps(table["t"])
@@ -155,9 +182,15 @@ def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> list[str]:
     middle = float(np.median(step)) if len(step) else 0.0
     if middle > bounds.period:
         unit, factor = next((unit, factor) for limit, unit, factor in _STAMPS if middle < limit)
-        raise LogError(
-            f"{place(1, 't')}: the median step is {middle:g} s, which looks like {unit}; "
-            f"the schema says s. Divide the column by {factor}"
+        raise Implausible(
+            place(1, "t"),
+            f"the median step is {middle:g} s, which looks like {unit}; the schema says s.",
+            f"Divide the column by {factor}",
+            column="t",
+            value=middle,
+            span=(0.0, bounds.period),
+            si="s",
+            bound="period",
         )
     if 0 < middle < FAST:
         notes.append(f"the median step is {middle:.3g} s, {1 / middle:.3g} rows a second: are the stamps in s?")
@@ -177,20 +210,55 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
     elif kind == "position":
         _check_position(column, np.asarray(values, float), np.asarray(t, float), place, bounds)
     elif kind:
-        bound, fix = _LIMITS[kind]
-        bad = np.flatnonzero(np.abs(values) > getattr(bounds, bound))
+        bound, si, looks, fix = _LIMITS[kind]
+        most = getattr(bounds, bound)
+        bad = np.flatnonzero(np.abs(values) > most)
         if len(bad):
             value = float(values[bad[0]])
-            raise LogError(f"{place(int(bad[0]), column)}: column {column!r}: {value:g} looks like {fix}")
+            raise Implausible(
+                place(int(bad[0]), column),
+                f"column {column!r}: {value:g} looks like {looks}",
+                fix,
+                column=column,
+                value=value,
+                span=(0.0, most),
+                si=si,
+                bound=bound,
+            )
+
+
+def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausible) -> None:
+    """A supply by its usual value: one that is off, or an inrush, tells nothing of the unit."""
+    bound, si = _SUPPLY[column]
+    value, span = usual(values), bounds.span(bound)
+    if value and not span[0] <= value <= span[1]:
+        looks, fix = (f"k{si}", "Multiply") if value < span[0] else (f"m{si}", "Divide")
+        raise Implausible(
+            place(int(np.argmax(np.abs(values) >= value)), column),
+            f"column {column!r}: usually {value:g}, which looks like {looks}; the schema says {si}.",
+            f"{fix} the column by 1000",
+            column=column,
+            value=value,
+            span=span,
+            si=si,
+            bound=bound,
+        )
+
+
+def usual(values: np.ndarray) -> float:
+    """The median size of what is not zero; 0 where all is."""
+    some = np.abs(values[np.isfinite(values) & (values != 0)])
+    return float(np.median(some)) if len(some) else 0.0
 
 
 def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
     """A place far from the origin proves nothing (a boat, a grid of a map): how far it moves and how fast does."""
     away = np.flatnonzero(np.abs(x - x[0]) > bounds.reach)
     if abs(x[0]) > bounds.start:
-        bad, told, name = 0, f"starts at {x[0]:g}", "start"
+        bad, told, value, name = 0, f"starts at {x[0]:g}", float(x[0]), "start"
     elif len(away):
-        bad, told, name = int(away[0]), f"{x[away[0]]:g} is {abs(x[away[0]] - x[0]):g} from the first row", "reach"
+        value = float(abs(x[away[0]] - x[0]))
+        bad, told, name = int(away[0]), f"{x[away[0]]:g} is {value:g} from the first row", "reach"
     elif (row := _level(x, t, bounds)) >= 0:
         raise LogError(
             f"{place(row + 1, column)}: column {column!r} goes from {x[row]:g} to {x[row + 1]:g} in {t[row + 1] - t[row]:.3g} s "
@@ -198,12 +266,18 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
             "larger speed in [plausible] of meta.toml, or --plausible speed=... on import"
         )
     elif len(x) > 10 and (pace := _pace(x, t)) > bounds.speed:
-        bad, told, name = 1, f"moves {pace:.3g} a second", "speed"
+        bad, told, value, name = 1, f"moves {pace:.3g} a second", pace, "speed"
     else:
         return
-    raise LogError(
-        f"{place(bad, column)}: column {column!r}: {told}, which {_MILLIMETRES}; "
-        f"if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import"
+    raise Implausible(
+        place(bad, column),
+        f"column {column!r}: {told}, which {_MILLIMETRES}",
+        f"{_METRES}; if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import",
+        column=column,
+        value=value,
+        span=(0.0, getattr(bounds, name)),
+        si="m/s" if name == "speed" else "m",
+        bound=name,
     )
 
 
@@ -243,8 +317,8 @@ def _pace(x: np.ndarray, t: np.ndarray) -> float:
 
 def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
     """Unwrapped headings may pile up turns, so size alone proves nothing: look at the start and at the turning rate."""
-    bad = -1
-    if abs(yaw[0]) > bounds.turns * 2 * math.pi:
+    bad, most = -1, bounds.turns * 2 * math.pi
+    if abs(yaw[0]) > most:
         bad = 0
     elif len(yaw) > 2:
         turn = np.abs((np.diff(yaw) + math.pi) % (2 * math.pi) - math.pi)
@@ -252,7 +326,13 @@ def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bo
         if np.quantile(rate, 0.9) > bounds.rate and np.max(np.abs(yaw)) > 2 * math.pi:
             bad = int(np.argmax(np.abs(yaw)))
     if bad >= 0:
-        raise LogError(
-            f"{place(bad, column)}: column {column!r}: {yaw[bad]:g} looks like degrees; "
-            "the schema says rad. Multiply the column by pi/180"
+        raise Implausible(
+            place(bad, column),
+            f"column {column!r}: {yaw[bad]:g} looks like degrees; the schema says rad.",
+            "Multiply the column by pi/180",
+            column=column,
+            value=float(yaw[bad]),
+            span=(0.0, most),
+            si="rad",
+            bound="turns",
         )

@@ -63,7 +63,7 @@ def export(
     Args:
         to: "mcap", "csv" or "parquet". out: for one trial the file (mcap) or the folder; for a data set the folder.
         tables: only these; all by default. force: replace what an export wrote before.
-        shape: the links of a trial's robot as ellipsoids, () where it is not known; mcap only.
+        shape: the links of a trial's robot as they are drawn, () where it is not known; mcap only.
         done: called with the number of trials written so far, parts of one included, and of all.
 
     Returns:

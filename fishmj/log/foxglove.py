@@ -2,7 +2,7 @@
 
     FrameTransform, FrameTransforms    tank -> fish, and from link to link: what the 3D panel moves
     PoseInFrame                        the pose of the reference point in the tank
-    SceneUpdate                        the links as ellipsoids that ride on their frames, the target as a sphere with its ring
+    SceneUpdate                        the links as triangles that ride on their frames, the target as a sphere with its ring
 
 Field names, required keys and titles are those of github.com/foxglove/foxglove-sdk, schemas/jsonschema (2026-08); a test holds
 every message against its schema. Positions m, angles rad, stamps {sec, nsec}.
@@ -11,18 +11,23 @@ every message against its schema. Positions m, angles rad, stamps {sec, nsec}.
 from math import cos, pi, sin
 from typing import Any, NamedTuple
 
+import numpy as np
+
 Json = dict[str, Any]
 TANK, FISH = "tank", "fish"  # frames: the tank's, and the reference point of the fish (fixed to its first link)
+PLATE = 0.002  # m, thickness of a fin as drawn
 RING = 0.1  # m, within which a target counts as reached
 RED, WATER = (0.85, 0.22, 0.18, 1.0), (0.31, 0.64, 0.83, 0.9)
 
 
 class Solid(NamedTuple):
-    """One link as an ellipsoid. Lengths in m, along the straight body from the reference point, x to the nose."""
+    """One link as it is drawn. Lengths in m."""
 
     name: str
-    front: float  # x of the link's front end, where it hangs on the link before
-    size: tuple[float, float, float]  # length, width, height
+    front: float  # x of the link's front end along the straight body from the reference point, x to the nose
+    points: np.ndarray  # (V, 3) in the link's frame: the fish's for the first link, else at the joint before the link
+    faces: np.ndarray  # (F, 3) indices of points
+    plates: tuple[tuple[float, float, float, float], ...]  # fins: x and y of the middle, chord, span, in the same frame
     colour: tuple[float, float, float]  # red, green, blue, 0 to 1
 
 
@@ -222,17 +227,19 @@ def links(at: int, solids: tuple[Solid, ...], angles) -> Json:
 
 
 def body(at: int, solids: tuple[Solid, ...]) -> Json:
-    """`SceneUpdate` with the whole fish, once: every ellipsoid rides on its link's frame. Without solids, an arrow."""
+    """`SceneUpdate` with the whole fish, once: every link rides on its own frame. Without solids, an arrow."""
     if not solids:
         arrow = {"shaft_length": 0.2, "shaft_diameter": 0.03, "head_length": 0.08, "head_diameter": 0.07}
         drawn = {"pose": placed(-0.14, 0.0), **arrow, "color": _rgba(RED)}
         return {"deletions": [], "entities": [_entity(at, FISH, FISH, arrows=[drawn])]}
     entities = []
     for i, s in enumerate(solids):
-        middle = (s.front if i == 0 else 0.0) - s.size[0] / 2
-        size = dict(zip("xyz", map(float, s.size), strict=True))
-        shape = {"pose": placed(middle, 0.0), "size": size, "color": _rgba((*s.colour, 1.0))}
-        entities.append(_entity(at, FISH if i == 0 else f"{FISH}/{s.name}", s.name, spheres=[shape]))
+        paint = _rgba((*s.colour, 1.0))
+        hull = {"pose": placed(0.0, 0.0), "points": [_xyz(*point) for point in s.points], "color": paint}
+        hull |= {"colors": [], "indices": s.faces.ravel().tolist()}
+        sizes = [{"x": chord, "y": span, "z": PLATE} for _, _, chord, span in s.plates]
+        fins = [{"pose": placed(p[0], p[1]), "size": size, "color": paint} for p, size in zip(s.plates, sizes, strict=True)]
+        entities.append(_entity(at, FISH if i == 0 else f"{FISH}/{s.name}", s.name, triangles=[hull], cubes=fins))
     return {"deletions": [], "entities": entities}
 
 

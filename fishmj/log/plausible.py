@@ -25,6 +25,15 @@ class Plausible:
     speed: float  # m/s
     turns: float  # of a heading before the first row
     period: float  # s, median time step
+    tank: float  # m, a position in cm or mm
+    voltage: float  # V, a supply
+    voltage_least: float
+    current: float  # A, of a supply
+    current_least: float
+
+    def span(self, name: str) -> tuple[float, float]:
+        """(least, largest) of a bound."""
+        return getattr(self, f"{name}_least", 0.0), getattr(self, name)
 
     def relaxed(self, said: Mapping, where: str) -> "Plausible":
         """These bounds with those of `said` in their place.

@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from math import isfinite, pi, radians
-from pathlib import Path
 from typing import Any
 
 from fishmj import calib, names
 from fishmj.mjcf.findings import Finding, shown
+from fishmj.store.plain_file import trouble
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
@@ -278,11 +278,7 @@ def _no_water(model: str) -> Finding | None:
     if model in known or model.removesuffix("-base") in calib.waters():
         return None
     if model.endswith(".toml"):
-        try:
-            wrong = calib.no_file(Path(model))
-        except (OSError, ValueError) as error:
-            wrong = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        if not wrong:
+        if not (wrong := trouble(model, "")):
             return None
         return Finding(
             "water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH

@@ -1,4 +1,4 @@
-"""The links of a robot as ellipsoids: what a viewer draws that knows no meshes."""
+"""The links of a robot as a viewer draws them: the hull through its sections, and its fins."""
 
 from fishmj.log.foxglove import Solid
 from fishmj.mjcf.description import Robot
@@ -7,9 +7,11 @@ from fishmj.mjcf.geometry import geometry_of
 
 
 def solids(robot: Robot) -> tuple[Solid, ...]:
-    """One ellipsoid a link, nose first, as long, wide and high as the link's largest section."""
+    """One solid a link, nose first: the same hull and fin plates as in the robot's MuJoCo model."""
+    from fishmj.mjcf.outline import fin_plates, loft
+
     g, out = geometry_of(robot), []
     for i, (link, front) in enumerate(zip(robot.links, [g.reference, *g.origin[1:]], strict=True)):
-        high, wide = (max(section[i] for section in link.sections) for i in (1, 2))
-        out.append(Solid(link.name, float(front), (link.length, wide, high), colour_of(robot, i)))
+        plates = [plate for fin in robot.fins if fin.link == link.name for plate in fin_plates(robot, g, fin)]
+        out.append(Solid(link.name, float(front), *loft(robot, g, i), tuple(plates), colour_of(robot, i)))
     return tuple(out)

@@ -1,16 +1,18 @@
 """The verb `fishmj log export`: a trial or a data set for Foxglove, spreadsheets and data frames.
 
-It lies here and not in `log` because it knows robots: Foxglove draws the links of the one that a trial names.
+It lies here and not in `log` because it knows robots: Foxglove draws the links of the one that a trial or `--robot` names.
 """
 
 from argparse import Namespace
 from pathlib import Path
 
 from fishmj import console
+from fishmj.errors import ConfigError
 from fishmj.log import export
 from fishmj.log.foxglove import Solid
 from fishmj.log.schema import TABLES
-from fishmj.log.trial import Trial
+from fishmj.log.trial import Trial, stacked
+from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.solids import solids
 from fishmj.replay.scene import named_robot
 
@@ -35,6 +37,9 @@ def options() -> console.Parser:
     parser.add_argument("data", type=console.path, help="trial folder, samples.csv, data set or bundle (.npz)")
     parser.add_argument("--to", choices=export.FORMS, required=True, help="needed; mcap and parquet need the extra `logs`")
     parser.add_argument("--out", type=_place, required=True, help="file (one trial to mcap) or folder; must not exist")
+    parser.add_argument(
+        "--robot", type=console.text, help="mcap: name or TOML of the fish to draw; default: the shipped one that a log names"
+    )
     parser.add_argument("--tables", metavar="A,B", help=f"only these (default: all): {', '.join(TABLES)}")
     parser.add_argument("--force", action="store_true", help="replace what an export wrote there before (default: refuse)")
     return parser
@@ -45,15 +50,32 @@ def main(argv: list[str]) -> int:
     return send(options().parse_args(argv))
 
 
-def shape_of(trial: Trial) -> tuple[Solid, ...]:
-    """The links of the shipped robot that a trial names; () where it names none."""
-    robot = named_robot(trial)
-    return () if robot is None else solids(robot)
+def shape_of(trial: Trial, robot: Robot | None = None) -> tuple[Solid, ...]:
+    """The links of `robot`, or of the shipped one that a trial names; () where it names none.
+
+    Raises:
+        ConfigError: the trial has another number of joints than `robot`.
+    """
+    own = robot or named_robot(trial)
+    found = [stacked(trial.tables[n], c) for n, c in (("joint", "j#"), ("truth", "j#"), ("cmd", "c#")) if n in trial.tables]
+    if robot and found and found[0].shape[1] != robot.n_joints:
+        have = f"trial {trial.name} has {found[0].shape[1]} joints, {robot.name} has {robot.n_joints}"
+        raise ConfigError(f"log export --robot: {have}; name the description of the fish that was logged")
+    return () if own is None else solids(own)
 
 
 def send(args: Namespace) -> int:
     """Export, and say what went out."""
+    if args.robot and args.to != "mcap":
+        raise ConfigError(f"log export: --robot is for --to mcap, where the fish is drawn; leave it out for {args.to}")
     tables = None if args.tables is None else [name.strip() for name in args.tables.split(",")]
+    robot, arrows = load_robot(args.robot) if args.robot else None, []
+
+    def shape(trial: Trial) -> tuple[Solid, ...]:
+        drawn = shape_of(trial, robot)
+        arrows.extend([] if drawn else [trial.value("robot")])
+        return drawn
+
     with console.Progress(1, "export", unit="trials") as bar:
 
         def done(count: float, total: int) -> None:
@@ -61,9 +83,11 @@ def send(args: Namespace) -> int:
             if bar.elapsed > SOON:
                 bar.update(count)
 
-        rows = export.export(args.data, args.to, args.out, tables=tables, force=args.force, shape=shape_of, done=done)
+        rows = export.export(args.data, args.to, args.out, tables=tables, force=args.force, shape=shape, done=done)
     shown = [{**row, "tables": ", ".join(f"{name} {n}" for name, n in row["tables"].items())} for row in rows]
     console.say(console.table(shown, ("trial", "tables", "bytes")), "", f"{len(rows)} trials ({args.to}) written to {args.out}")
+    if arrows:
+        console.say(f"robot {arrows[0] or 'not said'}: not a shipped one, drawn as an arrow; --robot my_fish.toml draws it")
     for row in rows:
         if row["absent"]:
             console.say(f"{row['trial']}: has no {', '.join(row['absent'])}")

@@ -7,10 +7,13 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.log import toml
+from fishmj.log.check import Implausible
 from fishmj.log.importers.assemble import Place, renamed, trial_of
-from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap
+from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.rows import STRAY
 from fishmj.log.importers.sheet import DATE, Sheet
+from fishmj.log.importers.units import SI, fitting
 from fishmj.log.limits import quoted
 from fishmj.log.schema import table_spec
 from fishmj.log.trial import Table, Trial
@@ -49,7 +52,25 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
         if rest := [column for column in sheet.columns if column not in used]:
             more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
             notes.append(f"{sheet.name}: not read: {', '.join(quoted(c)[1:-1] for c in rest[:8])}{more}")
-    return trial_of(name, meta, found, notes)
+    return trial_of(name, meta, found, notes, lambda table, doubt: _advised(table, doubt, wanted.tables[table]))
+
+
+def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
+    """An implausible value, and the line of the map that would mend it."""
+    source = entry.t if doubt.column == "t" else entry.columns[doubt.column]
+    place, what = ("t", "time") if doubt.column == "t" else (f"{table}.{doubt.column}", measured(table, doubt.column))
+    if source.column is None:
+        return f"{doubt.place}: [tables.{table}] {doubt.column} {doubt.told}. Mend its constant, in SI units"
+    name, unit = quoted(source.column), source.unit or SI[what]
+    scaled = f" times {source.scale:g}" if source.scale != 1 else ""
+    allow = f"; if it is right, allow it with --plausible {doubt.bound}=..."
+    told = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.told}"
+    fits = fitting(what, doubt.value, unit, doubt.span) if not scaled else []
+    if not fits:
+        return f"{told}. Mend its scale, zero or unit in the map{allow}"
+    line = f"{place if place == 't' else f'columns.{doubt.column}'} = {toml.inline({'column': source.column, 'unit': fits[0]})}"
+    units = " or ".join(f'"{unit}"' for unit in fits)
+    return f"{told}. Say unit = {units}: {line} in the map, or --set {name[1:-1]}={place}:{fits[0]}{allow}"
 
 
 def _sources(entry: TableMap) -> list[str]:

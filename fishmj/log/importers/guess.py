@@ -9,10 +9,10 @@ import numpy as np
 
 from fishmj.errors import LogError, UnknownName
 from fishmj.log.importers import header, values
-from fishmj.log.importers.column_map import ColumnMap, is_column, measured, of_dict
+from fishmj.log.importers.column_map import is_column, measured
 from fishmj.log.importers.roles import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.importers.units import SI, measures, of_kind, unit_of
+from fishmj.log.importers.units import SI, measures, unit_of
 from fishmj.log.limits import quoted
 from fishmj.log.schema import TABLES, table_spec
 
@@ -42,6 +42,7 @@ class Guess:
     scale: float = 1.0
     why: str = ""
     said: bool = False  # by the user
+    fits: tuple[str, ...] = ()  # units that its values allow, where its name says another
 
     @property
     def place(self) -> str:
@@ -273,6 +274,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
 def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
     """A unit for every column that has a place: said by its name or file, else by the values of its family."""
     out = []
+    doubts: dict[tuple[str, str], tuple[str, Sequence[str]]] = {}  # by unit and sensor
     known: dict[tuple[str, str], tuple[str, str]] = {}  # by family: its values are looked at once
     for g in guesses:
         if g.state == LEFT:
@@ -290,10 +292,13 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
         elif g.unit:
-            doubt = values.against(g.unit, what, kind.values(g.column)) if g.unit != DATE else ""
+            if (shared := (g.unit, _sensor(g, what))) not in doubts:
+                alike = [kind.values(o.column) for o in guesses if o.state != LEFT and (o.unit, _sensor(o, what)) == shared]
+                doubts[shared] = values.against(g.unit, "joint" if _of_a_joint(g.places) else what, alike)
+            doubt, fits = doubts[shared]
             if g.unit == "px":
                 doubt = "px: say the metres of a pixel, and y's direction, in a map"
-            out.append(replace(g, state=UNCLEAR, why=doubt) if doubt else g)
+            out.append(replace(g, state=UNCLEAR, why=doubt, fits=tuple(fits)) if doubt else g)
         elif not what:
             out.append(g)
         else:
@@ -313,6 +318,11 @@ def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
             state = UNCLEAR if not unit else g.state
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
     return out
+
+
+def _sensor(g: Guess, what: str) -> str:
+    """What columns have in common whose names say one unit: x and y of one table, joints of one kind; a stamp is alone."""
+    return g.column if what == "time" else g.place.partition(".")[0] if what == "length" else _family(g.place)
 
 
 def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
@@ -436,65 +446,3 @@ def _complete(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
             why = f"table {table} lies in another file already; a table of ours is one file with one clock"
             out[i] = replace(g, state=UNCLEAR if g.said else LEFT, places=g.places if g.said else (), why=why)
     return out
-
-
-def unclear(guesses: Iterable[Guess]) -> list[Guess]:
-    """Those that the user must decide."""
-    return [g for g in guesses if g.state == UNCLEAR]
-
-
-def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: str) -> ColumnMap:
-    """The map that the guesses make, unclear ones left out.
-
-    Raises:
-        LogError: nothing is left.
-    """
-    tables: dict[str, dict] = {}
-    for k in range(len(found)):
-        mine = [g for g in guesses if g.kind == k and g.state == TAKEN]
-        stamp = next((g for g in mine if g.place == "t"), None)
-        if stamp is None:
-            continue
-        t = (
-            {"column": stamp.column}
-            | ({"unit": stamp.unit} if stamp.unit else {})
-            | ({"scale": stamp.scale} if stamp.scale != 1 else {})
-        )
-        for g in mine:
-            if g is stamp:
-                continue
-            if g.place == NANOSECONDS:
-                t["nanoseconds"] = g.column
-                continue
-            table, _, column = g.place.partition(".")
-            entry = tables.setdefault(table, {"t": t, "columns": {}, "kind": k})
-            source = {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
-            entry["columns"][column] = source
-    for entry in tables.values():
-        k = entry.pop("kind")
-        used = {entry["t"]["column"], *(c["column"] for c in entry["columns"].values())}
-        if any(used <= set(other.columns) for i, other in enumerate(found) if i != k) and found[k].pattern:
-            entry["file"] = found[k].pattern
-    if not tables:
-        raise LogError(_nothing(guesses, where))
-    return of_dict({"tables": tables, "meta": meta}, where)
-
-
-def _nothing(guesses: Sequence[Guess], where: str) -> str:
-    if all(g.place != "t" for g in guesses):
-        names = ", ".join(quoted(g.column)[1:-1] for g in guesses[:8])
-        return (
-            f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = '
-            f'{{ column = "frame", scale = 0.01 }}'
-        )
-    told = "; ".join(f"{quoted(g.column)[1:-1]}: {g.why}" for g in guesses if g.place != "t")[:300]
-    return f"{where}: no column was recognised ({told}); write a map (docs/logs.md) and import with --columns MAP.toml"
-
-
-def choices(g: Guess) -> str:
-    """What --set could say of an unclear column."""
-    table, _, column = g.place.partition(".")
-    what = "time" if g.place == "t" else measured(table, column)
-    units = [u for u in of_kind(what) if u not in ("rev", "mrad", "min", "rpm", "g")] if not g.unit else [g.unit]
-    options = [f"{place}:{unit}" if unit else place for place in g.places for unit in units or [""]]
-    return " or ".join(f"{o}*SCALE" if o.endswith(":px") else o for o in options)

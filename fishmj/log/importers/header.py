@@ -5,38 +5,61 @@ from dataclasses import dataclass
 
 from fishmj.log.importers.units import UNITS, unit_of
 
-TIME = set("time t stamp timestamp clock elapsed utc epoch date datetime zeit uptime".split())
-COMMAND = set("cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted soll".split())
-MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real ist".split())
-MEASURED |= set("state states sensor sensed read".split())
-SERVO = set("servo servos motor motors".split())
-JOINT = set("joint joints angle angles ang theta q dof hinge phi winkel".split())
-RATE = set("vel velocity speed rate omega dot gyro".split())
-CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body".split())
-HEADING = set("yaw heading theta psi orientation".split())
-FORCE = set("force forces fx fy fz torque torques thrust wrench moment mx my mz effort tau newton".split())
-VOLT = set("volt volts voltage vbat vbatt u spannung".split())
-CURRENT = set("current amp amps ampere ibat ibatt strom".split())
-BATTERY = set("batt battery supply bus power bat".split())
-TEMPERATURE = {"temp", "temperature"}
-_GLUED = {  # names without a mark between their words
+# In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
+# and `cap` (a capacity) are left to the user.
+TIME = set("time t ts stamp timestamp tstamp clock elapsed utc epoch date datetime uptime".split())
+TIME |= set("zeit stempel uhrzeit datum temps tiempo tempo".split())
+COMMAND = set("cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
+COMMAND |= set("soll stell vorgabe consigne comando mandado".split())
+MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real".split())
+MEASURED |= set("state states sensor sensed read ist gemessen mesure medido".split())
+SERVO = set("servo servos motor motors servomotor".split())
+JOINT = set("joint joints angle angles ang theta q dof hinge phi winkel gelenk articulation".split())
+PART = set("tail fin hinge schwanz flosse".split())  # what a joint may be called after
+RATE = set("vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
+CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body kamera".split())
+HEADING = set("yaw heading hdg theta psi orientation kurs gier orientierung ausrichtung lacet rumbo".split())
+COMPASS = set("bearing compass course azimuth kompass peilung azimut".split())
+FORCE = set("force forces fx fy fz torque torques thrust wrench moment mx my mz effort tau newton kraft drehmoment".split())
+ACCELERATION = set("acc accel acceleration accelerometer beschl beschleunigung".split())
+VOLT = set("volt volts voltage vbat vbatt vcc vdd u spannung voltaje".split())
+CURRENT = set("current curr amp amps ampere ibat ibatt strom courant corriente".split())
+BATTERY = set("batt battery supply bus power bat akku batterie bateria batteria lipo".split())
+TEMPERATURE = set("temp temperature temperatur temperatura".split())
+NOWHERE = set(
+    "error err pwm duty pitch roll depth lat latitude lon longitude percent soc id seq pressure druck tiefe fehler".split()
+)
+_GLUED = {  # names without a mark between their words; a unit comes last, so no quantity does
+    **{"posx": "pos x", "posy": "pos y", "xpos": "pos x", "ypos": "pos y", "camx": "cam x", "camy": "cam y"},
     **{
-        "posx": "pos x",
-        "posy": "pos y",
-        "xpos": "pos x",
-        "ypos": "pos y",
-        "camx": "cam x",
-        "camy": "cam y",
+        "vbat": "volt battery",
+        "vbatt": "volt battery",
+        "vin": "volt supply",
+        "ibat": "current battery",
+        "ibatt": "current battery",
+    },
+    **{
+        "akkuspannung": "spannung akku",
+        "batteriespannung": "spannung akku",
+        "akkustrom": "strom akku",
+        "batteriestrom": "strom akku",
+    },
+    **{
+        "sollwinkel": "soll winkel",
+        "stellwinkel": "soll winkel",
+        "istwinkel": "ist winkel",
+        "sollwert": "soll",
+        "istwert": "ist",
+    },
+    **{"setpoint": "target", "zeitstempel": "zeit stempel", "motorstrom": "motor strom"},
+    **{
         "yawrate": "yaw rate",
+        "gierrate": "yaw rate",
+        "rollrate": "roll rate",
+        "yawangle": "yaw angle",
+        "gierwinkel": "yaw angle",
     },
-    **{
-        "vbat": "battery volt",
-        "vbatt": "battery volt",
-        "ibat": "battery current",
-        "ibatt": "battery current",
-        "vin": "supply volt",
-    },
-    **{"setpoint": "target", "rollrate": "roll rate", "accx": "acc x", "accy": "acc y", "accz": "acc z"},
+    **{"winkelgeschwindigkeit": "winkel rate", "accx": "acc x", "accy": "acc y", "accz": "acc z"},
     **{
         "gyrox": "gyro x",
         "gyroy": "gyro y",

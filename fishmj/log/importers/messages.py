@@ -166,7 +166,7 @@ def sheets(path: Path, found: Found) -> list[Sheet]:
         if not channel.messages:
             continue
         if channel.encoding not in ("json", "cdr"):
-            notes.append(f"{topic}: messages encoded as {quoted(channel.encoding)} are not read; convert them to JSON")
+            notes.append(f"{topic}: messages encoded as {quoted(channel.encoding)} are not read; {_converted(channel.encoding)}")
             continue
         if channel.encoding != "json" and channel.type not in KEPT:
             notes.append(f"{topic}: messages of {quoted(channel.type or channel.encoding)} need a mapping (--topics); left out")
@@ -313,8 +313,18 @@ def _decoder(path: Path, topic: str, channel: Channel) -> Callable[[int], dict]:
         return lambda i: _cdr(f"{path}:{topic}[{i}]", store, channel.type, channel.messages[i][2])
     raise LogError(
         f"{path}:{topic}: messages are encoded as {quoted(channel.encoding)}{'' if channel.type else ' without a schema'}; "
-        "expected json, or cdr of ROS 2's standard types. Convert the recording to JSON messages"
+        f"expected json, or cdr of ROS 2's standard types; {_converted(channel.encoding)}"
     )
+
+
+def _converted(encoding: str) -> str:
+    """How a recording in another encoding becomes one that is read."""
+    if encoding == "protobuf":
+        return (
+            "convert the recording to JSON messages: pip install mcap-protobuf-support and run the lines under "
+            '"Protobuf" in docs/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
+        )
+    return "convert the recording to JSON messages"
 
 
 def _json(where: str, data: bytes) -> dict:

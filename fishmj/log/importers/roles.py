@@ -52,25 +52,7 @@ def _force(name: Header, context: set[str]) -> Role | None:
         return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
     if measures(name.unit) in ("mass", "power", "share", "count") and not name.has(header.SERVO | header.JOINT):
         return Role(why=f"{name.unit}: the schema has no such column")
-    if name.has(
-        {
-            "error",
-            "err",
-            "pwm",
-            "duty",
-            "pitch",
-            "roll",
-            "depth",
-            "lat",
-            "latitude",
-            "lon",
-            "longitude",
-            "percent",
-            "soc",
-            "id",
-            "seq",
-        }
-    ):
+    if name.has(header.NOWHERE):
         return Role(why="the schema has no such column")
     return None
 
@@ -84,6 +66,8 @@ def _time(name: Header, context: set[str]) -> Role | None:
 
 
 def _power(name: Header, context: set[str]) -> Role | None:
+    if name.has(header.CAMERA):  # cam_u, cam_v
+        return None
     said, alone = measures(name.unit), not name.has(header.SERVO | header.JOINT) and name.number is None
     battery = name.has(header.BATTERY) or not context.isdisjoint(header.BATTERY)
     volts = name.has(header.VOLT - {"u"}) or name.words in (("v",), ("u",)) or (battery and name.has({"v", "u"}))
@@ -103,7 +87,7 @@ def _power(name: Header, context: set[str]) -> Role | None:
 
 def _imu(name: Header, context: set[str]) -> Role | None:
     axis = next((word for word in name.words if word in AXES), "")
-    if axis and (name.has({"acc", "accel", "acceleration", "accelerometer"}) or measures(name.unit) == "acceleration"):
+    if axis and (name.has(header.ACCELERATION) or measures(name.unit) == "acceleration"):
         return Role((f"imu.a{axis}",), "an acceleration")
     if name.words[-1:] in (("ax",), ("ay",), ("az",)):
         return Role((f"imu.{name.words[-1]}",), "an acceleration")
@@ -117,7 +101,7 @@ def _imu(name: Header, context: set[str]) -> Role | None:
 def _velocity(name: Header, context: set[str]) -> Role | None:
     if name.words[-1:] in (("surge",), ("sway",)):
         return Role((f"velocity.{name.words[-1]}",), "a velocity of the body")
-    if name.has({"yaw", "heading", "psi"}) and name.has(header.RATE):
+    if name.has(header.HEADING - {"theta"}) and name.has(header.RATE):
         return Role(("velocity.yaw_rate",), "the rate of the heading")
     if (
         (name.has(AXES) and name.has(header.RATE))
@@ -144,7 +128,7 @@ def _place(name: Header, context: set[str]) -> Role | None:
 
 
 def _heading(name: Header, context: set[str]) -> Role | None:
-    if name.has({"bearing", "compass", "course", "azimuth"}):
+    if name.has(header.COMPASS):
         return Role(
             why="a compass bearing runs clockwise from north, yaw the other way from x: map it with sign = -1 and zero = 90"
         )
@@ -162,7 +146,7 @@ def _heading(name: Header, context: set[str]) -> Role | None:
 
 def _joint(name: Header, context: set[str]) -> Role | None:
     said = measures(name.unit)
-    known = name.has(header.SERVO | header.JOINT | {"tail", "fin", "hinge"})
+    known = name.has(header.SERVO | header.JOINT | header.PART)
     if name.number is not None and name.words in (("value",), ("data",), ("values",)):  # an array on a topic of angles
         known = bool(context & (header.SERVO | header.JOINT))
     numbered = name.number is not None and (name.has(header.COMMAND | header.MEASURED) or said == "angle")

@@ -20,18 +20,18 @@ UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to 
     **{"kg": ("mass", math.nan), "W": ("power", math.nan), "%": ("share", math.nan), "count": ("count", math.nan)},
 }
 _SPELLED = {
-    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "s."), "s"),
-    **dict.fromkeys(("msec", "msecs", "millis", "millisec", "milliseconds", "millisecond"), "ms"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "s."), "s"),
+    **dict.fromkeys(("msec", "msecs", "millis", "millisec", "milliseconds", "millisecond", "millisekunden"), "ms"),
     **dict.fromkeys(("µs", "μs", "usec", "usecs", "micros", "microsec", "microseconds", "microsecond"), "us"),
     **dict.fromkeys(("nsec", "nsecs", "nanos", "nanosec", "nanoseconds", "nanosecond"), "ns"),
     **dict.fromkeys(("minute", "minutes"), "min"),
     **dict.fromkeys(("radian", "radians", "rads"), "rad"),
-    **dict.fromkeys(("degree", "degrees", "degs", "°", "º"), "deg"),
+    **dict.fromkeys(("degree", "degrees", "degs", "grad", "°", "º"), "deg"),
     **dict.fromkeys(("revs", "turn", "turns"), "rev"),
     **dict.fromkeys(("radps", "rad s", "rad/sec", "rads/s"), "rad/s"),
     **dict.fromkeys(("dps", "degps", "deg s", "deg/sec", "°/s", "degrees/s"), "deg/s"),
     **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
-    **dict.fromkeys(("centimetre", "centimetres", "centimeter", "centimeters"), "cm"),
+    **dict.fromkeys(("centimetre", "centimetres", "centimeter", "centimeters", "zentimeter"), "cm"),
     **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
     **dict.fromkeys(("pix", "pixel", "pixels"), "px"),
     **dict.fromkeys(("mps", "m s", "m/sec"), "m/s"),
@@ -69,3 +69,14 @@ def measures(unit: str) -> str:
 def of_kind(what: str) -> list[str]:
     """The units of one quantity that have a factor, or take a scale (px)."""
     return [unit for unit, (measured, _) in UNITS.items() if measured == what]
+
+
+def likely(what: str) -> list[str]:
+    """Those that a laboratory's column is in; the others are taken where its name says so."""
+    return [unit for unit in of_kind(what) if unit not in ("rev", "mrad", "min", "rpm", "g")]
+
+
+def fitting(what: str, value: float, unit: str, span: tuple[float, float]) -> list[str]:
+    """The likely units in which a value [SI] that was read in `unit` lies within `span`."""
+    raw = abs(value) / UNITS[unit or SI[what]][1]
+    return [u for u in likely(what) if u != unit and span[0] <= raw * UNITS[u][1] <= span[1]]

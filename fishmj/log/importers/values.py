@@ -8,15 +8,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fishmj.log.check import usual
 from fishmj.log.importers.convert import EPOCH
+from fishmj.log.importers.sheet import DATE
+from fishmj.log.importers.units import SI, UNITS, fitting, likely
 from fishmj.log.limits import quoted
+from fishmj.log.plausible import of_meta
 
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 400.0
 APART = (20.0, 170.0)  # times that two joints' largest angles differ when one is in rad, one in deg: 57.3, and 3 either way
 SHORT = 2e-4  # s; a median step below is a rate that no servo, camera or battery has
-TANK = 8.0  # m of spread of a position: below it is m
 TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
 FLUTTER = 30.0  # a spread beyond is cm, mm or px
 
@@ -88,7 +91,7 @@ def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     """Of positions (x and y together); the first row's place does not count."""
     spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
     told = f"spread {spread:.3g}"
-    if spread <= TANK:
+    if spread <= of_meta({}, "").tank:
         return "m", told
     return "", f"{told}: m or cm?" if spread <= FLUTTER else f"{told}: mm, cm, px or m?"
 
@@ -125,23 +128,58 @@ def current_unit(values: np.ndarray) -> tuple[str, str]:
     )
 
 
-def against(unit: str, what: str, values: np.ndarray) -> str:
-    """Why the unit that a name says cannot be; "" where it can."""
-    most = _most(values)
-    if unit == "rad" and what == "angle" and most > 2 * math.pi:
-        return f"the name says rad, but {most:.4g} rad is more than a turn"
+def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Sequence[str]]:
+    """Why the unit that a name says cannot be, and the units that could; ("", ()) where it can.
+
+    Args:
+        what: it measures; "joint" for the angle of one. values: of the column, and of those that share its unit: the joints of
+            one kind, x beside y.
+    """
+    if unit == DATE:
+        return "", ()
+    bounds = of_meta({}, "")
+    most = max(map(_most, values), default=0.0)
+    if what == "time":
+        doubt = _stamps_against(unit, values[0])
+        return doubt, likely(what) if doubt else ()
+    if what in ("angle", "joint") and unit == "rad" and most > 2 * math.pi:
+        return f"the name says rad, but {most:.4g} rad is more than a turn", ("deg",)
+    if what == "joint" and unit == "deg" and TINY_ANGLE <= most <= 0.5 * RAD:
+        return f"the name says deg, but no joint goes beyond {math.radians(most):.2g} rad; {most:.3g} may be rad", ("rad", "deg")
+    if what in ("voltage", "current"):
+        value, span = max(map(usual, values)) * UNITS[unit][1], bounds.span(what)
+    elif what == "length" and unit in ("mm", "cm"):
+        value, span = max(map(_extent, values)) * UNITS[unit][1], (0.0, bounds.tank)
+    else:
+        return "", ()
+    fits = fitting(what, value, unit, span)
+    if not value or span[0] <= value <= span[1] or not fits:
+        return "", ()
+    allowed = f"{span[0]:g} to {span[1]:g}" if span[0] else f"at most {span[1]:g}"
+    told = f'the name says {unit}, which makes it {value:.4g} {SI[what]}, plausible is {allowed}; in a map unit = "{fits[0]}"'
+    return told, (*fits, unit)
+
+
+def _stamps_against(unit: str, t: np.ndarray) -> str:
+    """Why stamps [unit] cannot be in the unit that their name says; "" where they can."""
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
-    if what == "time" and seconds:
-        step = np.diff(values[np.isfinite(values)])
+    finite = t[np.isfinite(t)]
+    if seconds:
+        step = np.diff(finite)
         middle = seconds * float(np.median(step[step > 0])) if (step > 0).any() else SHORT
         if middle < 0.999 * SHORT:
             return f"the name says {unit}, but the steps are {middle:.3g} s, {1 / middle:.3g} rows a second"
-    if unit == "s" and what == "time":
-        finite = values[np.isfinite(values)]
+    if unit == "s":
         step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
         if step > 5 and abs(finite[0]) < EPOCH:
             return f"the name says s, but the steps are {step:.4g}"
     return ""
+
+
+def _extent(values: np.ndarray) -> float:
+    """How far a position goes from its first row, or starts from zero."""
+    values = values[np.isfinite(values)]
+    return max(_most(values - values[0]), abs(float(values[0]))) if len(values) else 0.0
 
 
 def _most(values: np.ndarray) -> float:

@@ -1,0 +1,175 @@
+"""`fishmj log import`: names in the tongues and habits of laboratories, and units that do not fit the values."""
+
+import math
+
+import lab_files
+import numpy as np
+import pytest
+from lab_files import WAVE, N, guessed, only
+
+from fishmj import log
+from fishmj.errors import LogError
+from fishmj.log import plausible
+from fishmj.log.importers import guess, header
+from fishmj.log.importers.roles import role
+
+
+@pytest.fixture
+def bring(tmp_path, capsys, monkeypatch):
+    """Run `log import`: (exit code, stdout, stderr); the data set is tmp_path/set."""
+    return lab_files.importer(tmp_path, capsys, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("names", "place"),
+    [
+        ("zeit_ms Zeit[s] zeitstempel uhrzeit temps_s ts t_us tstamp zeit_sekunden", "t"),
+        ("kurs kurs_deg kurs_grad hdg HDG_deg heading psi ψ gierwinkel gier yawangle orientierung", "pose.yaw"),
+        ("spannung akku_V akkuspannung batteriespannung vbat v_bat u_batt vcc lipo_mV spannung_akku", "power.V"),
+        ("strom strom_A akkustrom i_a i_mA i_bat ibat curr_mA courant", "power.I"),
+        ("servo1_soll sollwinkel1 stellwinkel_1_grad sollwert1 gelenk1_soll consigne1", "cmd.c#"),
+        ("servo1_ist istwinkel1 istwert1 gelenk1_ist winkel1_gemessen", "joint.j#"),
+        ("temperatur_servo1", "joint.temp#"),
+        ("gierrate kurs_rate", "velocity.yaw_rate"),
+        ("beschleunigung_x beschl_x", "imu.ax"),
+    ],
+)
+def test_names_of_other_tongues_and_habits_are_known(names, place):
+    for name in names.split():
+        assert role(header.parse(name), set()).places == (place,), name
+
+
+@pytest.mark.parametrize("name", "geschwindigkeit_x pressure_psi cam_v kurs_soll tension cap kompass druck motor1_strom".split())
+def test_what_only_sounds_like_a_column_of_ours_is_left_out(name):
+    assert role(header.parse(name), set()).places == ()
+
+
+@pytest.mark.parametrize("name", ["akku", "batt", "winkel1", "gelenk1"])
+def test_a_name_with_two_meanings_is_asked(name):
+    assert len(role(header.parse(name), set()).places) == 2
+
+
+def test_a_battery_in_millivolts_under_a_name_without_a_unit_is_told_by_its_values(tmp_path):
+    found = guessed(tmp_path, named(7400.0, "vbat"))["vbat"]
+    assert (found.place, found.unit, found.state) == ("power.V", "mV", guess.TAKEN)
+
+
+# ------------------------------------------------------------------------------------------------------------ plausibility
+def boat(path, reach=150.0, unit="m"):
+    t = 0.1 * np.arange(600)
+    return lab_files.write(path, {"t_s": t, f"x_{unit}": reach * t / t[-1], f"y_{unit}": 0 * t, "heading_deg": 0 * t})
+
+
+def test_a_boat_at_150_m_is_fine(tmp_path, bring):
+    assert bring(boat(tmp_path / "boat.csv"), "--yes")[0] == 0
+    assert only(tmp_path / "set").tables["pose"]["x"][-1] == pytest.approx(150)
+
+
+def test_a_longer_course_is_allowed_by_a_flag_which_travels_with_the_trial(tmp_path, bring):
+    source = boat(tmp_path / "boat.csv", 800)
+    code, _, err = bring(source, "--yes")
+    assert code == 2 and "boat.csv" in err and "--plausible reach=" in err
+    assert bring(source, "--yes", "--plausible", "reach=1000")[0] == 0
+    assert only(tmp_path / "set").meta["plausible"] == {"reach": 1000.0}
+
+
+def test_millimetres_called_metres_are_seen_by_their_pace(tmp_path, bring):
+    t = 0.02 * np.arange(200)
+    lab_files.write(tmp_path / "a.csv", {"t_s": t, "x_m": 100 + 80 * t + 3 * np.sin(40 * t), "y_m": 0 * t, "yaw_rad": 0 * t})
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and "column 'x_m' in m as pose.x is 80" in err and "m/s; plausible is at most 20" in err
+    assert 'columns.x = {column = "x_m", unit = "cm"}' in err and "Divide" not in err
+
+
+def named(values, name, **others):
+    """A log with a swim's command and one more column."""
+    return {"time_s": 0.02 * N, "servo1_deg": 20 * WAVE, name: values + 0 * N, **others}
+
+
+@pytest.mark.parametrize(
+    ("columns", "said", "mended"),
+    [
+        (named(7.4, "batt_mV"), "the name says mV, which makes it 0.0074 V, plausible is 1 to 500", "batt_mV=power.V:V"),
+        (named(7400, "batt_V"), "the name says V, which makes it 7400 V, plausible is 1 to 500", "batt_V=power.V:mV"),
+        (named(7.4, "batt_V", i_mA=0.8 + 0 * N), "makes it 0.0008 A, plausible is 0.005 to 200", "i_mA=power.I:A"),
+        (named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE), "makes it 12 m, plausible is at most 8", "x_cm=pose.x:mm"),
+        (named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE), "makes it 12 m, plausible is at most 8", "y_cm=pose.y:mm"),
+        ({"time_s": 0.02 * N, "servo1_deg": 0.4 * WAVE}, "the name says deg, but no joint goes beyond", "servo1_deg=cmd.c1:rad"),
+    ],
+)
+def test_a_unit_in_a_name_that_does_not_fit_the_values_is_asked(tmp_path, bring, columns, said, mended):
+    lab_files.write(tmp_path / "log.csv", columns)
+    code, _, err = bring(tmp_path / "log.csv", "--yes")
+    assert code == 2 and said in err and f"--set {mended}" in err and "\n" not in err
+    name = mended.partition("=")[0]
+    assert guessed(tmp_path, columns)[name].state == guess.UNCLEAR
+
+
+def test_what_is_asked_is_answered_either_way(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE))
+    for unit, place in (("mm", 1.2), ("cm", 12.0)):
+        said = ("--set", f"x_cm=pose.x:{unit}", "--set", f"y_cm=pose.y:{unit}")
+        code, _, err = bring(tmp_path / "a.csv", "--yes", *said, out=tmp_path / unit)
+        assert code == 0, err
+        assert only(tmp_path / unit).tables["pose"]["x"][0] == pytest.approx(place)
+
+
+@pytest.mark.parametrize(
+    ("table", "source", "said", "line"),
+    [
+        ("power", {"V": ("k", "mV", 7.4)}, "in mV as power.V is usually 0.0074 V; plausible is 1 to 500", ("V", "V")),
+        ("cmd", {"c1": ("k", "", 20.0)}, "in rad as cmd.c1 is 20 rad; plausible is at most 3.142", ("c1", "deg")),
+        ("target", {"x": ("k", "", 1200.0), "y": ("k", "mm", 1.0)}, "starts at 1200 m; plausible is at most 1000", ("x", "cm")),
+    ],
+)
+def test_a_unit_of_a_map_that_does_not_fit_names_the_line_that_mends_it(tmp_path, bring, table, source, said, line):
+    lab_files.write(tmp_path / "a.csv", {"t": 0.02 * N, "k": next(iter(source.values()))[2] + 0 * N})
+    rows = "".join(
+        f'columns.{ours} = {{ column = "{k}"{f", unit = {unit!r}" if unit else ""} }}\n' for ours, (k, unit, _) in source.items()
+    )
+    (tmp_path / "MAP.toml").write_text(f'[tables.{table}]\nt = "t"\n{rows}')
+    code, _, err = bring(tmp_path / "a.csv", "--columns", tmp_path / "MAP.toml")
+    assert code == 2 and said in err and "a.csv:2:k" in err and "the column by" not in err
+    assert 'columns.{} = {{column = "k", unit = "{}"}} in the map'.format(*line) in err
+
+
+def test_stamps_of_a_map_in_another_unit_name_the_line_that_mends_it(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"t": 20.0 * N, "k": 0.3 * WAVE})
+    (tmp_path / "MAP.toml").write_text('[tables.cmd]\nt = "t"\ncolumns.c1 = "k"\n')
+    code, _, err = bring(tmp_path / "a.csv", "--columns", tmp_path / "MAP.toml")
+    assert code == 2 and 't = {column = "t", unit = "ms"} in the map, or --set t=t:ms' in err
+
+
+def test_a_battery_that_is_off_is_no_mistake_of_units(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"time_s": 0.02 * N, "servo1_deg": 20 * WAVE, "batt_mV": 0 * N})
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("reach=far", "expected NAME=NUMBER"),
+        ("reech=10", "Did you mean 'reach'"),
+        ("reach=-1", "expected a positive number"),
+        ("reach=nan", "positive"),
+    ],
+)
+def test_a_wrong_bound_is_one_line(tmp_path, bring, text, message):
+    code, _, err = bring(boat(tmp_path / "a.csv"), "--yes", "--plausible", text)
+    assert code == 2 and message in err and "\n" not in err
+
+
+def test_the_shipped_bounds_are_whole():
+    assert plausible.shipped().reach >= 200 and plausible.shipped().angle == math.pi
+
+
+def test_a_trials_own_meta_relaxes_a_bound(tmp_path):
+    lab_files.write(tmp_path / "pose.csv", {"t": 1.0 * N, "x": 9.0 * N, "y": 0 * WAVE, "yaw": 0 * WAVE})
+    (tmp_path / "meta.toml").write_text('origin = "measured"\n')
+    with pytest.raises(LogError, match="from the first row, which looks like millimetres"):
+        log.read_trial(tmp_path)
+    (tmp_path / "meta.toml").write_text('origin = "measured"\n[plausible]\nreach = 5000.0\n')
+    assert log.read_trial(tmp_path).tables["pose"]["x"][-1] == 891
+    (tmp_path / "meta.toml").write_text('origin = "measured"\nplausible = "all"\n')
+    with pytest.raises(LogError, match="expected a table such as"):
+        log.read_trial(tmp_path)
