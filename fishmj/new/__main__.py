@@ -90,7 +90,7 @@ def options() -> console.Parser:
         "--photo",
         type=console.path,
         metavar="PNG",
-        help="side view, PNG or JPG; the scale comes from --length or --scale (default none)",
+        help="from the side, PNG or JPG; scale from --length or --scale, widths from --width (default none)",
     )
     m.add_argument(
         "--scale",
@@ -99,7 +99,9 @@ def options() -> console.Parser:
         help="of the photo, m per pixel, 1e-06 to 0.1 (default from --length)",
     )
     m.add_argument(
-        "--nose", choices=("left", "right"), default="left", help="side of the photo that the nose points to (default left)"
+        "--nose",
+        choices=("left", "right"),
+        help="side of the photo that the nose points to (default: the end that looks like a head, which is said)",
     )
     m.add_argument(
         "--width-ratio",
@@ -146,13 +148,15 @@ def main(argv: list[str]) -> int:
     if args.name is not None or args.yes or args.out is not None:
         free(args, paths(args, str(args.name or "my_fish")))  # before anything is asked
     known: dict[str, Any] = {"head": args.head}
-    overlay = None
+    seen = None
     if sheet := sheet_of(args):
         known["servo"] = sheet
     if args.sections is not None:
         known |= {"outline": read_table(args)}
     if args.photo is not None:
-        known["outline"], overlay = read_side_view(args)
+        seen = read_side_view(args)
+        known["outline"] = seen.outline
+        console.say(*seen.notes)
     if "outline" in known:
         known |= {"length": known["outline"].length, "height": None, "width": None, "tail_height": None}
     known, origin = answers.gather(known, given, ask, defaults=args.yes)
@@ -169,10 +173,10 @@ def main(argv: list[str]) -> int:
         side_span=span,
         origin=origin,
     )
-    return finish(args, files, robot_of(fish), fish, toml_of, overlay)
+    return finish(args, files, robot_of(fish), fish, toml_of, seen)
 
 
-def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | None) -> int:
+def finish(args, files: dict[str, Path], robot, fish, toml_of, seen) -> int:
     """Check the description as it reads back, write everything, say what was found."""
     from fishmj import store
     from fishmj.mjcf.description import load_robot
@@ -186,12 +190,12 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | 
     found = checks(robot, swim)
     store.write_text(files["description"], text)
     store.write_bytes(files["picture"], picture(robot))
-    if overlay is not None:
-        store.write_bytes(files["outline"], overlay)
+    if seen is not None:
+        store.write_bytes(files["outline"], seen.overlay)
     wrong = [c for c in found if c.verdict == "wrong"]
     rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
     console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))
-    written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if overlay is not None else ()))}
+    written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if seen is not None else ()))}
     console.say(*(f"wrote {path}" for path in written.values()), "", *next_steps(files["description"], robot.name))
     if args.json:
         facts = {
@@ -199,6 +203,7 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | 
             "lengths_per_second": swim.speed / robot.length,
             "torque": swim.torque,
             "mass": round(robot.mass, 9),
+            **({} if seen is None else {"notes": list(seen.notes)}),
         }
         console.emit_json({**written, "name": robot.name, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
     return console.FAILED_CHECK if wrong else console.OK
@@ -243,9 +248,9 @@ def given_answers(args) -> dict[str, str]:
     for key in taken:
         if getattr(args, key) is not None:
             raise UsageError(f"new: --{key.replace('_', '-')} with {measured}: the outline says it; leave it out")
-    for key, value in (("scale", args.scale), ("unit", args.unit)):
-        if value is not None and measured != {"scale": "--photo", "unit": "--sections"}[key]:
-            raise UsageError(f"new: --{key} goes with {'--photo' if key == 'scale' else '--sections'}")
+    for key, goes in (("scale", "--photo"), ("nose", "--photo"), ("unit", "--sections")):
+        if getattr(args, key) is not None and measured != goes:
+            raise UsageError(f"new: --{key} goes with {goes}")
     texts = {key: getattr(args, key) for key in ("name", "mass", "servo")}
     texts |= {"joints": args.joints if args.joints is not None or args.links is None else str(args.links)}
     if not measured:
@@ -278,7 +283,7 @@ def read_table(args):
 
 
 def read_side_view(args):
-    """Outline and overlay of the photo; its length and width are answers, too."""
+    """What was seen in the photo; its length and width are answers, too."""
     from fishmj.new.answers import LENGTH
     from fishmj.new.photo import read_photo
     from fishmj.new.quantity import quantity
@@ -289,8 +294,7 @@ def read_side_view(args):
             sizes[key] = None if getattr(args, key) is None else quantity("length", low, high)(getattr(args, key))
         except argparse.ArgumentTypeError as error:
             raise UsageError(f"new: --{key}: {error}") from error
-    seen = read_photo(args.photo, scale=args.scale, nose=args.nose, width_ratio=args.width_ratio, **sizes)
-    return seen.outline, seen.overlay
+    return read_photo(args.photo, scale=args.scale, nose=args.nose, width_ratio=args.width_ratio, **sizes)
 
 
 if __name__ == "__main__":
