@@ -134,7 +134,7 @@ def test_a_top_view_draws_the_fish_where_it_is(trial):
         red = np.argwhere((image[..., 2] > 120) & (image[..., 1] < 60) & (image[..., 0] < 60))
         q = view.tracks[0].q[round(time * 50)]
         assert len(red) > 150
-        expected = view.pixel(q[:2] + 0.08 * np.array([np.cos(q[2]), np.sin(q[2])]))  # the head is red
+        expected = view.view.pixel(q[:2] + 0.08 * np.array([np.cos(q[2]), np.sin(q[2])]))  # the head is red
         assert np.linalg.norm(red.mean(0)[::-1] - expected) < 0.06 * view.scale
 
 
