@@ -23,7 +23,7 @@ Exit 1: the description was written, and a check says that it is wrong.
 
 def options() -> console.Parser:
     from fishmj.mjcf.servos import SHELF
-    from fishmj.new.answers import CURRENT, HEIGHT, LENGTH, RATE, TAIL, TORQUE, VOLTAGE, WIDTH
+    from fishmj.new.answers import HEIGHT, LENGTH, NEEDED, SHEET, TAIL, WIDTH
     from fishmj.new.quantity import KINDS, quantity
     from fishmj.new.shape import LINKS
 
@@ -111,30 +111,15 @@ def options() -> console.Parser:
         help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default 0.66)",
     )
     s = p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage")
-    s.add_argument(
-        "--stall-torque",
-        type=quantity("torque", *TORQUE),
-        metavar="T",
-        help="17kgcm, 1.67Nm, 236ozin; {:g} to {:g} N m (default that of --servo)".format(*TORQUE),
-    )
-    s.add_argument(
-        "--no-load-speed",
-        type=quantity("rate", *RATE),
-        metavar="W",
-        help="0.2s/60deg, 50rpm, 5.2rad/s; {:g} to {:g} rad/s (default that of --servo)".format(*RATE),
-    )
-    s.add_argument(
-        "--voltage",
-        type=quantity("voltage", *VOLTAGE),
-        metavar="V",
-        help="of both, {:g} to {:g} V (default that of --servo)".format(*VOLTAGE),
-    )
-    s.add_argument(
-        "--stall-current",
-        type=quantity("current", *CURRENT),
-        metavar="A",
-        help="checks the others (default none); {:g} to {:g} A".format(*CURRENT),
-    )
+    for key, figure in SHEET.items():
+        default = "that of --servo" if key in NEEDED else "none"
+        bounds = f"{figure.low:g} to {figure.high:g} {KINDS[figure.kind].si}"
+        s.add_argument(
+            f"--{key.replace('_', '-')}",
+            type=figure.parse,
+            metavar=figure.kind[0].upper(),
+            help=f"{figure.text}; {bounds} (default {default})",
+        )
     return p
 
 
@@ -263,12 +248,12 @@ def given_answers(args) -> dict[str, str]:
 def sheet_of(args):
     """The servo of the data sheet options, or None where there are none. Raises UsageError where they are not whole."""
     from fishmj.mjcf.servos import Sheet
+    from fishmj.new.answers import NEEDED, SHEET
 
-    figures = {key: getattr(args, key) for key in ("stall_torque", "no_load_speed", "voltage", "stall_current")}
-    figures = {key: value for key, value in figures.items() if value is not None}
+    figures = {key: getattr(args, key) for key in SHEET if getattr(args, key) is not None}
     if not figures:
         return None
-    missing = [key for key in ("stall_torque", "no_load_speed", "voltage") if key not in figures]
+    missing = [key for key in NEEDED if key not in figures]
     if missing or args.servo is not None:
         what = f"without --{', --'.join(missing)}" if missing else "with --servo"
         options = ", ".join(f"--{key}" for key in figures)

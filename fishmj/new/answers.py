@@ -3,9 +3,9 @@
 import argparse
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fishmj import names
 from fishmj.calib import read_toml, resolve, shipped
@@ -17,13 +17,29 @@ from fishmj.new.shape import LINKS, Outline, joints_of, typical
 LENGTH = (0.05, 5.0)  # m
 HEIGHT, WIDTH, TAIL = (0.03, 0.6), (0.02, 0.6), (0.02, 0.8)  # over the length
 FLOATS = (0.5, 2.0)  # mass over what the hull displaces; further off it is another fish
-TORQUE, RATE, VOLTAGE, CURRENT = (0.005, 300.0), (0.1, 100.0), (1.0, 60.0), (0.01, 100.0)
-SHEET = {  # keys of a servo's TOML file, and options
-    "stall_torque": ("torque", *TORQUE),
-    "no_load_speed": ("rate", *RATE),
-    "voltage": ("voltage", *VOLTAGE),
-    "stall_current": ("current", *CURRENT),
+
+
+class Figure(NamedTuple):
+    """A figure of a servo's data sheet: a key of its TOML file, an option, a field of `Sheet`."""
+
+    kind: str  # of quantity
+    low: float  # SI
+    high: float
+    text: str
+
+    @property
+    def parse(self) -> Callable[[str], float]:
+        """The `type=` of its option."""
+        return quantity(self.kind, self.low, self.high)
+
+
+SHEET = {
+    "stall_torque": Figure("torque", 0.005, 300.0, "17kgcm, 1.67Nm, 236ozin"),
+    "no_load_speed": Figure("rate", 0.1, 100.0, "0.2s/60deg, 50rpm, 5.2rad/s"),
+    "voltage": Figure("voltage", 1.0, 60.0, "of the others"),
+    "stall_current": Figure("current", 0.01, 100.0, "checks the others"),
 }
+NEEDED = tuple(f.name for f in fields(Sheet) if f.name in SHEET and f.default is MISSING)
 Known = dict[str, Any]
 
 
@@ -80,16 +96,16 @@ def sheet_file(path: Path) -> Sheet:
         ConfigError: a key is missing, unknown or no quantity of its kind.
     """
     table = read_toml(path)
-    unknown, missing = set(table) - {*SHEET, "name"}, set(SHEET) - {"stall_current"} - set(table)
+    unknown, missing = set(table) - {*SHEET, "name"}, set(NEEDED) - set(table)
     if unknown or missing:
         raise ConfigError(
             f"{path}: unknown {sorted(unknown)}, missing {sorted(missing)}; a servo has {', '.join(('name', *SHEET))}"
         )
     values: dict[str, float] = {}
-    for key, (kind, low, high) in SHEET.items():
+    for key, figure in SHEET.items():
         if key in table:
             try:
-                values[key] = quantity(kind, low, high)(str(table[key]))
+                values[key] = figure.parse(str(table[key]))
             except argparse.ArgumentTypeError as error:
                 raise ConfigError(f"{path}: {key}: {error}") from error
     return Sheet(
