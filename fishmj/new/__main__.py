@@ -23,7 +23,8 @@ Exit 1: the description was written, and a check says that it is wrong.
 
 def options() -> console.Parser:
     from fishmj.mjcf.servos import SHELF
-    from fishmj.new.answers import HEIGHT, LENGTH, NEEDED, SHEET, TAIL, WIDTH
+    from fishmj.new.answers import FIN, HEIGHT, LENGTH, NEEDED, SHEET, TAIL, TALL, WIDE, WIDTH
+    from fishmj.new.describe import SIDE_SPAN
     from fishmj.new.quantity import KINDS, quantity
     from fishmj.new.shape import LINKS
 
@@ -40,17 +41,17 @@ def options() -> console.Parser:
     a.add_argument(
         "--height",
         metavar="M",
-        help="greatest height of the body, {:g} to {:g} of the length (asked; default 0.18 of it)".format(*HEIGHT),
+        help="greatest height of the body, {:g} to {:g} of the length (asked; default {:g} of it)".format(*HEIGHT, TALL),
     )
     a.add_argument(
         "--width",
         metavar="M",
-        help="greatest width of the body, {:g} to {:g} of the length (asked; default 0.66 of the height)".format(*WIDTH),
+        help="greatest width of the body, {:g} to {:g} of the length (asked; default {:g} of the height)".format(*WIDTH, WIDE),
     )
     a.add_argument(
         "--tail-height",
         metavar="M",
-        help="of the tail fin, {:g} to {:g} of the length (asked; default 1.25 of the body's)".format(*TAIL),
+        help="of the tail fin, {:g} to {:g} of the length (asked; default {:g} of the body's)".format(*TAIL, FIN),
     )
     a.add_argument(
         "--mass",
@@ -76,7 +77,7 @@ def options() -> console.Parser:
         "--side-fin",
         type=quantity("length", 0.0, 1.0),
         metavar="M",
-        help="span of each side fin, 0 for none (default 0.065 of the length)",
+        help=f"span of each side fin, 0 for none (default {SIDE_SPAN:g} of the length)",
     )
     m = p.add_argument_group("measured outline, in place of length, height, width and tail height")
     m.add_argument(
@@ -106,9 +107,9 @@ def options() -> console.Parser:
     m.add_argument(
         "--width-ratio",
         type=console.number(0.05, 3.0),
-        default=0.66,
+        default=WIDE,
         metavar="R",
-        help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default 0.66)",
+        help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default %(default)g)",
     )
     s = p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage")
     for key, figure in SHEET.items():

@@ -16,6 +16,7 @@ from fishmj.new.shape import LINKS, Outline, joints_of, typical
 
 LENGTH = (0.05, 5.0)  # m
 HEIGHT, WIDTH, TAIL = (0.03, 0.6), (0.02, 0.6), (0.02, 0.8)  # over the length
+TALL, WIDE, FIN = 0.18, 0.66, 1.25  # by default: height over length, width over height, tail fin over height
 FLOATS = (0.5, 2.0)  # mass over what the hull displaces; further off it is another fish
 
 
@@ -158,15 +159,15 @@ QUESTIONS = (
     ),
     Question(
         "height", "--height", "Greatest height of the body, without fins",
-        _height, lambda known: f"{0.18 * known['length']:.3g}", _heights,
+        _height, lambda known: f"{TALL * known['length']:.3g}", _heights,
     ),
     Question(
         "width", "--width", "Greatest width of the body, without fins",
-        _width, lambda known: f"{0.66 * known['height']:.3g}", _widths,
+        _width, lambda known: f"{WIDE * known['height']:.3g}", _widths,
     ),
     Question(
         "tail_height", "--tail-height", "Height of the tail fin, tip to tip",
-        _tail, lambda known: f"{min(1.25 * known['height'], 0.5 * known['length']):.3g}", _tails,
+        _tail, lambda known: f"{min(FIN * known['height'], 0.5 * known['length']):.3g}", _tails,
     ),
     Question(
         "mass", "--mass", "Mass as it swims, flooded parts included (default: what this hull displaces)",
