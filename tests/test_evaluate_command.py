@@ -110,7 +110,7 @@ def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, en
     after = metrics.figures(pd)["rmse_after_arrival"]
     held = int(np.sum((metrics.figures(pd)["arrival"] > 0) & (after <= 0.1)))
     lead = text[text.index("<h1>") :].split("<p")[1]
-    assert f"pd holds station in {held} of 4 trials" in lead and f"{after.mean():.3f} m RMS" in lead and "drift" in lead
+    assert f"of 4 trials and holds station in {held} (" in lead and f"{after.mean():.3f} m RMS" in lead and "drift" in lead
     i = int(np.argmax(after))
     assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and report.name_of(pd, i) in text
     assert f"worst of 4 trials: {report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
@@ -122,9 +122,9 @@ def test_the_headline_says_when_trials_do_not_tell_and_when_they_are_too_short(e
     assert "these trials do not tell it from twin" in report.headline([pd, pd._replace(controller="twin")])
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
     assert "m nearer to the target than far" in report.headline([pd, far])
-    assert "m farther from the target than pd" in report.headline([far, pd]) and "far holds station in 0 of 2" in report.headline(
-        [far]
-    )
+    assert "m farther from the target than pd" in report.headline(
+        [far, pd]
+    ) and "of 2 trials and holds station in 0 (" in report.headline([far])
     short = evaluate.run("pd", ROBOT, evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=2), engine)
     assert "too short to judge" in report.headline([short])
 

@@ -116,11 +116,11 @@ def headline(results: list[Result]) -> str:
     first, radius = results[0], constant("protocol", "arrival_radius")
     found = metrics.figures(first)
     after, n = found["rmse_after_arrival"], len(first.trials)
+    words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
     if not np.isfinite(after).all():
-        arrived = int(found["arrival"].sum())
-        return f"{first.controller} arrives in {arrived} of {n} trials, which are too short to judge how it holds."
+        return f"{words}, which are too short to judge how it holds."
     held = int(np.sum((found["arrival"] > 0) & (after <= radius)))
-    words = f"{first.controller} holds station in {held} of {n} trials (arrives, then stays within {radius:g} m RMS)"
+    words += f" and holds station in {held} (stays within {radius:g} m RMS)"
     words += f", at {after.mean():.3f} m RMS on average"
     for other in results[1:]:
         d = next(d for d in compare(first, other) if d.key == "rmse_after_arrival")
