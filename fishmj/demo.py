@@ -1,5 +1,6 @@
 """Train a fish from scratch, judge it in 24 currents, write a replay and a report: the first ten minutes."""
 
+from pathlib import Path
 from typing import Any
 
 from fishmj import console, interrupt
@@ -24,6 +25,7 @@ def options() -> console.Parser:
     out = "folder for everything; a finished demo in it is replaced, an interrupted one goes on"
     p.add_argument("--out", type=console.out_folder, default="runs/demo", help=out)
     p.add_argument("--seed", type=console.whole(0, 2**32 - 1), default=0, help="of the training")
+    p.add_argument("--open", action="store_true", help="open the replay in the browser at the end")
     p.add_argument("--smoke", action="store_true", help="every part in short; the policy will not be good and is not checked")
     return p
 
@@ -97,6 +99,15 @@ def verdict(result) -> dict:
     }
 
 
+def shown(page: Path) -> None:
+    """Open a page in the user's browser; a machine without one says so."""
+    import webbrowser
+
+    address = page.resolve().as_uri()
+    if not webbrowser.open(address):
+        console.warn(f"no browser could be opened here; open {address} yourself")
+
+
 def main(argv: list[str]) -> int:
     from fishmj import store
 
@@ -114,8 +125,10 @@ def main(argv: list[str]) -> int:
         f"arrived in {found['arrivals']} of {found['trials']} trials",
         f"holds within {found['rmse_last20']:.3f} m (RMS, 40 to 60 s, {SPEED} m/s)",
         f"report: {found['report']}",
-        f"replay: {found['replay']}  (open it in a browser)",
+        f"replay: {found['replay']}" + ("" if args.open else "  (a page: open it in a browser, or add --open)"),
     )
+    if args.open:
+        shown(Path(found["replay"]))
     good = args.smoke or (found["arrivals"] >= ARRIVALS and found["rmse_last20"] <= HOLDING)
     if args.json:
         console.emit_json({**found, "passed": good})

@@ -17,3 +17,20 @@ def test_the_demo_trains_judges_reports_and_replays(tmp_path, capsys):
     for name, least in (("replay.html", 1_000_000), ("report/report.html", 100_000), ("report/distance.png", 10_000)):
         assert (tmp_path / name).stat().st_size > least, name
     assert (tmp_path / "trial" / "meta.toml").is_file() and (tmp_path / "training" / "best.safetensors").is_file()
+
+
+@pytest.mark.parametrize(("asked", "there"), [(False, True), (True, True), (True, False)])
+def test_the_demo_names_its_page_and_opens_it_only_when_asked(tmp_path, capsys, monkeypatch, asked, there):
+    import webbrowser
+
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda address: bool(opened.append(address)) or there)
+    monkeypatch.setattr(demo, "learn", lambda args: {"stopped": False, "policy": "p", "steps": 1, "seconds": 1.0})
+    monkeypatch.setattr(demo, "judge", lambda args, policy: None)
+    page = tmp_path / "replay.html"
+    told = {"report": "report.html", "replay": str(page), "trials": 24, "arrivals": 24, "rmse_last20": 0.04}
+    monkeypatch.setattr(demo, "show", lambda args, result: told)
+    assert console.run(demo.main, ["--out", str(tmp_path), *(["--open"] if asked else [])]) == 0
+    said = capsys.readouterr()
+    assert f"replay: {page}" in said.out.splitlines()[-1]
+    assert opened == ([page.as_uri()] if asked else []) and ("no browser" in said.err) == (not there)

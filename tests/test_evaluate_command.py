@@ -97,7 +97,36 @@ def test_a_part_that_cannot_be_written_takes_no_other_with_it(capsys, tmp_path, 
     assert code == 2 and "Not written: logs of drift: [Errno 28] No space left on device" in err
     last = err.splitlines()[-1]
     assert last.startswith("fishmj: ") and "Traceback" not in err and "by flow speed" in out
-    assert {path.name for path in (tmp_path / "o").iterdir()} == {"results.json", "trials.csv", "report.html"}
+    assert {path.name for path in (tmp_path / "o").iterdir()} == {"results.json", "trials.csv", "report.html", "worst.html"}
+
+
+def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, engine):
+    from fishmj.evaluate import summary
+
+    trials = evaluate.trials(speeds=[0.2], los_deg=[0, 180], repeats=2, duration=30)
+    pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
+    found = {"condition": "c", "results": [summary(r) for r in (pd, drift)], "paired": []}
+    text = report.write(tmp_path, [pd, drift], found, logs=True).read_text(encoding="utf-8")
+    after = metrics.figures(pd)["rmse_after_arrival"]
+    held = int(np.sum((metrics.figures(pd)["arrival"] > 0) & (after <= 0.1)))
+    lead = text[text.index("<h1>") :].split("<p")[1]
+    assert f"of 4 trials and holds station in {held} (" in lead and f"{after.mean():.3f} m RMS" in lead and "drift" in lead
+    i = int(np.argmax(after))
+    assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and report.name_of(pd, i) in text
+    assert f"worst of 4 trials: {report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
+
+
+def test_the_headline_says_when_trials_do_not_tell_and_when_they_are_too_short(engine):
+    trials = evaluate.trials(speeds=[0.2], los_deg=[0, 180], repeats=1, duration=30)
+    pd = evaluate.run("pd", ROBOT, trials, engine)
+    assert "these trials do not tell it from twin" in report.headline([pd, pd._replace(controller="twin")])
+    far = pd._replace(controller="far", distance=pd.distance + 0.3)
+    assert "m nearer to the target than far" in report.headline([pd, far])
+    assert "m farther from the target than pd" in report.headline(
+        [far, pd]
+    ) and "of 2 trials and holds station in 0 (" in report.headline([far])
+    short = evaluate.run("pd", ROBOT, evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=2), engine)
+    assert "too short to judge" in report.headline([short])
 
 
 def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_path, monkeypatch):

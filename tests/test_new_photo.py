@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import silhouettes
 from describing import new, refused
 
 from fishmj import console
@@ -112,3 +113,57 @@ def test_truncated_pictures_are_refused(tmp_path, capsys, name, share):
     data = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(data[: int(share * len(data)) - 1])
     assert "truncated" in refused(capsys, "pike", f"--photo={name}", "--length=0.6", *PHOTO)
+
+
+# ------------------------------------------------------------------------------------- silhouettes whose sizes are known
+LEAST = {
+    "length": 0.012,
+    "area": 0.02,
+    "tail": 0.06,
+    "volume": 0.015,
+    "height": 0.07,
+}  # docs/your_own_fish.md has what was measured
+
+
+@pytest.mark.parametrize("view", ["plain", "-4 deg, nose right", "all"])
+@pytest.mark.parametrize("name", silhouettes.SHAPES)
+def test_a_photo_has_the_sizes_of_the_fish_without_its_fins(tmp_path, name, view):
+    shape, options = silhouettes.SHAPES[name], silhouettes.VIEWS[view]
+    off, notes = silhouettes.errors(shape, options, tmp_path)
+    least = LEAST | ({"tail": 0.15} if name == "flare in the last 3 %" else {})  # a pixel of the fish's end is 0.04 of its height
+    assert {key: value for key, value in off.items() if abs(value) > least[key]} == {}
+    assert notes[0].startswith(f"nose: {options.get('nose', 'left')}, because")
+    assert "".join(notes).count("m high") == len(shape.fins)
+
+
+def test_what_was_guessed_is_said_with_the_option_that_changes_it(tmp_path, capsys):
+    silhouettes.render(tmp_path / "p.png", silhouettes.SHAPES["five fins"], nose="right")
+    assert new("pike", "--photo=p.png", "--length=0.6", "--mass=1.6", "--links=5", "--servo=lx-824") == console.OK
+    said = capsys.readouterr().out
+    assert "nose: right, because the tail fin is at the other end; --nose left turns it" in said
+    assert "fins left out of the hull" in said and said.count("m high") == 4
+    assert "width: a side view does not show it" in said and "is a guess: measure it, --width" in said
+    assert new("roach", "--photo=p.png", "--length=0.6", "--nose=left", *PHOTO) == console.OK
+    said = capsys.readouterr().out
+    assert "nose: left, as --nose says, although the tail fin" in said and "is a guess" not in said
+    violet = [np.abs(cv2.imread(f"{name}-outline.png").astype(int) - [180, 65, 200]).max(-1) < 60 for name in ("pike", "roach")]
+    assert violet[0].sum() > 3000, "fins that are left out are shown"
+
+
+def test_ends_that_look_alike_are_asked_for(tmp_path, capsys):
+    same = silhouettes.Shape((0, 0.1, 0.5, 0.9, 1.0), (0.05, 0.15, 0.2, 0.15, 0.05))
+    silhouettes.render(tmp_path / "p.png", same)
+    said = refused(capsys, "pike", "--photo=p.png", "--length=0.6", *PHOTO)
+    assert "both ends look alike" in said and "--nose left or --nose right" in said
+    assert new("pike", "--photo=p.png", "--length=0.6", "--nose=left", *PHOTO) in (console.OK, console.FAILED_CHECK)
+
+
+def test_an_upright_photo_is_refused(tmp_path, capsys):
+    silhouettes.render(tmp_path / "p.png", silhouettes.SHAPES["default"])
+    cv2.imwrite("p.png", cv2.rotate(cv2.imread("p.png"), cv2.ROTATE_90_CLOCKWISE))
+    assert "turn the photo" in refused(capsys, "pike", "--photo=p.png", "--length=0.6", *PHOTO)
+
+
+@pytest.mark.parametrize("option", ["--nose=left", "--scale=1mm"])
+def test_options_of_a_photo_ask_for_one(capsys, option):
+    assert "goes with --photo" in refused(capsys, "pike", "--yes", option)

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +134,7 @@ def test_a_top_view_draws_the_fish_where_it_is(trial):
         red = np.argwhere((image[..., 2] > 120) & (image[..., 1] < 60) & (image[..., 0] < 60))
         q = view.tracks[0].q[round(time * 50)]
         assert len(red) > 150
-        expected = view.pixel(q[:2] + 0.08 * np.array([np.cos(q[2]), np.sin(q[2])]))  # the head is red
+        expected = view.view.pixel(q[:2] + 0.08 * np.array([np.cos(q[2]), np.sin(q[2])]))  # the head is red
         assert np.linalg.norm(red.mean(0)[::-1] - expected) < 0.06 * view.scale
 
 
@@ -225,3 +226,33 @@ def test_the_page_bends_the_skin_as_python_does_and_plays(robot, tmp_path):
     assert np.allclose(got, posed(skin(robot, smooth=True), q), atol=2e-6)
     assert float(re.search(r'id="clock">([\d.]+) /', dom)[1]) > 0.5, "it plays"  # a busy machine draws few frames
     assert dom.count('<div class="fish" style="--colour:#') == 2
+
+
+MEASURED = """const box = e => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; };
+const shown = id => getComputedStyle(document.getElementById(id)).display;
+const seen = inThree(fishes[0].state[0], fishes[0].state[1], 0).project(viewer.camera);
+parent.postMessage(JSON.stringify({bar: box(document.querySelector(".dg.main")), title: box(document.querySelector("#legend")),
+  panel: box(document.querySelector("#panel")), sheet: shown("sheet"), trouble: shown("trouble"), fish: [seen.x, seen.y],
+  wide: innerWidth, scroll: document.documentElement.scrollWidth}), '*');"""
+
+
+@pytest.mark.browser
+@needs_browser
+@pytest.mark.parametrize("size", ["390,844", "1200,800"])
+def test_on_a_phone_and_on_a_desk_nothing_lies_over_the_title_and_the_fish_is_in_view(trial, tmp_path, size):
+    page = write_html([trial], tmp_path / "a.html", title="Holding station at 0.2 m/s in gusts of 10 %")
+    text = re.sub(r"<meta http-equiv=[^>]*>", "", page.read_text())  # the page's policy lets only its own scripts run
+    page.write_text(text.replace("</body>", f"<script>setTimeout(() => {{ {MEASURED} }}, 1500)</script></body>"))
+    wide, high = size.split(",")
+    framed = tmp_path / "framed.html"  # a browser's own window is no narrower than 500 pixels
+    told = "onmessage = event => { document.body.dataset.probe = event.data; };"
+    inside = f'<script>{told}</script><iframe src="a.html#play=0" width="{wide}" height="{high}" style="border:0"></iframe>'
+    framed.write_text(f"<!DOCTYPE html><body>{inside}</body>")
+    dom, errors = visit(framed, tmp_path / "p", "--dump-dom", "--window-size=1300,1000")
+    assert errors == [] and "data-probe" in dom
+    found = json.loads(unescape(re.search(r'data-probe="([^"]*)"', dom)[1]))
+    assert found["scroll"] <= found["wide"] == int(wide)
+    assert found["sheet"] == "none" and found["trouble"] == "none", "no box for a vorticity that is not there"
+    (left, _, _, low), (_, top, right, foot) = found["bar"], found["title"]
+    assert low <= top or left >= right, "MeshCat's bar beside or above the title"
+    assert foot <= found["panel"][1] and max(map(abs, found["fish"])) < 0.95

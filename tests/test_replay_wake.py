@@ -110,7 +110,7 @@ def test_a_film_draws_the_streaks_beside_the_fish(trial, folder):
     plain = TopView([trial], size=(640, 560))
     for time in (0.4, 2.6):
         image, q = view.frame(time).astype(int), view.tracks[0].q[round(time * 50)]
-        at = lambda side, image=image, q=q: image[tuple(np.round(view.pixel(q[:2] + [0.05, side])).astype(int)[::-1])]  # noqa: E731
+        at = lambda side, image=image, q=q: image[tuple(np.round(view.view.pixel(q[:2] + [0.05, side])).astype(int)[::-1])]  # noqa: E731
         assert at(SIDE)[2] > 180 > 100 > at(SIDE)[0] and at(-SIDE)[0] > 180 > 120 > at(-SIDE)[2]  # BGR
         assert np.abs(image - plain.frame(time)).max() > 100
 

@@ -28,9 +28,12 @@ class Picture:
             self.data = mujoco.MjData(self.model)
             self._renderer = mujoco.Renderer(self.model, SIDE, SIDE)
         else:
+            from fishmj.mjcf.from_above import FromAbove
             from fishmj.mjcf.skin import skin
 
-            self.skin = skin(robot, spacing=0.02, around=12)
+            bound = constant("task", "bound")
+            self.view = FromAbove((SIDE, SIDE), (0.0, 0.0), SIDE / (2 * bound), (SIDE / 2, SIDE / 2))
+            self.skin, self.still = skin(robot, spacing=0.012, around=12, smooth=True), self.view.water()
 
     def draw(self, q, target) -> np.ndarray:
         """The fish at q (nv,) and its target (2,), seen from above."""
@@ -51,23 +54,9 @@ class Picture:
         return self._renderer.render().copy()
 
     def _drawn(self, q, target) -> np.ndarray:
-        import cv2
-
-        from fishmj.mjcf.skin import posed
-
-        bound = constant("task", "bound")
-        pixel = lambda p: np.round(  # noqa: E731
-            np.stack([p[..., 0] + bound, bound - p[..., 1]], -1) * SIDE / (2 * bound)
-        ).astype(np.int32)
-        image = np.full((SIDE, SIDE, 3), (200, 178, 140), np.uint8)
-        radius = round(constant("protocol", "arrival_radius") * SIDE / (2 * bound))
-        cv2.circle(image, pixel(np.asarray(target)).tolist(), radius, (60, 60, 220), -1, cv2.LINE_AA)
-        points = posed(self.skin, np.asarray(q, float))
-        order = np.argsort(points[self.skin.faces, 2].mean(-1))  # from below upwards
-        corners = pixel(points[:, :2])
-        colours = np.round(255 * self.skin.colour[self.skin.faces].mean(1)[:, ::-1])
-        for face in order:
-            cv2.fillConvexPoly(image, corners[self.skin.faces[face]], colours[face].tolist(), cv2.LINE_AA)
+        image, radius = self.still.copy(), constant("protocol", "arrival_radius")
+        self.view.target(image, target, radius, float(np.hypot(*(np.asarray(q)[:2] - target))) <= radius)
+        self.view.fish(image, np.asarray(q, float), self.skin)
         return np.ascontiguousarray(image[:, :, ::-1])
 
 

@@ -23,7 +23,8 @@ Exit 1: the description was written, and a check says that it is wrong.
 
 def options() -> console.Parser:
     from fishmj.mjcf.servos import SHELF
-    from fishmj.new.answers import CURRENT, HEIGHT, LENGTH, RATE, TAIL, TORQUE, VOLTAGE, WIDTH
+    from fishmj.new.answers import FIN, HEIGHT, LENGTH, NEEDED, SHEET, TAIL, TALL, WIDE, WIDTH
+    from fishmj.new.describe import SIDE_SPAN
     from fishmj.new.quantity import KINDS, quantity
     from fishmj.new.shape import LINKS
 
@@ -40,17 +41,17 @@ def options() -> console.Parser:
     a.add_argument(
         "--height",
         metavar="M",
-        help="greatest height of the body, {:g} to {:g} of the length (asked; default 0.18 of it)".format(*HEIGHT),
+        help="greatest height of the body, {:g} to {:g} of the length (asked; default {:g} of it)".format(*HEIGHT, TALL),
     )
     a.add_argument(
         "--width",
         metavar="M",
-        help="greatest width of the body, {:g} to {:g} of the length (asked; default 0.66 of the height)".format(*WIDTH),
+        help="greatest width of the body, {:g} to {:g} of the length (asked; default {:g} of the height)".format(*WIDTH, WIDE),
     )
     a.add_argument(
         "--tail-height",
         metavar="M",
-        help="of the tail fin, {:g} to {:g} of the length (asked; default 1.25 of the body's)".format(*TAIL),
+        help="of the tail fin, {:g} to {:g} of the length (asked; default {:g} of the body's)".format(*TAIL, FIN),
     )
     a.add_argument(
         "--mass",
@@ -76,7 +77,7 @@ def options() -> console.Parser:
         "--side-fin",
         type=quantity("length", 0.0, 1.0),
         metavar="M",
-        help="span of each side fin, 0 for none (default 0.065 of the length)",
+        help=f"span of each side fin, 0 for none (default {SIDE_SPAN:g} of the length)",
     )
     m = p.add_argument_group("measured outline, in place of length, height, width and tail height")
     m.add_argument(
@@ -90,7 +91,7 @@ def options() -> console.Parser:
         "--photo",
         type=console.path,
         metavar="PNG",
-        help="side view, PNG or JPG; the scale comes from --length or --scale (default none)",
+        help="from the side, PNG or JPG; scale from --length or --scale, widths from --width (default none)",
     )
     m.add_argument(
         "--scale",
@@ -99,40 +100,27 @@ def options() -> console.Parser:
         help="of the photo, m per pixel, 1e-06 to 0.1 (default from --length)",
     )
     m.add_argument(
-        "--nose", choices=("left", "right"), default="left", help="side of the photo that the nose points to (default left)"
+        "--nose",
+        choices=("left", "right"),
+        help="side of the photo that the nose points to (default: the end that looks like a head, which is said)",
     )
     m.add_argument(
         "--width-ratio",
         type=console.number(0.05, 3.0),
-        default=0.66,
+        default=WIDE,
         metavar="R",
-        help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default 0.66)",
+        help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default %(default)g)",
     )
     s = p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage")
-    s.add_argument(
-        "--stall-torque",
-        type=quantity("torque", *TORQUE),
-        metavar="T",
-        help="17kgcm, 1.67Nm, 236ozin; {:g} to {:g} N m (default that of --servo)".format(*TORQUE),
-    )
-    s.add_argument(
-        "--no-load-speed",
-        type=quantity("rate", *RATE),
-        metavar="W",
-        help="0.2s/60deg, 50rpm, 5.2rad/s; {:g} to {:g} rad/s (default that of --servo)".format(*RATE),
-    )
-    s.add_argument(
-        "--voltage",
-        type=quantity("voltage", *VOLTAGE),
-        metavar="V",
-        help="of both, {:g} to {:g} V (default that of --servo)".format(*VOLTAGE),
-    )
-    s.add_argument(
-        "--stall-current",
-        type=quantity("current", *CURRENT),
-        metavar="A",
-        help="checks the others (default none); {:g} to {:g} A".format(*CURRENT),
-    )
+    for key, figure in SHEET.items():
+        default = "that of --servo" if key in NEEDED else "none"
+        bounds = f"{figure.low:g} to {figure.high:g} {KINDS[figure.kind].si}"
+        s.add_argument(
+            f"--{key.replace('_', '-')}",
+            type=figure.parse,
+            metavar=figure.kind[0].upper(),
+            help=f"{figure.text}; {bounds} (default {default})",
+        )
     return p
 
 
@@ -146,13 +134,15 @@ def main(argv: list[str]) -> int:
     if args.name is not None or args.yes or args.out is not None:
         free(args, paths(args, str(args.name or "my_fish")))  # before anything is asked
     known: dict[str, Any] = {"head": args.head}
-    overlay = None
+    seen = None
     if sheet := sheet_of(args):
         known["servo"] = sheet
     if args.sections is not None:
         known |= {"outline": read_table(args)}
     if args.photo is not None:
-        known["outline"], overlay = read_side_view(args)
+        seen = read_side_view(args)
+        known["outline"] = seen.outline
+        console.say(*seen.notes)
     if "outline" in known:
         known |= {"length": known["outline"].length, "height": None, "width": None, "tail_height": None}
     known, origin = answers.gather(known, given, ask, defaults=args.yes)
@@ -169,10 +159,10 @@ def main(argv: list[str]) -> int:
         side_span=span,
         origin=origin,
     )
-    return finish(args, files, robot_of(fish), fish, toml_of, overlay)
+    return finish(args, files, robot_of(fish), fish, toml_of, seen)
 
 
-def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | None) -> int:
+def finish(args, files: dict[str, Path], robot, fish, toml_of, seen) -> int:
     """Check the description as it reads back, write everything, say what was found."""
     from fishmj import store
     from fishmj.mjcf.description import load_robot
@@ -186,12 +176,12 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | 
     found = checks(robot, swim)
     store.write_text(files["description"], text)
     store.write_bytes(files["picture"], picture(robot))
-    if overlay is not None:
-        store.write_bytes(files["outline"], overlay)
+    if seen is not None:
+        store.write_bytes(files["outline"], seen.overlay)
     wrong = [c for c in found if c.verdict == "wrong"]
     rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
     console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))
-    written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if overlay is not None else ()))}
+    written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if seen is not None else ()))}
     console.say(*(f"wrote {path}" for path in written.values()), "", *next_steps(files["description"], robot.name))
     if args.json:
         facts = {
@@ -199,6 +189,7 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, overlay: bytes | 
             "lengths_per_second": swim.speed / robot.length,
             "torque": swim.torque,
             "mass": round(robot.mass, 9),
+            **({} if seen is None else {"notes": list(seen.notes)}),
         }
         console.emit_json({**written, "name": robot.name, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
     return console.FAILED_CHECK if wrong else console.OK
@@ -243,9 +234,9 @@ def given_answers(args) -> dict[str, str]:
     for key in taken:
         if getattr(args, key) is not None:
             raise UsageError(f"new: --{key.replace('_', '-')} with {measured}: the outline says it; leave it out")
-    for key, value in (("scale", args.scale), ("unit", args.unit)):
-        if value is not None and measured != {"scale": "--photo", "unit": "--sections"}[key]:
-            raise UsageError(f"new: --{key} goes with {'--photo' if key == 'scale' else '--sections'}")
+    for key, goes in (("scale", "--photo"), ("nose", "--photo"), ("unit", "--sections")):
+        if getattr(args, key) is not None and measured != goes:
+            raise UsageError(f"new: --{key} goes with {goes}")
     texts = {key: getattr(args, key) for key in ("name", "mass", "servo")}
     texts |= {"joints": args.joints if args.joints is not None or args.links is None else str(args.links)}
     if not measured:
@@ -258,12 +249,12 @@ def given_answers(args) -> dict[str, str]:
 def sheet_of(args):
     """The servo of the data sheet options, or None where there are none. Raises UsageError where they are not whole."""
     from fishmj.mjcf.servos import Sheet
+    from fishmj.new.answers import NEEDED, SHEET
 
-    figures = {key: getattr(args, key) for key in ("stall_torque", "no_load_speed", "voltage", "stall_current")}
-    figures = {key: value for key, value in figures.items() if value is not None}
+    figures = {key: getattr(args, key) for key in SHEET if getattr(args, key) is not None}
     if not figures:
         return None
-    missing = [key for key in ("stall_torque", "no_load_speed", "voltage") if key not in figures]
+    missing = [key for key in NEEDED if key not in figures]
     if missing or args.servo is not None:
         what = f"without --{', --'.join(missing)}" if missing else "with --servo"
         options = ", ".join(f"--{key}" for key in figures)
@@ -278,7 +269,7 @@ def read_table(args):
 
 
 def read_side_view(args):
-    """Outline and overlay of the photo; its length and width are answers, too."""
+    """What was seen in the photo; its length and width are answers, too."""
     from fishmj.new.answers import LENGTH
     from fishmj.new.photo import read_photo
     from fishmj.new.quantity import quantity
@@ -289,8 +280,7 @@ def read_side_view(args):
             sizes[key] = None if getattr(args, key) is None else quantity("length", low, high)(getattr(args, key))
         except argparse.ArgumentTypeError as error:
             raise UsageError(f"new: --{key}: {error}") from error
-    seen = read_photo(args.photo, scale=args.scale, nose=args.nose, width_ratio=args.width_ratio, **sizes)
-    return seen.outline, seen.overlay
+    return read_photo(args.photo, scale=args.scale, nose=args.nose, width_ratio=args.width_ratio, **sizes)
 
 
 if __name__ == "__main__":

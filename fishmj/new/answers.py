@@ -3,9 +3,9 @@
 import argparse
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fishmj import names
 from fishmj.calib import read_toml, resolve, shipped
@@ -16,14 +16,31 @@ from fishmj.new.shape import LINKS, Outline, joints_of, typical
 
 LENGTH = (0.05, 5.0)  # m
 HEIGHT, WIDTH, TAIL = (0.03, 0.6), (0.02, 0.6), (0.02, 0.8)  # over the length
+TALL, WIDE, FIN = 0.18, 0.66, 1.25  # by default: height over length, width over height, tail fin over height
 FLOATS = (0.5, 2.0)  # mass over what the hull displaces; further off it is another fish
-TORQUE, RATE, VOLTAGE, CURRENT = (0.005, 300.0), (0.1, 100.0), (1.0, 60.0), (0.01, 100.0)
-SHEET = {  # keys of a servo's TOML file, and options
-    "stall_torque": ("torque", *TORQUE),
-    "no_load_speed": ("rate", *RATE),
-    "voltage": ("voltage", *VOLTAGE),
-    "stall_current": ("current", *CURRENT),
+
+
+class Figure(NamedTuple):
+    """A figure of a servo's data sheet: a key of its TOML file, an option, a field of `Sheet`."""
+
+    kind: str  # of quantity
+    low: float  # SI
+    high: float
+    text: str
+
+    @property
+    def parse(self) -> Callable[[str], float]:
+        """The `type=` of its option."""
+        return quantity(self.kind, self.low, self.high)
+
+
+SHEET = {
+    "stall_torque": Figure("torque", 0.005, 300.0, "17kgcm, 1.67Nm, 236ozin"),
+    "no_load_speed": Figure("rate", 0.1, 100.0, "0.2s/60deg, 50rpm, 5.2rad/s"),
+    "voltage": Figure("voltage", 1.0, 60.0, "of the others"),
+    "stall_current": Figure("current", 0.01, 100.0, "checks the others"),
 }
+NEEDED = tuple(f.name for f in fields(Sheet) if f.name in SHEET and f.default is MISSING)
 Known = dict[str, Any]
 
 
@@ -80,16 +97,16 @@ def sheet_file(path: Path) -> Sheet:
         ConfigError: a key is missing, unknown or no quantity of its kind.
     """
     table = read_toml(path)
-    unknown, missing = set(table) - {*SHEET, "name"}, set(SHEET) - {"stall_current"} - set(table)
+    unknown, missing = set(table) - {*SHEET, "name"}, set(NEEDED) - set(table)
     if unknown or missing:
         raise ConfigError(
             f"{path}: unknown {sorted(unknown)}, missing {sorted(missing)}; a servo has {', '.join(('name', *SHEET))}"
         )
     values: dict[str, float] = {}
-    for key, (kind, low, high) in SHEET.items():
+    for key, figure in SHEET.items():
         if key in table:
             try:
-                values[key] = quantity(kind, low, high)(str(table[key]))
+                values[key] = figure.parse(str(table[key]))
             except argparse.ArgumentTypeError as error:
                 raise ConfigError(f"{path}: {key}: {error}") from error
     return Sheet(
@@ -142,15 +159,15 @@ QUESTIONS = (
     ),
     Question(
         "height", "--height", "Greatest height of the body, without fins",
-        _height, lambda known: f"{0.18 * known['length']:.3g}", _heights,
+        _height, lambda known: f"{TALL * known['length']:.3g}", _heights,
     ),
     Question(
         "width", "--width", "Greatest width of the body, without fins",
-        _width, lambda known: f"{0.66 * known['height']:.3g}", _widths,
+        _width, lambda known: f"{WIDE * known['height']:.3g}", _widths,
     ),
     Question(
         "tail_height", "--tail-height", "Height of the tail fin, tip to tip",
-        _tail, lambda known: f"{min(1.25 * known['height'], 0.5 * known['length']):.3g}", _tails,
+        _tail, lambda known: f"{min(FIN * known['height'], 0.5 * known['length']):.3g}", _tails,
     ),
     Question(
         "mass", "--mass", "Mass as it swims, flooded parts included (default: what this hull displaces)",

@@ -2,7 +2,8 @@
 
     background   a quadratic in x and y through the picture's margin, in each colour channel (CIE Lab): light falls off evenly
     fish         the largest piece of what differs from it by more than Otsu's threshold (Otsu 1979), holes filled
-    axis         the principal axis of its pixels; heights are top to bottom across it
+    axis         the principal axis of its pixels without its fins; heights are top to bottom across it
+    fins, head   `fishmj.new.silhouette`
 
 A picture in which this is not clear is refused: an outline that is half right would be a fish that swims wrongly.
 """
@@ -15,18 +16,19 @@ import numpy as np
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.names import nearest
 from fishmj.new.shape import Outline, root_of_fin, typical_width
+from fishmj.new.silhouette import Edges, FinSeen, edges_of, head, hull_of, sections_of
 
 BYTES = 50_000_000  # of the file
 PIXELS = 50_000_000  # of the picture; looked up before it is decoded
 WORK = 1200  # px, the longer side of the picture that is worked on
-STATIONS = 28  # sections along the fish
 MARGIN = 0.04  # of the shorter side, where only background is expected
 AREA = (0.01, 0.75)  # of the picture, that a fish covers
+SHARP = 0.7  # px, of the blur in which the rim is placed
 CONTRAST = 4.0  # of the fish against its background, in deviations of the background
 VISIBLE = 6.0  # the same, in units of CIE Lab
 SLENDER = 1.6  # length over height, at least
 OTHERS = 0.35  # of the fish's area, that the next piece may have
-NARROW = 0.02  # of the fish's length at either end, inside which the ends' heights are taken
+UPRIGHT = 45.0  # deg of tilt, from which left and right do not tell the ends apart
 
 
 class Seen(NamedTuple):
@@ -35,29 +37,42 @@ class Seen(NamedTuple):
     outline: Outline
     overlay: bytes  # a PNG to check by eye
     metres_per_pixel: float
+    notes: tuple[str, ...]  # what was guessed or left out, a line each, with the option that changes it
+
+
+class View(NamedTuple):
+    """The fish in a picture. Pixels, (x, y) with y down."""
+
+    hull: Edges
+    fins: list[FinSeen]
+    nose: str  # left or right
+    why: str  # that end
+    tip: np.ndarray  # (2,) the nose
+    axis: np.ndarray  # (2,) from nose to tail
+    up: np.ndarray  # (2,) across it
 
 
 def read_photo(
-    path: Path, *, length: float | None = None, scale: float | None = None, nose: str = "left", width: float | None = None,
+    path: Path, *, length: float | None = None, scale: float | None = None, nose: str | None = None, width: float | None = None,
     width_ratio: float = 0.66,
 ) -> Seen:  # fmt: skip
     """The outline of a fish in a side view.
 
     Args:
         length: of the fish, m; or `scale`, m per pixel of the file. Both must agree to 5 %.
-        nose: "left" or "right".
+        nose: "left" or "right"; by default the end that looks like a head.
         width: the greatest, m; by default `width_ratio` times the greatest height. Widths along the fish are typical ones.
 
     Raises:
-        ConfigError: no picture, too large a one, a truncated one, no clear outline, or no scale.
+        ConfigError: no picture, too large a one, a truncated one, no clear outline, ends that look alike, or no scale.
     """
     cv2 = _cv2()
     picture = _decoded(cv2, path)
     factor = min(1.0, WORK / max(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else picture
     mask = _fish(cv2, small, path)
-    along, across, axis, middle = _axis(mask, nose)
-    pixels = float(np.ptp(along)) + 1
+    view = _view(mask, nose, path)
+    pixels = float(view.hull.x[-1] + view.hull.x[1])
     found = None if scale is None else scale * pixels / factor
     total = length if length is not None else found
     if total is None:
@@ -67,13 +82,39 @@ def read_photo(
             f"new: {path}: --scale {scale:g} makes the fish {found:.3g} m long, --length says {length:g} m; mend one of them"
         )
     unit = total / pixels  # m per pixel of the small picture
-    x, height = _profile(along, across, pixels)
-    rows = _sections(x * (total / x[-1]), height * unit)
-    greatest = width if width is not None else width_ratio * rows[:, 1].max()
-    rows[:, 2] = greatest * np.maximum(typical_width(rows[:, 0] / rows[-1, 0]), 0.01)
-    outline = Outline(rows, root_of_fin(rows[:, 0], rows[:, 1]), f"photo {nearest(path.name)}")
-    overlay = _overlay(cv2, small, mask, rows / unit, axis, middle, float(along.min()))
-    return Seen(outline, overlay, unit * factor)
+    sections = sections_of(cv2, view.hull)
+    x, height = sections[:, 0] * (total / sections[-1, 0]), sections[:, 1] * unit
+    root = root_of_fin(view.hull.x, view.hull.height)
+    fin_at = None if root is None else root * (total / sections[-1, 0])
+    greatest = width if width is not None else width_ratio * float(height[x <= (total if fin_at is None else fin_at)].max())
+    rows = np.stack([x, height, greatest * np.maximum(typical_width(x / total), 0.01)], -1)
+    guessed = None if width is not None else f"{greatest:.3g} m at most, {width_ratio:g} of the body's height, is a guess"
+    notes = (*_notes(view, unit, nose), _width_note(guessed))
+    return Seen(
+        Outline(rows, fin_at, f"photo {nearest(path.name)}"), _overlay(cv2, small, mask, view, sections), unit * factor, notes
+    )
+
+
+def _notes(view: View, unit: float, asked: str | None) -> list[str]:
+    """What was taken for the head and for fins."""
+    other = "right" if view.nose == "left" else "left"
+    if asked is None:
+        lines = [f"nose: {view.nose}, because {view.why}; --nose {other} turns it"]
+    else:
+        lines = [f"nose: {view.nose}, as --nose says" + (f", although {view.why}: look at the picture" if view.why else "")]
+    place = lambda fin: f"{'above' if fin.above else 'below'} at {unit * fin.start:.3f} to {unit * fin.end:.3f} m"  # noqa: E731
+    if view.fins:
+        which = ", ".join(f"{place(fin)} ({unit * fin.reach:.2g} m high)" for fin in view.fins)
+        lines.append(f"fins left out of the hull, from the nose: {which}; --sections takes a hull with them")
+    return lines
+
+
+def _width_note(guessed: str | None) -> str:
+    return (
+        "width: a side view does not show it; along the fish it is the default fish's"
+        + (f", and {guessed}: measure it, --width" if guessed else ", times --width")
+        + "; --sections takes a table of widths"
+    )
 
 
 def size_of(data: bytes) -> tuple[int, int] | None:
@@ -127,7 +168,8 @@ def _decoded(cv2, path: Path) -> np.ndarray:
 def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
     """Mask (H, W) bool of the fish. Raises ConfigError where it is not clear which pixels are fish."""
     high, wide = picture.shape[:2]
-    lab = cv2.cvtColor(cv2.GaussianBlur(picture, (0, 0), max(1.0, wide / 600)), cv2.COLOR_BGR2LAB).astype(np.float32)
+    fine = cv2.cvtColor(picture, cv2.COLOR_BGR2LAB).astype(np.float32)
+    lab = cv2.GaussianBlur(fine, (0, 0), max(1.0, wide / 600))
     edge = np.ones((high, wide), bool)
     rim = max(2, int(MARGIN * min(high, wide)))
     edge[rim:-rim, rim:-rim] = False
@@ -165,7 +207,8 @@ def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
         raise ConfigError(f"{unclear}there are two things of like size, {areas[order[0]]} and {areas[order[1]]} pixels{advice}")
     if mask[[0, -1]].any() or mask[:, [0, -1]].any():
         raise ConfigError(f"{unclear}the largest thing touches the edge of the picture; the whole fish must be inside")
-    outer, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    sharp = np.linalg.norm(cv2.GaussianBlur(fine, (0, 0), SHARP) - terms @ fit, axis=-1)
+    outer, _ = cv2.findContours(_at_half(cv2, mask.astype(np.uint8), sharp, size + 4), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = np.zeros(mask.shape, np.uint8)
     cv2.drawContours(filled, [max(outer, key=cv2.contourArea)], -1, 1, cv2.FILLED)
     values = np.linalg.eigvalsh(np.cov(np.stack(np.nonzero(filled))))
@@ -177,52 +220,73 @@ def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
     return filled.astype(bool)
 
 
-def _axis(mask: np.ndarray, nose: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels of the fish along its axis from nose to tail and across it (P,), the axis (2,) and the middle (2,), in (x, y)."""
+def _at_half(cv2, mask: np.ndarray, away: np.ndarray, size: int) -> np.ndarray:
+    """The mask with its rim, `size` px, where half of the contrast beside it is reached; gives fine tips back to it."""
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    beside = cv2.dilate(cv2.blur(away, (3, 3)), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1)))
+    rim = cv2.dilate(mask, around) & (away > 0.5 * beside)
+    return rim | cv2.erode(mask, around)
+
+
+def _view(mask: np.ndarray, nose: str | None, path: Path) -> View:
+    """The fish of a mask. Raises ConfigError where it stands upright, or its ends look alike and `nose` does not say."""
     points = np.stack(np.nonzero(mask)[::-1], -1).astype(float)
-    middle = points.mean(0)
-    axis = np.linalg.eigh(np.cov((points - middle).T))[1][:, -1]
-    axis = axis * (1 if axis[0] >= 0 else -1) * (1 if nose == "left" else -1)  # from nose to tail
-    away = points - middle
-    return away @ axis, away @ np.array([-axis[1], axis[0]]), axis, middle
+    body = np.ones(len(points), bool)
+    for _ in range(2):  # the second time without the fins, which tilt the axis
+        axis = np.linalg.eigh(np.cov(points[body].T))[1][:, -1]
+        axis = axis * (1 if axis[0] >= 0 else -1)  # from left to right
+        if abs(np.degrees(np.arctan2(axis[1], axis[0]))) > UPRIGHT:
+            raise ConfigError(f"new: {path}: the fish stands upright; turn the photo until it lies level, nose left or right")
+        up = np.array([axis[1], -axis[0]])
+        along, across = points @ axis, points @ up
+        edges = edges_of(along, across)
+        left, why = head(edges)
+        if nose is None and left is None:
+            raise ConfigError(f"new: {path}: no clear head: {why}; say which end it is, --nose left or --nose right")
+        first = nose == "left" if nose is not None else bool(left)
+        hull, fins = hull_of(edges if first else edges.turned())
+        at = (along - along.min() + 0.5).astype(int)
+        seen = hull if first else hull.turned()
+        body = (across <= seen.top[at] + 0.5) & (across >= seen.bottom[at] - 0.5)
+    doubt = "" if nose is not None and left in (None, first) else why
+    start = float(along.min() if first else along.max())
+    ahead = axis if first else -axis
+    return View(hull, fins, "left" if first else "right", doubt, start * axis, ahead, up)
 
 
-def _profile(along: np.ndarray, across: np.ndarray, pixels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stations (n,) from the nose and the fish's height there, px, one a pixel; smoothed over a hundredth of the fish."""
-    from scipy.ndimage import median_filter
-
-    bins = (along - along.min() + 0.5).astype(int)
-    n = bins.max() + 1
-    top, bottom = np.full(n, -np.inf), np.full(n, np.inf)
-    np.maximum.at(top, bins, across)
-    np.minimum.at(bottom, bins, across)
-    there = np.isfinite(top)
-    height = np.interp(np.arange(n), np.flatnonzero(there), (top - bottom + 1)[there])
-    return np.arange(n) * (pixels / n), median_filter(height, size=max(3, int(pixels / 100)) | 1, mode="nearest")
-
-
-def _sections(x: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Rows (S, 3) of a profile, dense at the nose; the width is still zero. The end is what stands just before it."""
-    total = x[-1]
-    share = np.linspace(0, 1, STATIONS)
-    stations = total * np.unique(np.concatenate([[0, 0.007, 0.025, 0.05], 0.08 + 0.92 * share]))
-    at = np.clip(stations, NARROW / 8 * total, (1 - NARROW) * total)
-    return np.stack([stations, np.interp(at, x, height), np.zeros(len(stations))], -1)
-
-
-def _overlay(cv2, picture, mask, rows, axis, middle, start: float) -> bytes:
-    """The picture with outline, axis and sections drawn on it, as PNG."""
-    drawn = (0.65 * picture + 0.35 * np.where(mask[..., None], np.array([80.0, 200.0, 255.0]), picture)).astype(np.uint8)
+def _overlay(cv2, picture, mask, view: View, sections) -> bytes:
+    """The picture with the hull, its sections, what was left out and both ends drawn on it, as PNG."""
+    point = lambda x, y: tuple(int(round(v)) for v in view.tip + x * view.axis + y * view.up)  # noqa: E731
+    hull, orange, violet = view.hull, np.array([80.0, 200.0, 255.0]), np.array([220.0, 60.0, 200.0])
+    top, bottom = ([point(*pair) for pair in zip(hull.x, edge, strict=True)] for edge in (hull.top, hull.bottom))
+    inside = np.zeros(mask.shape, np.uint8)
+    cv2.fillPoly(inside, [np.array(top + bottom[::-1])], 1)
+    fins = mask & (cv2.dilate(inside, np.ones((3, 3), np.uint8)) == 0) if view.fins else np.zeros_like(mask)
+    drawn = picture.astype(float)
+    drawn[mask] = 0.65 * drawn[mask] + 0.35 * orange
+    drawn[fins] = 0.3 * picture[fins] + 0.7 * violet
+    drawn = drawn.astype(np.uint8)
     outer, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(drawn, outer, -1, (0, 90, 255), 2, cv2.LINE_AA)
-    normal = np.array([-axis[1], axis[0]])
-    point = lambda p: tuple(int(round(v)) for v in p)  # noqa: E731
-    tip, tail = middle + start * axis, middle + (start + rows[-1, 0]) * axis
-    cv2.line(drawn, point(tip), point(tail), (255, 255, 255), 1, cv2.LINE_AA)
-    for x, height, _ in rows:
-        at = tip + x * axis
-        cv2.line(drawn, point(at - height / 2 * normal), point(at + height / 2 * normal), (255, 160, 0), 1, cv2.LINE_AA)
-    cv2.putText(drawn, "nose", point(tip + [-20, -12]), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 255), 2, cv2.LINE_AA)
+    cv2.drawContours(drawn, outer, -1, (0, 90, 255), 1, cv2.LINE_AA)
+    cv2.line(
+        drawn,
+        point(0, middle := float(hull.top[0] + hull.bottom[0]) / 2),
+        point(hull.x[-1], middle),
+        (255, 255, 255),
+        1,
+        cv2.LINE_AA,
+    )
+    for x, _ in sections:
+        high, low = (float(np.interp(x, hull.x, edge)) for edge in (hull.top, hull.bottom))
+        cv2.line(drawn, point(x, high), point(x, low), (255, 160, 0), 1, cv2.LINE_AA)
+    words = [("nose", 0.0, (0, 0, 255)), ("tail", float(hull.x[-1]), (0, 0, 255))]
+    words += [("fin, left out", (fin.start + fin.end) / 2, (200, 0, 170)) for fin in view.fins]
+    levels = [hull.height.max() * 0.75] * 2 + [(0.75 if fin.above else -0.75) * hull.height.max() for fin in view.fins]
+    for (text, x, colour), level in zip(words, levels, strict=True):
+        (wide, high), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 2)
+        u, v = point(x, middle + level)
+        at = int(np.clip(u - wide / 2, 2, drawn.shape[1] - wide - 2)), int(np.clip(v, high + 2, drawn.shape[0] - 4))
+        cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 2, cv2.LINE_AA)
     done, data = cv2.imencode(".png", drawn)
     if not done:
         raise ConfigError("new: OpenCV could not encode the picture of the outline")

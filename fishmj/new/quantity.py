@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable
 from typing import NamedTuple
 
+from fishmj.mjcf.servos import KG_CM, RPM, S_PER_60_DEG
+
 
 class Kind(NamedTuple):
     """A kind of quantity: its SI unit, and factors to it."""
@@ -18,12 +20,8 @@ class Kind(NamedTuple):
 KINDS = {
     "length": Kind("m", {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}),
     "mass": Kind("kg", {"kg": 1.0, "g": 0.001}),
-    "torque": Kind(
-        "N m", {"nm": 1.0, "mnm": 0.001, "kgcm": 0.0980665, "kgfcm": 0.0980665, "gcm": 9.80665e-5, "ozin": 0.00706155}
-    ),
-    "rate": Kind(
-        "rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "rev/min": math.pi / 30}, {"s/60deg": math.pi / 3}
-    ),
+    "torque": Kind("N m", {"nm": 1.0, "mnm": 0.001, "kgcm": KG_CM, "kgfcm": KG_CM, "gcm": KG_CM / 1000, "ozin": 0.00706155}),
+    "rate": Kind("rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": RPM, "rev/min": RPM}, {"s/60deg": S_PER_60_DEG}),
     "voltage": Kind("V", {"v": 1.0}),
     "current": Kind("A", {"a": 1.0, "ma": 0.001}),
     "scale": Kind("m per pixel", {"m": 1.0, "mm": 0.001}),

@@ -5,18 +5,17 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.console import printable
-from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError
+from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.skin import posed, skin
+from fishmj.mjcf.from_above import FromAbove, opencv
+from fishmj.mjcf.skin import skin
 from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 from fishmj.replay.wake import Wake, colours, read_wake
 
-WATER, LINE, METRE, INK = (150, 112, 36), (176, 140, 66), (206, 180, 122), (250, 244, 236)  # BGR
+INK = (250, 244, 236)  # BGR
 WORDS = 120  # characters of a line
 CHART = 120  # px, height of the distance strip
-FINE = 3  # fish are drawn this many times larger, then averaged down
-SUN = np.array([-0.35, 0.3, 0.89])
 
 
 def write_mp4(
@@ -37,7 +36,7 @@ def write_mp4(
     Raises:
         LogError: no trial, or one without a pose. StoreError: OpenCV could not write the file.
     """
-    cv2 = _cv2()
+    cv2 = opencv()
     out = Path(out)
     if not 0 < speed <= 100 or fps <= 0:
         raise ConfigError(f"speed = {speed}, fps = {fps}; expected a speed in (0, 100] and a positive frame rate")
@@ -67,7 +66,7 @@ def write_png(trials: list[Trial], out: str | Path, time: float, robot: "Robot |
     """Write one picture at `time` [s] from the start; options as of `TopView`."""
     from fishmj.store import write_bytes
 
-    done, data = _cv2().imencode(".png", TopView(trials, robot, **options).frame(time))
+    done, data = opencv().imencode(".png", TopView(trials, robot, **options).frame(time))
     if not done:
         raise StoreError(f"{out}: OpenCV could not encode a PNG")
     return write_bytes(out, data.tobytes())
@@ -79,7 +78,7 @@ class TopView:
     def __init__(self, trials, robot=None, *, size: tuple[int, int] = (960, 720), title: str = "", fields=None):
         if not trials:
             raise LogError("nothing to replay: give at least one trial")
-        self.cv2, self.size, self.title = _cv2(), size, title
+        self.cv2, self.size, self.title = opencv(), size, title
         robots = [robot_of(trial, robot) for trial in trials]
         self.tracks = tracks_of(trials, robots)
         self.skins = [skin(one, spacing=0.012, around=12, smooth=True) for one in robots]
@@ -89,15 +88,10 @@ class TopView:
         low, high = points.min(0) - 0.45, points.max(0) + 0.45
         width, height = size[0], size[1] - CHART
         self.scale = float(min(width / max(high[0] - low[0], 1.6), height / max(high[1] - low[1], 1.6)))  # px/m
-        self.centre = (low + high) / 2
-        self.middle = np.array([width / 2, height / 2])
+        self.view = FromAbove(size, (low + high) / 2, self.scale, (width / 2, height / 2))
         self.still = self._background()
         self.wake = None if fields is None else read_wake(fields, trials[0], self.tracks[0])
         self.table = colours()
-
-    def pixel(self, xy) -> np.ndarray:
-        """World (.., 2) m -> image (.., 2) px."""
-        return self.middle + (np.asarray(xy, float) - self.centre) * [self.scale, -self.scale]
 
     def frame(self, time: float) -> np.ndarray:
         """The picture at `time`, s from the start."""
@@ -108,22 +102,14 @@ class TopView:
             i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
             self._trail(image, t, i, colour)
             self._target(image, t, i)
-            self._fish(image, t.q[i], skin_, None if colour == self.colours[0] else colour)
+            self.view.fish(image, t.q[i], skin_, None if colour == self.colours[0] else colour)
             self._wind(image, t, i)
         self._chart(image, time)
         self._words(image, time)
         return image
 
     def _background(self) -> np.ndarray:
-        image = np.full((self.size[1], self.size[0], 3), WATER, np.uint8)
-        reach = max(self.size) / self.scale
-        for k in range(int(-4 * reach), int(4 * reach) + 1):
-            for axis in (0, 1):
-                at = np.round(self.centre[axis] * 4) / 4 + 0.25 * k
-                ends = np.tile(self.centre, (2, 1)) + [[-reach, -reach], [reach, reach]]
-                ends[:, axis] = at
-                whole = abs(at - round(at)) < 1e-9
-                self._line(image, ends, METRE if whole else LINE, 2 if whole else 1)
+        image = self.view.water()
         flow = self.tracks[0].mean_flow
         if np.isfinite(flow).all() and np.hypot(*flow) > 1e-3:
             self._arrows(image, flow)
@@ -137,7 +123,7 @@ class TopView:
         for i, part in ((a, 1 - share), (min(a + 1, len(wake.t) - 1), share)):
             west, east, south, north = wake.rect[i]
             cell = self.scale * (east - west) / wake.values[i].shape[1]  # px
-            corner = self.pixel((west, north)) + 0.5 * cell - 0.5  # middle of the first cell
+            corner = self.view.pixel((west, north)) + 0.5 * cell - 0.5  # middle of the first cell
             place = np.array([[cell, 0, corner[0]], [0, cell, corner[1]]])
             warp = lambda field, place=place: self.cv2.warpAffine(field, place, size, flags=self.cv2.INTER_LINEAR)  # noqa: E731
             there = there + part * warp(np.ones(wake.values[i].shape, np.float32))
@@ -160,55 +146,24 @@ class TopView:
                 self.cv2.arrowedLine(layer, (px, py), tuple(int(v) for v in tip), INK, 2, self.cv2.LINE_AA, tipLength=0.3)
         self.cv2.addWeighted(layer, 0.35, image, 0.65, 0, dst=image)
 
-    def _line(self, image, points, colour, thickness) -> None:
-        whole = np.round(self.pixel(points) * 16).astype(np.int32).reshape(-1, 1, 2)
-        self.cv2.polylines(image, [whole], False, colour, thickness, self.cv2.LINE_AA, 4)
-
     def _trail(self, image, t: Track, i: int, colour) -> None:
         if i > 1:
             layer = image.copy()
-            self._line(layer, t.q[: i + 1 : 2, :2], colour, 2)
+            self.view.line(layer, t.q[: i + 1 : 2, :2], colour, 2)
             self.cv2.addWeighted(layer, 0.6, image, 0.4, 0, dst=image)
 
     def _target(self, image, t: Track, i: int) -> None:
-        if not np.isfinite(t.target[i]).all():
-            return
-        at = tuple(int(v) for v in np.round(self.pixel(t.target[i]) * 16))
-        colour = (106, 212, 63) if t.distance[i] <= ARRIVAL else (29, 138, 240)
-        self.cv2.circle(image, at, int(ARRIVAL * self.scale * 16), colour, 3, self.cv2.LINE_AA, 4)
-        self.cv2.circle(image, at, 4 * 16, colour, -1, self.cv2.LINE_AA, 4)
+        if np.isfinite(t.target[i]).all():
+            self.view.target(image, t.target[i], ARRIVAL, bool(t.distance[i] <= ARRIVAL))
 
     def _wind(self, image, t: Track, i: int) -> None:
         speed = np.hypot(*t.flow[i])
         if not speed > 1e-3:
             return
-        start = self.pixel(t.q[i, :2]) - [0, 0.16 * self.scale]
+        start = self.view.pixel(t.q[i, :2]) - [0, 0.16 * self.scale]
         end = start + t.flow[i] * [1, -1] * (0.6 * self.scale)
         a, b = (tuple(int(v) for v in p) for p in (start, end))
         self.cv2.arrowedLine(image, a, b, (255, 240, 126), 3, self.cv2.LINE_AA, tipLength=0.35)
-
-    def _fish(self, image, q, s, tint) -> None:
-        """Painter's algorithm over the upper triangles, on an enlarged patch of the picture."""
-        p = posed(s, q)
-        xy = self.pixel(p[:, :2])
-        low = np.floor(xy.min(0) - 3).astype(int).clip(0, [self.size[0] - 1, self.size[1] - 1])
-        high = np.ceil(xy.max(0) + 3).astype(int).clip(low + 1, [self.size[0], self.size[1]])
-        patch = image[low[1] : high[1], low[0] : high[0]]
-        large = self.cv2.resize(patch, None, fx=FINE, fy=FINE, interpolation=self.cv2.INTER_NEAREST)
-        corners = p[s.faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(normal, axis=1)
-        up = np.flatnonzero(normal[:, 2] > 1e-3 * area)
-        up = up[np.argsort(corners[up, :, 2].max(1), kind="stable")]
-        light = 0.45 + 0.6 * np.clip(normal[up] @ SUN / area[up], 0, 1)
-        colour = np.clip(255 * s.colour[s.faces[up]].mean(1) * light[:, None], 0, 255)[:, ::-1]
-        if tint is not None:
-            colour = 0.35 * colour + 0.65 * light[:, None] * tint
-        polygons = np.round((xy[s.faces[up]] - low) * FINE * 16).astype(np.int32)
-        for polygon, shade in zip(polygons, colour, strict=True):
-            self.cv2.fillConvexPoly(large, polygon, tuple(float(c) for c in shade), self.cv2.LINE_8, 4)
-        small = self.cv2.resize(large, (patch.shape[1], patch.shape[0]), interpolation=self.cv2.INTER_AREA)
-        patch[:] = small if tint is None else self.cv2.addWeighted(small, 0.7, patch, 0.3, 0)
 
     def _chart(self, image, time: float) -> None:
         """Distance over time in the strip below; speed over ground where no log has a target."""
@@ -248,11 +203,3 @@ class TopView:
     def _text(self, image, text: str, at, height: float, colour=INK) -> None:
         plain = printable(text)[:WORDS].encode("ascii", "replace").decode()  # OpenCV's built-in font has ASCII only
         self.cv2.putText(image, plain, at, self.cv2.FONT_HERSHEY_SIMPLEX, height, colour, 1, self.cv2.LINE_AA)
-
-
-def _cv2():
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtra("opencv-python-headless", "all", "a film or picture of a replay") from error
-    return cv2

@@ -85,7 +85,8 @@ const VIEWS = {
 
 function look(name) {
   const wide = Math.max(1.15, 1.1 * tank.reach), [eye, centre] = VIEWS[name](tank.focus[0], tank.focus[1], wide);
-  viewer.camera.position.copy(eye);
+  const back = Math.max(1, 1.7 * innerHeight / innerWidth);  // the angle of view is that of the height: a narrow window sees less
+  viewer.camera.position.copy(eye.sub(centre).multiplyScalar(back).add(centre));
   viewer.controls.target.copy(centre);
   viewer.controls.update();
   if (name === "near") el("follow").checked = true;
