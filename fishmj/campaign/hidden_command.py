@@ -49,6 +49,7 @@ def main(argv: list[str]) -> int:
     add("--truth", type=console.out_file, help="file for what is hidden, outside of --out; needed as --out is")
     add("--dry-run", action="store_true", help="print plan and cost, and stop")
     args = parser.parse_args(argv)
+    _apart(args)
     plan = plan_of(args)
     water = sum(job.steps * job.domain.dt for part in plan.values() for job in part)
     steps = sum(job.steps for part in plan.values() for job in part)
@@ -61,8 +62,6 @@ def main(argv: list[str]) -> int:
         if args.json:
             console.emit_json({"sets": len(plan), "water_s": water, "steps": steps, "gpu_s": cost})
         return console.OK
-    if args.out is None or args.truth is None:
-        raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
     device = str(device_of(args.device))
     if args.device == "auto" and device == "cpu" and water > PATIENCE:
         console.warn(f"{water:.0f} s of water and no accelerator: nothing was run. --device cpu runs it all the same")
@@ -130,10 +129,20 @@ def _cut(what: Excitation, seconds: float | None) -> Excitation:
     return what if seconds is None else replace(what, commands=what.commands[: max(50, round(seconds / PERIOD))])
 
 
+def _apart(args) -> None:
+    """Where trials and truth go, before anything is planned.
+
+    Raises:
+        ConfigError: nobody said, or the truth would lie among the trials.
+    """
+    if None in (args.out, args.truth) and not args.dry_run:
+        raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+    if None not in (args.out, args.truth) and args.truth.resolve().is_relative_to(args.out.resolve()):
+        raise ConfigError(f"--truth {args.truth} lies inside {args.out}; choose a file outside, or nothing stays hidden")
+
+
 def _seal(args) -> None:
     """Write what is hidden, before anything is run; a later call must ask for the same."""
-    if args.truth.resolve().is_relative_to(args.out.resolve()):
-        raise ConfigError(f"--truth {args.truth} lies inside {args.out}; choose a file outside, or nothing stays hidden")
     asked = {key: getattr(args, key) for key in ("sets", "seed", "noise", "nuisance", "slip", "domain", "excitations", "seconds")}
     hidden = {f"set_{i:03d}": {"effects": effects_of(args, i), "seed": args.seed + i} for i in range(args.sets)}
     body = {"schema": SCHEMA, "origin": "synthetic", "asked": asked, "hidden": hidden}

@@ -47,7 +47,7 @@ def options() -> console.Parser:
     add("--intensity", type=console.number(0, 0.99), help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
     speeds = console.Listed(console.number(0, 1))
     add("--speeds", type=speeds, metavar="M/S,..", help="of the current; default 0.1,0.2,0.3")
-    los = console.Listed(console.number(-360, 360), 360)
+    los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
     add("--los", type=los, metavar="DEG,..", help="default 0,45,..,315; 0 = target straight upstream")
     add("--repeats", type=console.whole(1, 1000), metavar="N", help="of every speed and direction; default 3")
     add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start")
