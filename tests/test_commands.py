@@ -186,7 +186,7 @@ def test_a_command_has_an_example_that_parses(name):
 def test_help_is_exit_0_and_an_unknown_option_one_line(name):
     code, out, err = told(lambda: cli.main([*name.split(), "--help"]))
     assert (code, err) == (0, "") and out.startswith(f"usage: fishmj {name}")
-    said = refused([*name.split(), *needed(LEAVES[name], action), "--jsn"])
+    said = refused([*name.split(), *needed(LEAVES[name]), "--jsn"])
     assert "--jsn" in said and "did you mean --json?" in said
 
 
