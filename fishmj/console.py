@@ -39,7 +39,7 @@ OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED, TERMI
 EXITS = {
     OK: "an answer",
     FAILED_CHECK: "a check that fails, or a result that is not complete",
-    BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory",
+    BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory, days of work unasked",
     CANNOT_TELL: "too short, too quiet or too different to tell",
     FAULT: "a fault of fishmj itself, with its traceback",
     INTERRUPTED: "interrupted by the user (Ctrl-C); what was finished is kept",
@@ -373,13 +373,16 @@ def _cell(value: Any) -> str:
 
 
 def duration(seconds: float) -> str:
-    """`7.2 s`, `3 min 05 s`, `2 h 10 min`."""
+    """`7.2 s`, `3 min 05 s`, `2 h 10 min`, `12 days`, `37 years`."""
     if not math.isfinite(seconds):
         return "?"
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    if minutes < 48 * 60:
+        return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    days = minutes / 1440
+    return f"{days:.0f} days" if days < 1000 else f"{days / 365.25:,.0f} years"
 
 
 class Progress:
