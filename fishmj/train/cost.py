@@ -20,7 +20,6 @@ ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of 
 FLOAT = 4  # bytes
 STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
 ADAM = 4  # copies of a network: weights, their slopes, two moments
-COPIES = 2  # of a rollout, while it is shuffled
 
 
 def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
@@ -81,9 +80,9 @@ def _ppo_networks(c, width) -> tuple[int, int]:
 
 def _ppo_bytes(c, width, steps: float) -> float:
     seen, inputs, joints = width
-    rollout = COPIES * c.envs * c.horizon * (inputs + seen + 5 + joints + 4)
-    layers = 2 * 3 * c.envs * c.horizon / c.minibatches * (sum(c.hidden) + inputs)
-    return FLOAT * (rollout + layers + c.envs * (2 * inputs + STATE) + ADAM * sum(_ppo_networks(c, width)))
+    rollout = c.envs * c.horizon * (inputs + seen + 5 + joints + 4)
+    minibatch = c.envs * c.horizon / c.minibatches * (inputs + 2 * 3 * sum(c.hidden))
+    return FLOAT * (rollout + minibatch + c.envs * (2 * inputs + STATE) + ADAM * sum(_ppo_networks(c, width)))
 
 
 def _sac_networks(c, width) -> tuple[int, int]:
