@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from fishmj import cli, console
-from fishmj.errors import ConfigError, UsageError
+from fishmj.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parent.parent
 GROUPS = {verb: main for verb in cli.present() if isinstance(main := cli.load(verb), console.Group)}
@@ -495,32 +495,3 @@ def test_a_default_of_zero_or_of_a_list_is_shown():
     parser.add_argument("--own", type=console.number(0, 9), help="default the robot's")
     text = " ".join(parser.format_help().split())
     assert "of 100 % of the draws (default: 0)" in text and "in m (default: 1.0 2.5)" in text and text.count("default") == 3
-
-
-def test_an_option_that_takes_one_value_is_given_once_and_one_that_collects_them_again_and_again():
-    parser = console.parser("x", "x")
-    parser.add_argument("--out", nargs="+", action=console.Distinct)
-    parser.add_argument("--with", action="append")
-    for _ in range(2):  # a parser may be used again
-        assert parser.parse_args(["--json", "--json", "--with", "a", "--with", "b", "--out", "c", "d"]).out == ["c", "d"]
-    with pytest.raises(UsageError, match="--out: is given twice"):
-        parser.parse_args(["--out", "c", "--out", "d"])
-
-
-def test_help_before_a_name_is_the_help_of_that_name():
-    for words, name in ((["train"], "train"), (["gap", "find"], "gap find"), (["hydro_fit"], "hydro_fit")):
-        whole, out, err = told(lambda words=words: cli.main(["help", *words]))
-        assert (whole, err) == (0, "") and out.startswith(f"usage: fishmj {name} "), out
-    assert told(lambda: cli.main(["gap", "help", "find"]))[1].startswith("usage: fishmj gap find ")
-    assert "Did you mean 'train'" in refused(["help", "trian"])
-
-
-def test_a_text_that_begins_with_a_dash_is_no_option():
-    parser = console.parser("x", "x")
-    parser.add_argument("--title")
-    assert parser.parse_args(["--title", "\u2013 a note \u2013"]).title == "\u2013 a note \u2013"
-
-
-def test_a_description_that_lies_here_is_named_where_its_ending_was_left_out():
-    Path("minnow.toml").write_text("")
-    assert "did you mean minnow.toml?" in refused(["evaluate", "pd", "--robot", "minnow"])

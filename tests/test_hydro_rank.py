@@ -153,8 +153,8 @@ def solver(monkeypatch):
 
 
 def command(out, *more):
-    fixed = ["--device", "cpu", "--domain", "laptop", "--seconds", "2", "--model", "swift-base", "--out", str(out)]
-    return main(["rank", *fixed, *more])
+    model = [] if "--model" in more else ["--model", "swift-base"]
+    return main(["rank", "--device", "cpu", "--domain", "laptop", "--seconds", "2", "--out", str(out), *model, *more])
 
 
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, solver):

@@ -9,6 +9,7 @@ python -m fishmj.hydro_fit collect --ray auto --tanks 12
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from fishmj import console, interrupt
 from fishmj.campaign import plan as plans
@@ -69,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
     if not (args.dry_run or args.ray):
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
-        how = {"flag": "--budget SECONDS or --device cpu", "asked": args.budget is not None, "tanks": args.tanks or 1}
+        how: dict[str, Any] = {
+            "flag": "--budget SECONDS or --device cpu",
+            "asked": args.budget is not None,
+            "tanks": args.tanks or 1,
+        }
         cost.agree("hydro_fit collect", args.device, [(domain, water)], instead=less, **how)
     device = args.device if args.ray else str(device_of(args.device))
     setup = Setup(robot=robot, domain=domain, device=device)

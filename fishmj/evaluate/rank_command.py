@@ -12,6 +12,7 @@ Exit code 1 where a tolerance is missed, 3 where too few trials tell the control
 """
 
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def main(argv: list[str]) -> int:
     runs = (tank.UNCHANGED, *two_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)
     less = "--domain laptop --trials 6 --seconds 10 is a preview"
-    how = {"flag": "--budget SECONDS or --device cpu", "asked": args.budget is not None, "tanks": args.tanks or 1}
+    how: dict[str, Any] = {"flag": "--budget SECONDS or --device cpu", "asked": args.budget is not None, "tanks": args.tanks or 1}
     cost.agree("hydro_fit rank", args.device, [(preset(args.domain), total)], instead=less, **how)
     device = str(device_of(args.device))
     tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
