@@ -197,7 +197,7 @@ def test_the_drift_command_answers_and_says_when_it_is_too_short(tmp_path, capsy
     assert drift.main([*base, "--turbulence", "default", "--seconds", "0.5"]) == console.CANNOT_TELL
     for bad in (["--speed", "0"], ["--n", "0"], ["--spin-box", "0"]):
         with pytest.raises(UsageError, match=bad[0]):
-            drift.main([*base, *bad])
+            drift.main(bad)
 
 
 def test_water_that_fails_on_the_way_keeps_the_drifts_until_then(tmp_path, monkeypatch):

@@ -9,7 +9,6 @@ python -m fishmj.hydro_fit collect --ray auto --tanks 12
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from fishmj import console, interrupt
 from fishmj.campaign import plan as plans
@@ -23,6 +22,7 @@ from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import Robot, load_robot
 
 ON_GPU = 12  # tanks of two million cells that fill one
+GO = "--budget SECONDS or --device cpu"  # begins what takes a CPU long
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,12 +70,15 @@ def run(args: argparse.Namespace) -> int:
     if not (args.dry_run or args.ray):
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
-        how: dict[str, Any] = {
-            "flag": "--budget SECONDS or --device cpu",
-            "asked": args.budget is not None,
-            "tanks": args.tanks or 1,
-        }
-        cost.agree("hydro_fit collect", args.device, [(domain, water)], instead=less, **how)
+        cost.agree(
+            "hydro_fit collect",
+            args.device,
+            [(domain, water)],
+            instead=less,
+            tanks=args.tanks or 1,
+            flag=GO,
+            asked=args.budget is not None,
+        )
     device = args.device if args.ray else str(device_of(args.device))
     setup = Setup(robot=robot, domain=domain, device=device)
     console.say(

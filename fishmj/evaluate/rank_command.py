@@ -12,12 +12,11 @@ Exit code 1 where a tolerance is missed, 3 where too few trials tell the control
 """
 
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 
 from fishmj import console, controllers, engines
-from fishmj.campaign.command import ON_GPU
+from fishmj.campaign.command import GO, ON_GPU
 from fishmj.campaign.solver import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import protocol, rank, tank, two_waters
@@ -84,8 +83,15 @@ def main(argv: list[str]) -> int:
     runs = (tank.UNCHANGED, *two_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)
     less = "--domain laptop --trials 6 --seconds 10 is a preview"
-    how: dict[str, Any] = {"flag": "--budget SECONDS or --device cpu", "asked": args.budget is not None, "tanks": args.tanks or 1}
-    cost.agree("hydro_fit rank", args.device, [(preset(args.domain), total)], instead=less, **how)
+    cost.agree(
+        "hydro_fit rank",
+        args.device,
+        [(preset(args.domain), total)],
+        instead=less,
+        tanks=args.tanks or 1,
+        flag=GO,
+        asked=args.budget is not None,
+    )
     device = str(device_of(args.device))
     tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
     box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
