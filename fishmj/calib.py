@@ -124,6 +124,8 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
             raise ConfigError(f"{shown}: {wrong}")
         return path
     if str(name) not in (known if robot else shipped()):
+        if _exists(beside := Path(f"{path}.toml")):
+            raise ConfigError(f"{shown}: expected a shipped name ({', '.join(known)}) or a .toml file; did you mean {beside}?")
         if _exists(path):
             kind = trouble(path, "") or "is a file whose name does not end in .toml"
             raise ConfigError(f"{shown}: {kind}; expected a .toml file, or a shipped name: {', '.join(known)}")

@@ -92,7 +92,9 @@ def usage() -> str:
 
 def dispatch(argv: list[str]) -> int | None:
     """Print the help or the version, or hand over to the verb."""
-    if not argv or argv[0] in ("-h", "--help", "help"):
+    if argv[1:] and argv[0] in console.HELP:
+        return load(argv[1])([*argv[2:], "--help"])
+    if not argv or argv[0] in console.HELP:
         console.say(usage())
         return console.OK if argv else console.BAD_INPUT
     if argv[0] in ("-V", "--version"):

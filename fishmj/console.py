@@ -35,15 +35,16 @@ from fishmj.options import path as path
 from fishmj.options import text as text
 from fishmj.options import whole as whole
 
-OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 70, 130, 141
+OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 3, 70, 130, 141, 143
 EXITS = {
     OK: "an answer",
     FAILED_CHECK: "a check that fails, or a result that is not complete",
-    BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory",
+    BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory, days of work unasked",
     CANNOT_TELL: "too short, too quiet or too different to tell",
     FAULT: "a fault of fishmj itself, with its traceback",
     INTERRUPTED: "interrupted by the user (Ctrl-C); what was finished is kept",
     PIPE_CLOSED: "the reader of the output is gone (a closed pipe)",
+    TERMINATED: "ended by SIGTERM",
 }
 TRACEBACK = "FISHMJ_TRACEBACK"  # environment: 1 shows the traceback of every error
 LONGEST = 1000  # characters of an error's line
@@ -166,6 +167,9 @@ class Help(argparse.RawDescriptionHelpFormatter):
         return f"{text} (default: {shown_default})" if shown_default else text
 
 
+_DASHED = re.compile(r"[\u2010-\u2015\u2212\ufe58\uff0d][\u2010-\u2015\u2212\ufe58\uff0d-]*([^\W\d_][^=]*)")
+
+
 class Parser(argparse.ArgumentParser):
     """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text.
 
@@ -174,7 +178,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args, **options):
         super().__init__(*args, **{"formatter_class": Help, "allow_abbrev": False} | options)
-        self._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|infinity|nan)$", re.IGNORECASE)
+        number = r"(\d+\.?\d*|\.\d+)(e[-+]?\d+)?"  # the first of a list, too, may be negative
+        self._negative_number_matcher = re.compile(rf"^-{number}(,-?{number})*$|^-(inf|infinity|nan)$", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{self.prog.removeprefix('fishmj ')}: {message}; see {self.prog} --help")
@@ -187,11 +192,36 @@ class Parser(argparse.ArgumentParser):
     def parse_args(self, args=None, namespace=None):
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            options = [o for o in self._option_string_actions if o.startswith("--")]
-            near = get_close_matches(unknown[0].partition("=")[0], options, 1, 0.6)
-            shown = " ".join(text if len(text) <= SHOWN else text[:SHOWN] + "..." for text in unknown[:5])
-            self.error(f"unknown argument {shown}" + (f"; did you mean {near[0]}?" if near else ""))
+            near = self._nearest(unknown[0].partition("=")[0])
+            given = " ".join(text if len(text) <= SHOWN else text[:SHOWN] + "..." for text in unknown[:5])
+            self.error(f"unknown argument {given}" + (f"; did you mean {near}?" if near else ""))
         return found
+
+    def parse_known_args(self, args=None, namespace=None):
+        args = list(sys.argv[1:] if args is None else args)
+        self._refuse_typographic_dashes(args)
+        self._given: set[argparse.Action] = set()
+        return super().parse_known_args(args, namespace)
+
+    def _refuse_typographic_dashes(self, words: Sequence[str]) -> None:
+        """An option copied out of a text may begin with a dash or a minus sign in place of two hyphens."""
+        for word in words:
+            found = _DASHED.match(word)
+            if found and (near := self._nearest("--" + found[1])):
+                self.error(f"{shown(word)} begins with a typographic dash; did you mean {near}?")
+
+    def _nearest(self, option: str) -> str:
+        """The known option that one is nearest to, or nothing."""
+        options = [o for o in self._option_string_actions if o.startswith("--")]
+        return next(iter(get_close_matches(option, options, 1, 0.6)), "")
+
+    def _get_values(self, action, arg_strings):
+        """Called once for each time that an option is given: one that takes a value and does not collect them has one."""
+        if action.option_strings and action.nargs != 0 and not isinstance(action, argparse._AppendAction):
+            if action in self._given:
+                raise argparse.ArgumentError(action, "is given twice; give it once")
+            self._given.add(action)
+        return super()._get_values(action, arg_strings)
 
     def _check_value(self, action, value) -> None:
         if action.choices is not None and value not in action.choices:
@@ -207,6 +237,9 @@ def parser(verb: str, summary: str, *, json: bool = True, examples: str | None =
     if json:
         made.add_argument("--json", action="store_true", help="print one JSON object last")
     return made
+
+
+HELP = ("-h", "--help", "help")  # before a command too: `help find` is `find --help`
 
 
 class Command(NamedTuple):
@@ -232,14 +265,15 @@ class Group:
         _EXAMPLES.update({f"fishmj {verb} {name}": command.example for name, command in commands.items()})
 
     def __call__(self, argv: list[str]) -> int | None:
-        if argv and argv[0] in ("-h", "--help", "help"):
+        if argv and argv[0] in HELP:
+            if argv[1:]:
+                return self([*argv[1:], "--help"])
             say(self.usage())
             return OK
         if self.bare and (not argv or argv[0].startswith("-")):
             return self.load(self.bare)(argv)
         if not argv:
-            say(self.usage())
-            return BAD_INPUT
+            raise UsageError(f"{self.verb}: expected a command: {', '.join(self.commands)}; see fishmj {self.verb} --help")
         words = 2 if " ".join(argv[:2]) in self.commands else 1
         name = " ".join(argv[:words])
         if name.startswith("-"):
@@ -261,7 +295,8 @@ class Group:
         """Every command with one line, and its example below."""
         wide = max(map(len, self.commands))
         rows = [(f"  {name:<{wide}}  {c.summary}", f"  {'':<{wide}}  {c.example}") for name, c in self.commands.items()]
-        head = f"usage: fishmj {self.verb} COMMAND [options]     fishmj {self.verb} COMMAND --help"
+        command = "[COMMAND]" if self.bare else "COMMAND"
+        head = f"usage: fishmj {self.verb} {command} [options]     fishmj {self.verb} COMMAND --help"
         rows += [("", f"Without a command: {self.bare}.")] if self.bare else []
         return "\n".join([head, "", self.summary, "", *(line for row in rows for line in row)])
 
@@ -338,13 +373,16 @@ def _cell(value: Any) -> str:
 
 
 def duration(seconds: float) -> str:
-    """`7.2 s`, `3 min 05 s`, `2 h 10 min`."""
+    """`7.2 s`, `3 min 05 s`, `2 h 10 min`, `12 days`, `37 years`."""
     if not math.isfinite(seconds):
         return "?"
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    if minutes < 48 * 60:
+        return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    days = minutes / 1440
+    return f"{days:.0f} days" if days < 1000 else f"{days / 365.25:,.0f} years"
 
 
 class Progress:

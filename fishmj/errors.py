@@ -15,6 +15,10 @@ class ConfigError(FishmjError, ValueError):
     """A setting is impossible or inconsistent."""
 
 
+class TooMuch(ConfigError):
+    """Work of days, or more memory than there is, that nobody agreed to."""
+
+
 class DescriptionError(ConfigError):
     """A robot description is not sound. `errors` lists everything that was found, a line each; the message has the first 20."""
 

@@ -65,20 +65,27 @@ SEED = whole(0, 2**53 - 1)  # of every draw; a whole number that JSON holds exac
 
 @dataclass(frozen=True)
 class Listed:
-    """The `type=` of an option that takes 1 to `most` values with commas between them, none of them twice."""
+    """The `type=` of an option that takes 1 to `most` values with commas between them, none of them twice.
+
+    `same` gives what two values have in common that stand for one thing.
+    """
 
     item: Callable[[str], Any]
     most: int = 100
     distinct: bool = True
+    same: Callable[[Any], Any] = lambda value: value  # noqa: E731
 
     def __call__(self, text: str) -> list:
         parts = [part.strip() for part in text.split(",")]
         if not all(parts) or len(parts) > self.most:
             raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to {self.most} values with commas between them")
         values = [self.item(part) for part in parts]
-        twice = sorted({part for part, value in zip(parts, values, strict=True) if values.count(value) > 1})
-        if twice and self.distinct:
-            raise argparse.ArgumentTypeError(f"got {shown(text)}: {twice[0]} stands there twice; name each value once")
+        kinds = [self.same(value) for value in values]
+        twice = next((i for i, kind in enumerate(kinds) if kind in kinds[:i]), None)
+        if twice is not None and self.distinct:
+            first = parts[kinds.index(kinds[twice])]
+            also = f"{parts[twice]} stands there twice" if first == parts[twice] else f"{first} and {parts[twice]} are the same"
+            raise argparse.ArgumentTypeError(f"got {shown(text)}: {also}; name each value once")
         return values
 
 

@@ -1,8 +1,8 @@
 """Command lines as users mistype them, and what they name. Written by someone who knew the docs and not the code.
 
 Every line of COMMANDS is wrong: exit code 2, one line on stderr that says what, nothing left behind, within seconds. Every
-line of HOPELESS is well formed and would take days or terabytes on a machine without an accelerator: 2, 1 or a question, as
-quickly.
+line of HOPELESS is well formed and would take days or terabytes on a machine without an accelerator: 2 with an estimate, or on
+a terminal a question, as quickly.
 """
 
 import hashlib

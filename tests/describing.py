@@ -6,7 +6,14 @@ from fishmj import console
 from fishmj.new import __main__ as verb
 
 SIZES = dict(length="0.6", height="0.11", width="0.07", tail_height="0.14", mass="1.6", links="5", servo="lx-824")
-FIVE = [f"--{key.replace('_', '-')}={value}" for key, value in SIZES.items()]
+
+
+def sized(**own: str) -> list[str]:
+    """The options of a fish of SIZES, some of its own."""
+    return [f"--{key.replace('_', '-')}={value}" for key, value in (SIZES | own).items()]
+
+
+FIVE = sized()
 
 
 def new(*arguments: str) -> int:

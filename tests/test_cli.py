@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fishmj import cli, console
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, UsageError
 
 
 def json_last(text: str):
@@ -170,3 +170,33 @@ def test_a_file_gets_few_lines_without_carriage_returns():
             bar.update(done)
     lines = file.getvalue().splitlines()
     assert "\r" not in file.getvalue() and 5 <= len(lines) <= 9 and "100 %" in lines[-1]
+
+
+def test_an_option_that_takes_one_value_is_given_once_and_one_that_collects_them_again_and_again():
+    parser = console.parser("x", "x")
+    parser.add_argument("--out", nargs="+", action=console.Distinct)
+    parser.add_argument("--with", action="append")
+    for _ in range(2):  # a parser may be used again
+        assert parser.parse_args(["--json", "--json", "--with", "a", "--with", "b", "--out", "c", "d"]).out == ["c", "d"]
+    with pytest.raises(UsageError, match="--out: is given twice"):
+        parser.parse_args(["--out", "c", "--out", "d"])
+
+
+def test_help_before_a_name_is_the_help_of_that_name(capsys):
+    asked = (["help", "train"], ["help", "gap", "find"], ["help", "hydro_fit"], ["gap", "help", "find"])
+    for words, name in zip(asked, ("train", "gap find", "hydro_fit", "gap find"), strict=True):
+        assert cli.main(words) == 0
+        assert capsys.readouterr().out.startswith(f"usage: fishmj {name} ")
+    assert cli.main(["help", "trian"]) == 2 and "Did you mean 'train'" in capsys.readouterr().err
+
+
+def test_a_text_that_begins_with_a_dash_is_no_option():
+    parser = console.parser("x", "x")
+    parser.add_argument("--title")
+    assert parser.parse_args(["--title", "\u2013 a note \u2013"]).title == "\u2013 a note \u2013"
+
+
+def test_a_description_that_lies_here_is_named_where_its_ending_was_left_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "minnow.toml").write_text("")
+    assert cli.main(["evaluate", "pd", "--robot", "minnow"]) == 2 and "did you mean minnow.toml?" in capsys.readouterr().err

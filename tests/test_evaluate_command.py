@@ -149,8 +149,8 @@ def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_pa
 
 
 def test_hours_of_the_solver_on_a_cpu_that_nobody_asked_for_are_not_begun(capsys, monkeypatch):
-    from fishmj.lbm_oracle import device
+    from fishmj.lbm_oracle import cost
 
-    monkeypatch.setattr(device, "device_of", lambda name: "cpu")
+    monkeypatch.setattr(cost, "accelerator", lambda need: False)
     code, _, err = run_command(capsys, "drift", "--water", "lbm")
-    assert code == 1 and "nothing was run" in err and "--device cpu" in err
+    assert code == 2 and "4320 s of water" in err and "--device cpu begins all the same" in err

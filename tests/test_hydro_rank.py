@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from fishmj import controllers, engines
+from fishmj import console, controllers, engines
 from fishmj.engines import tanks
 from fishmj.errors import UsageError
 from fishmj.evaluate import figures, rank, rank_command, trials, two_waters
@@ -153,8 +153,8 @@ def solver(monkeypatch):
 
 
 def command(out, *more):
-    fixed = ["--device", "cpu", "--domain", "laptop", "--seconds", "2", "--model", "swift-base", "--out", str(out)]
-    return main(["rank", *fixed, *more])
+    model = [] if "--model" in more else ["--model", "swift-base"]
+    return main(["rank", "--device", "cpu", "--domain", "laptop", "--seconds", "2", "--out", str(out), *model, *more])
 
 
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, solver):
@@ -224,6 +224,6 @@ def test_impossible_numbers_are_one_clear_error(wrong, tmp_path):
 
 
 def test_hours_on_a_cpu_that_nobody_asked_for_are_not_begun(tmp_path, solver, monkeypatch, capsys):
-    monkeypatch.setattr(rank_command, "device_of", lambda name: "cpu")
-    assert main(["rank", "--device", "auto", "--model", "swift-base", "--out", str(tmp_path)]) == 1
-    assert solver.asked == 0 and "nothing was run" in capsys.readouterr().err
+    monkeypatch.setattr(rank_command.cost, "accelerator", lambda need: False)
+    assert console.run(main, ["rank", "--device", "auto", "--model", "swift-base", "--out", str(tmp_path)]) == 2
+    assert solver.asked == 0 and "nothing was begun" in capsys.readouterr().err

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from describing import FIVE, new, refused
+from describing import FIVE, new, refused, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +49,7 @@ def test_options_make_a_description_that_reads_back_and_swims(capsys, tmp_path):
 
 def test_fish_that_options_describe_weigh_what_they_displace_and_lie_level():
     for links in (2, 10):
-        assert new("pike", *FIVE, f"--links={links}", "--force") == console.OK
+        assert new("pike", *sized(links=str(links)), "--force") == console.OK
         robot = load_robot("pike.toml")
         g = geometry_of(robot)
         assert len(robot.links) == links and 0.9 < g.width_scale < 1.1
@@ -146,16 +146,13 @@ def test_a_description_that_is_there_is_kept(capsys, tmp_path):
 
 
 def test_a_hull_that_cannot_float_its_mass_is_marked(capsys):
-    assert new("pike", *FIVE, "--mass=3.0", "--json") == console.OK
+    assert new("pike", *sized(mass="3.0"), "--json") == console.OK
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert next(c for c in told["checks"] if c["what"] == "width scale")["verdict"] == "look"
 
 
 def test_a_servo_that_cannot_move_the_fish_fails_the_check(capsys):
-    assert (
-        new("pike", *FIVE, "--length=2", "--mass=60", "--height=0.4", "--width=0.25", "--tail-height=0.5", "--servo=xl330-m288")
-        == 1
-    )
+    assert new("pike", *sized(length="2", mass="60", height="0.4", width="0.25", tail_height="0.5", servo="xl330-m288")) == 1
     assert "wrong" in capsys.readouterr().out and load_robot("pike.toml").name == "pike"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.console import Command
 from fishmj.errors import ConfigError
+from fishmj.mjcf.description import load_robot
 
 RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
@@ -16,6 +17,8 @@ def fit(verb: str, argv: list[str]) -> int:
     from fishmj.calibrate.verbs import VERBS
 
     args = options(verb).parse_args(argv)
+    if args.out and args.out.is_file():
+        load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
     if verb == "slip":
         if args.ratios and not args.recompute:
             raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")

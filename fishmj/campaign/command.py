@@ -16,12 +16,13 @@ from fishmj.campaign.collect import Collected, Local, Pool, collect, missing
 from fishmj.campaign.plan import Plan
 from fishmj.campaign.tank import Setup
 from fishmj.errors import ConfigError
+from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import Robot, load_robot
 
 ON_GPU = 12  # tanks of two million cells that fill one
-PATIENCE = 300.0  # s of water: more is not begun on a CPU that nobody asked for
+GO = "--budget SECONDS or --device cpu"  # begins what takes a CPU long
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +67,18 @@ def run(args: argparse.Namespace) -> int:
     domain = preset(args.domain or ("laptop" if args.preview else "window"))
     if args.dt is not None:
         domain = domain.changed(dt=args.dt)
+    if not (args.dry_run or args.ray):
+        water = sum(segment.water for segment in missing(plan, out, args.retry))
+        less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
+        cost.agree(
+            "hydro_fit collect",
+            args.device,
+            [(domain, water)],
+            instead=less,
+            tanks=args.tanks or 1,
+            flag=GO,
+            asked=args.budget is not None,
+        )
     device = args.device if args.ray else str(device_of(args.device))
     setup = Setup(robot=robot, domain=domain, device=device)
     console.say(
@@ -81,10 +94,6 @@ def run(args: argparse.Namespace) -> int:
                 {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows(), "split_sha256": plan.split_sha256}
             )
         return console.OK
-    if _too_much(args, device, water := sum(segment.water for segment in missing(plan, out, args.retry))):
-        said = f"{water:.0f} s of water are missing in {out} and there is no accelerator: nothing was collected"
-        console.warn(f"{said}. --budget SECONDS or --device cpu collects all the same, --preview a little, --ray elsewhere")
-        return console.FAILED_CHECK
     more = f"{out} holds every segment that was finished; go on with the same command"
     with interrupt.keeping(lambda: more):
         found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
@@ -136,11 +145,6 @@ def pool_of(args: argparse.Namespace, device: str) -> Pool:
 
         return RayPool(args.ray, tanks=tanks or (ON_GPU if device.startswith("cuda") else 1))
     return Local(tanks or (ON_GPU if device.startswith("cuda") else 1))
-
-
-def _too_much(args: argparse.Namespace, device: str, water: float) -> bool:
-    """Hours of work on a CPU that the user may not have meant."""
-    return not args.ray and args.device == "auto" and device == "cpu" and args.budget is None and water > PATIENCE
 
 
 def report(found: Collected) -> None:

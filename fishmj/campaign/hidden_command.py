@@ -16,6 +16,7 @@ from fishmj.campaign.hidden import jobs, swum, trial_of
 from fishmj.campaign.hidden_run import Job
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
+from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.log.folder import write_trial
@@ -26,7 +27,6 @@ SCHEMA = "fishmj.hidden/1"
 TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (docs/oracle.md)
 AGAIN = 0.1  # of the ticks are done again with finer steps, at three times the cost (docs/campaign.md)
 ON_GPU = 12
-PATIENCE = 300.0  # s of water that a CPU begins unasked
 
 
 def main(argv: list[str]) -> int:
@@ -49,24 +49,22 @@ def main(argv: list[str]) -> int:
     add("--truth", type=console.out_file, help="file for what is hidden, outside of --out; needed as --out is")
     add("--dry-run", action="store_true", help="print plan and cost, and stop")
     args = parser.parse_args(argv)
-    plan = plan_of(args)
-    water = sum(job.steps * job.domain.dt for part in plan.values() for job in part)
-    steps = sum(job.steps for part in plan.values() for job in part)
-    cost = steps / TANK_STEPS * (1 + 3 * AGAIN)
+    _apart(args)
+    box, (trials, steps) = preset(args.domain), sized(args)
+    water, gpu = steps * box.dt, steps / TANK_STEPS * (1 + 3 * AGAIN)
+    if not args.dry_run:
+        less = "take fewer --sets, shorter --seconds; --domain laptop is a preview"
+        cost.agree("campaign hidden", args.device, [(box, water)], instead=less, tanks=args.tanks or 1)
     console.say(
-        f"{len(plan)} sets, {sum(map(len, plan.values()))} trials, {water:.0f} s of water, {steps / 1e6:.2f} M tank-steps on"
-        f" {args.domain}: about {console.duration(cost)} of one H200 with {ON_GPU} tanks ({water / cost:.0f} times real time)"
+        f"{args.sets} sets, {trials} trials, {water:.0f} s of water, {steps / 1e6:.2f} M tank-steps on"
+        f" {args.domain}: about {console.duration(gpu)} of one H200 with {ON_GPU} tanks ({water / gpu:.0f} times real time)"
     )
     if args.dry_run:
         if args.json:
-            console.emit_json({"sets": len(plan), "water_s": water, "steps": steps, "gpu_s": cost})
+            console.emit_json({"sets": args.sets, "water_s": water, "steps": steps, "gpu_s": gpu})
         return console.OK
-    if args.out is None or args.truth is None:
-        raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+    plan = plan_of(args, args.sets)
     device = str(device_of(args.device))
-    if args.device == "auto" and device == "cpu" and water > PATIENCE:
-        console.warn(f"{water:.0f} s of water and no accelerator: nothing was run. --device cpu runs it all the same")
-        return console.FAILED_CHECK
     _seal(args)
     tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
     lost = collect(args.out, plan, device, tanks)
@@ -100,8 +98,16 @@ def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) 
     return lost
 
 
-def plan_of(args) -> dict[str, list[Job]]:
-    """Jobs of every set, by its name.
+def sized(args) -> tuple[int, int]:
+    """(trials, time steps) of all sets, from the plan of one set an effect: the sets take turns at them. Raises as `plan_of`."""
+    few = list(plan_of(args, min(args.sets, len(args.effects))).values())
+    times = [len(range(i, args.sets, len(args.effects))) for i in range(len(few))]
+    pairs = list(zip(times, few, strict=True))
+    return sum(n * len(part) for n, part in pairs), sum(n * job.steps for n, part in pairs for job in part)
+
+
+def plan_of(args, sets: int) -> dict[str, list[Job]]:
+    """Jobs of the first sets, by the name of each.
 
     Raises:
         ConfigError, UnknownName: no such effect, excitation or domain.
@@ -109,7 +115,7 @@ def plan_of(args) -> dict[str, list[Job]]:
     runs = [_cut(excitation.get(name), args.seconds) for name in _ids(args.excitations)]
     box = preset(args.domain)
     plan = {}
-    for i in range(args.sets):
+    for i in range(sets):
         effects, seed = effects_of(args, i), args.seed + i
         plan[f"set_{i:03d}"] = jobs(effects, runs, seed, args.noise, args.nuisance, box, args.slip)
     return plan
@@ -130,10 +136,20 @@ def _cut(what: Excitation, seconds: float | None) -> Excitation:
     return what if seconds is None else replace(what, commands=what.commands[: max(50, round(seconds / PERIOD))])
 
 
+def _apart(args) -> None:
+    """Where trials and truth go, before anything is planned.
+
+    Raises:
+        ConfigError: nobody said, or the truth would lie among the trials.
+    """
+    if None in (args.out, args.truth) and not args.dry_run:
+        raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+    if None not in (args.out, args.truth) and args.truth.resolve().is_relative_to(args.out.resolve()):
+        raise ConfigError(f"--truth {args.truth} lies inside {args.out}; choose a file outside, or nothing stays hidden")
+
+
 def _seal(args) -> None:
     """Write what is hidden, before anything is run; a later call must ask for the same."""
-    if args.truth.resolve().is_relative_to(args.out.resolve()):
-        raise ConfigError(f"--truth {args.truth} lies inside {args.out}; choose a file outside, or nothing stays hidden")
     asked = {key: getattr(args, key) for key in ("sets", "seed", "noise", "nuisance", "slip", "domain", "excitations", "seconds")}
     hidden = {f"set_{i:03d}": {"effects": effects_of(args, i), "seed": args.seed + i} for i in range(args.sets)}
     body = {"schema": SCHEMA, "origin": "synthetic", "asked": asked, "hidden": hidden}

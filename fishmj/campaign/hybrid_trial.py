@@ -27,6 +27,7 @@ from fishmj.hydro_fit import chain
 from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
+from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.mjcf.description import Robot, load_robot
@@ -64,8 +65,11 @@ def main(argv: list[str]) -> int:
     add("--out", type=console.out_folder, default="runs/hybrid", help=place)
     args = parser.parse_args(argv)
     robot, out = load_robot(args.fish), Path(args.out)
-    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
-    model, segments = surrogate_of(args), episodes_of(robot, args)
+    box, model, segments = preset(args.domain), surrogate_of(args), episodes_of(robot, args)
+    water = sum(segment.water for segment in segments)
+    less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
+    cost.agree("hydro_fit hybrid", args.device, [(box, water)], instead=less, tanks=args.tanks)
+    setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
     plan = plans.Plan(label="hybrid", robot=robot, seed=args.seed, segments=tuple(segments))
     collect(plan, out / "solver", setup, pool=Local(args.tanks), quiet=args.json)
     own = float(HydroModel.load(args.model).scores.get("from_rest", 1.0))  # of a right one, whatever is corrected

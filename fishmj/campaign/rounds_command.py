@@ -16,6 +16,7 @@ from fishmj.campaign.rounds import correct
 from fishmj.campaign.tank import Setup
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.model import HydroModel
+from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.mjcf.description import Robot, load_robot
@@ -47,7 +48,10 @@ def main(argv: list[str]) -> int:
             f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {args.domain}: two waters in one fit"
         )
 
-    setup = Setup(robot=robot, domain=preset(args.domain), device=str(device_of(args.device)))
+    box, water = preset(args.domain), args.rounds * args.episodes * args.seconds
+    less = "take fewer --rounds and --episodes; --domain laptop is a preview"
+    cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
+    setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
     pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)
     refit = lambda model, solver: refitted(robot, model, first, solver)  # noqa: E731

@@ -4,8 +4,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from fishmj import console, controllers, engines, interrupt
-from fishmj.cores import memory_bytes
+from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
@@ -15,14 +14,13 @@ from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
-from fishmj.lbm_oracle.domain import NAMES
+from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
 WATERS = ("structured", "surrogate", "lbm")
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
-ROOM = 0.8  # of the memory of the machine
 EXAMPLES = """examples:
   fishmj evaluate dob                                      the decided 72 trials
   fishmj evaluate paper dob --turbulence gust --out runs/gust --plots     two, paired, with pictures
@@ -47,7 +45,7 @@ def options() -> console.Parser:
     add("--intensity", type=console.number(0, 0.99), help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
     speeds = console.Listed(console.number(0, 1))
     add("--speeds", type=speeds, metavar="M/S,..", help="of the current; default 0.1,0.2,0.3")
-    los = console.Listed(console.number(-360, 360), 360)
+    los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
     add("--los", type=los, metavar="DEG,..", help="default 0,45,..,315; 0 = target straight upstream")
     add("--repeats", type=console.whole(1, 1000), metavar="N", help="of every speed and direction; default 3")
     add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start")
@@ -104,8 +102,11 @@ def main(argv: list[str]) -> int:
         console.warn(note)
     affordable(robot, trials, len(brains))
     if args.water == "lbm":
-        if too_long(args, trials.duration * len(trials) * len(brains)):
-            return console.FAILED_CHECK
+        from fishmj.lbm_oracle import cost as solver_cost
+
+        less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
+        work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
+        solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
@@ -155,29 +156,12 @@ def affordable(robot, trials, brains: int) -> None:
     """Refuse what this machine cannot hold.
 
     Raises:
-        ConfigError: with the estimate.
+        TooMuch: with the estimate.
     """
     ticks = trials.duration / robot.timing.bus_dt * len(trials)
-    need, there = ticks * (brains * HELD + WORK) * (robot.n_joints + 3), memory_bytes()
-    if need > ROOM * there:
-        raise ConfigError(
-            f"evaluate: {len(trials)} trials of {trials.duration:g} s by {brains} controllers need about {need / 2**30:.3g} GB of"
-            f" memory, this machine has {there / 2**30:.3g} GB; take fewer --repeats, or a part by --speeds and --los"
-        )
-
-
-def too_long(args, water: float) -> bool:
-    """Hours of the flow solver on a CPU that the user may not have meant; says so."""
-    from fishmj.campaign.command import PATIENCE
-    from fishmj.lbm_oracle.device import device_of
-
-    if args.device != "auto" or water <= PATIENCE or str(device_of(args.device)) != "cpu":
-        return False
-    console.warn(
-        f"evaluate: {water:.0f} s of water and no accelerator: nothing was run. --device cpu runs it all the same;"
-        " --domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
-    )
-    return True
+    need = ticks * (brains * HELD + WORK) * (robot.n_joints + 3)
+    what, less = f"{len(trials)} trials of {trials.duration:g} s by {brains} controllers", "take fewer --repeats, or a part by"
+    cost.memory("evaluate", need, what, instead=f"{less} --speeds and --los")
 
 
 def choose_engine(name: str, robot):

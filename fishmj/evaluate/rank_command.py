@@ -16,12 +16,13 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from fishmj import console, controllers, engines
-from fishmj.campaign.command import ON_GPU, PATIENCE
+from fishmj.campaign.command import GO, ON_GPU
 from fishmj.campaign.solver import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import protocol, rank, tank, two_waters
 from fishmj.evaluate.rank_plot import picture
 from fishmj.hydro_fit.model import HydroModel, shipped
+from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import load_robot
@@ -79,17 +80,20 @@ def main(argv: list[str]) -> int:
     names = list(args.controllers) or list(DEFAULT)
     brains = controllers.several(names, robot, any_command_path=args.any_command_path)
     trials = chosen(args)
-    preset(args.domain)
-    device = str(device_of(args.device))
-    tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
     runs = (tank.UNCHANGED, *two_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)
-    if args.device == "auto" and device == "cpu" and args.budget is None and total > PATIENCE:
-        console.warn(
-            f"rank: {total:.0f} s of water and no accelerator: nothing was run. --budget SECONDS or --device cpu runs it all the"
-            " same; --domain laptop --trials 6 --seconds 10 is a preview"
-        )
-        return console.FAILED_CHECK
+    less = "--domain laptop --trials 6 --seconds 10 is a preview"
+    cost.agree(
+        "hydro_fit rank",
+        args.device,
+        [(preset(args.domain), total)],
+        instead=less,
+        tanks=args.tanks or 1,
+        flag=GO,
+        asked=args.budget is not None,
+    )
+    device = str(device_of(args.device))
+    tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
     box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
     waters = [two_waters.in_solver(robot, args.out, **box, variation=run) for run in runs]
     beside = [(0.0, 0.0), *(two_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]

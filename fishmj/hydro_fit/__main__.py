@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fishmj import console, interrupt
 from fishmj.console import Command
-from fishmj.errors import ConfigError, StoreError
+from fishmj.errors import ConfigError, StoreError, TooMuch
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
@@ -27,7 +27,12 @@ def run(verb: str, argv: list[str]) -> int | None:
     code = console.OK
     if verb == "all":
         folder = Path(args.data or DATA / robot.name)
-        if collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)]):
+        try:
+            missing = collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
+        except TooMuch as error:
+            missing = console.FAILED_CHECK
+            console.warn(str(error))
+        if missing:
             console.warn(f"the campaign in {folder} is not complete; going on with what is there")
     folder = data_of(robot, args)
     found: dict = {}

@@ -24,6 +24,7 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
+from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.force_points import OK, Plan, Point, measure
@@ -37,6 +38,7 @@ from fishmj.store import read_json, write_json, write_text
 WHAT = ("cruise", "drag", "broadside")
 GRIDS, PARTS, SLIPS = (0.02, 0.01, 1 / 150), (1, 2), (0.0, 0.95, 0.98, 0.99, 1.0)
 SPEED = 0.3  # m/s
+TICK: float = constant("timing", "bus_dt")  # s
 DIGITS = 7  # of a cell or time step in a key, m or s
 COLUMNS = ("what", "dx", "dt", "slip", "value", "sem", "seconds", "wall_s", "status")
 
@@ -65,7 +67,7 @@ def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], sli
     Raises:
         ConfigError: a cell, part or slip that cannot be, or a time step that does not divide the bus tick.
     """
-    courant, tick = constant("oracle", "dt") / constant("oracle", "dx"), constant("timing", "bus_dt")
+    courant, tick = constant("oracle", "dt") / constant("oracle", "dx"), TICK
     keys = []
     for dx in sorted(grids, reverse=True):
         for part in sorted(parts):
@@ -82,8 +84,7 @@ def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], sli
 
 def box(name: str, key: Key) -> Domain:
     """That domain's box on the grid of a key, with the time step as a whole part of the bus tick."""
-    tick = constant("timing", "bus_dt")
-    return preset(name).changed(dx=key.dx, dt=tick / round(tick / key.dt))
+    return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
 
 
 def cruise(domain: Domain, slip: float, beats: float, device: str) -> Found:
@@ -120,11 +121,11 @@ class Book:
     """
 
     def __init__(self, folder: Path, setup: dict):
-        self.path, self.rows, about = folder / "converge.csv", {}, folder / "setup.json"
+        self.path, self.rows, self.setup = folder / "converge.csv", {}, setup
+        self.about = folder / "setup.json"
         if not self.path.exists():
-            write_json(about, {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": setup})
             return
-        before = read_json(about).get("setup", {})
+        before = read_json(self.about).get("setup", {})
         if before != setup:
             other = [f"{key} = {before.get(key)} (now {value})" for key, value in setup.items() if before.get(key) != value]
             raise ConfigError(f"{folder} holds runs of another set-up: {', '.join(other)}. Take another --out")
@@ -138,6 +139,9 @@ class Book:
 
     def add(self, key: Key, found: Found, wall: float) -> None:
         """Keep a run, on disk before this returns."""
+        if not self.rows:
+            notes = {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": self.setup}
+            write_json(self.about, notes)
         self.rows[key] = key._asdict() | found._asdict() | {"wall_s": round(wall, 1)}
         text = StringIO()
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
@@ -170,11 +174,16 @@ def biases(rows: Iterable[dict]) -> list[dict]:
 
 def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
-    keys, device = study(args.what, args.grids, args.parts, args.slips), str(device_of(args.device))
+    keys = study(args.what, args.grids, args.parts, args.slips)
     plan = Plan(settle=args.settle, seconds=args.seconds, length=load_robot("fish").length)
-    plan.ticks(SPEED, constant("timing", "bus_dt"))  # refuses what is too short
+    held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     book = Book(Path(args.out), {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds})
     left = [key for key in keys if key not in book.rows]
+    cruise_s = args.beats / Gait.of_the_paper().frequency
+    runs = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
+    less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
+    cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
+    device = str(device_of(args.device))
     console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
     with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:
         for number, key in enumerate(left):

@@ -18,6 +18,12 @@ def _warp():
     return wp
 
 
+def accelerator(need: int = 0) -> bool:
+    """Whether `auto` takes an accelerator: there is one, with room for `need` bytes."""
+    found = _warp().get_cuda_devices()
+    return bool(found) and found[0].free_memory >= need
+
+
 def device_of(name: str = "auto", need: int = 0):
     """The Warp device of this name, with room for `need` bytes.
 
@@ -30,7 +36,7 @@ def device_of(name: str = "auto", need: int = 0):
     if kind not in KINDS:
         raise UnknownName("device", str(name), KINDS)
     found = wp.get_cuda_devices()
-    if kind == "auto" and (not found or found[0].free_memory < need):
+    if kind == "auto" and not accelerator(need):
         why = (
             f"{found[0].free_memory // 2**20} MB free on {found[0]}, {need // 2**20} MB needed"
             if found

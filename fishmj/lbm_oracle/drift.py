@@ -18,7 +18,7 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import LENGTH, PRESETS, Flow
-from fishmj.lbm_oracle import guard, map_plots
+from fishmj.lbm_oracle import cost, guard, map_plots
 from fishmj.lbm_oracle.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.fluid import Fluid
 from fishmj.lbm_oracle.tracers import Release, Sampler, carry, figures, trilinear
@@ -41,6 +41,8 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"drift: settle = {settle} s; expected 0 or more")
     end = release.times[-1] + release.longest
     if args.water == "lbm":
+        less = "take fewer markers by --n, a coarser --dx; --water flow has no solver, --domain laptop is a preview"
+        cost.agree("lbm_oracle drift", args.device, [(domain, settle + end)], instead=less)
         looks = in_solver(domain, flow, settle=settle, end=end, device=args.device)
     else:
         looks = in_flow(flow, end=end)

@@ -76,12 +76,10 @@ class Table:
 
     def __init__(self, folder: Path, setup: dict, notes: dict | None = None):
         self.path, self.rows = folder / "forcemap.csv", {}
-        about = folder / "setup.json"
+        self.about, self.notes = folder / "setup.json", (notes or {}) | {"setup": setup}
         if self.path.exists():
-            self._check(about, setup)
+            self._check(self.about, setup)
             self.rows = {_point(row): row for row in _read(self.path)}
-        else:
-            write_json(about, (notes or {}) | {"setup": setup})
 
     @staticmethod
     def _check(about: Path, setup: dict) -> None:
@@ -101,6 +99,8 @@ class Table:
 
     def add(self, point: Point, row: dict) -> None:
         """Keep a point, on disk before this returns."""
+        if not self.rows:
+            write_json(self.about, self.notes)
         self.rows[point] = row
         text = StringIO()
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")

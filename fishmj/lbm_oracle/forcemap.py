@@ -20,7 +20,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle import map_plots
+from fishmj.lbm_oracle import cost, map_plots
 from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.field_options import add_fields
 from fishmj.lbm_oracle.force_points import OK, Plan, Point, Table, measure
@@ -45,11 +45,15 @@ def main(argv: list[str]) -> int:
             limit = 180 / pi * robot.servo.range
             raise ConfigError(f"forcemap: joint angle {point.joint:g} deg; the joints of {robot.name} turn by {limit:g} at most")
         plan.ticks(point.speed, robot.timing.bus_dt)  # refuses what is too short
-    if args.domain in PREVIEWS:
-        console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     table = Table(Path(args.out), _setup(args, domain), {"source": "fishmj.lbm_oracle forcemap", "origin": "synthetic"})
     out = Path(args.out)
     left = [p for p in points if not (p in table and (not _pictured(args, p) or slice_path(out, p).exists()))]
+    tick = robot.timing.bus_dt
+    held = [(domain, sum(plan.ticks(point.speed, tick)) * tick) for point in left]
+    less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
+    cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
+    if args.domain in PREVIEWS:
+        console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(points)} points, {len(points) - len(left)} of them done before, in {args.out}")
 
     def run(point: Point):
@@ -62,7 +66,6 @@ def main(argv: list[str]) -> int:
             keep(held, out, point, z=args.slice, whole=args.volume)
         table.add(point, row)
 
-    tick = robot.timing.bus_dt
     measure(left, run, plan, tick=tick, tanks=args.tanks, finished=finished, quiet=args.json)
     rows = [table[p] for p in points]
     pictures = map_plots.forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-_POOL = ThreadPoolExecutor(max_workers=16, thread_name_prefix="slab")
+MOST = 16  # cores that one box keeps busy
+_POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")
 THINNEST = 4  # planes of x in a slab, at least
 
 
@@ -19,7 +20,7 @@ def slabs_for(device, planes: int, wanted: int | None = None) -> int:
     if device.is_cuda:
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(wanted or cores, planes // THINNEST or 1, 16))
+    return max(1, min(wanted or cores, planes // THINNEST or 1, MOST))
 
 
 def record(kernel: wp.Kernel, planes: int, plane: int, args: list[Any], device, slabs: int) -> list[Any]:

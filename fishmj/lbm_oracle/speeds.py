@@ -17,10 +17,10 @@ from typing import Any
 
 from fishmj import console
 from fishmj.errors import ConfigError
+from fishmj.lbm_oracle import cost, map_plots
 from fishmj.lbm_oracle.device import device_of
 from fishmj.lbm_oracle.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.gait import Gait
-from fishmj.lbm_oracle.map_plots import swims
 from fishmj.lbm_oracle.stage import Stage
 from fishmj.lbm_oracle.swim import INTERRUPTED, drive, figures
 from fishmj.store import read_json, write_json
@@ -80,11 +80,15 @@ def asked(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence
 
 def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
-    box, device = preset(args.preset), str(device_of(args.device))
+    box = preset(args.preset)
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = asked(args.frequencies, args.slips, depths)
     book = Book(Path(args.out), {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats})
     left = [key for key in keys if key not in book.rows]
+    swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
+    less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
+    cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
+    device = str(device_of(args.device))
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
     with console.Progress(len(left), "speeds", every=1e9 if args.json else None) as bar:
         for number, (frequency, slip, depth) in enumerate(left, 1):
@@ -94,7 +98,7 @@ def main(argv: list[str]) -> int:
             book.add((frequency, slip, depth), found)
             bar.update(number, speed=found["speed_m_s"] or 0.0)
     rows = [book.rows[key] for key in keys]
-    picture = swims(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
+    picture = map_plots.swims(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
     console.say(console.table(rows, COLUMNS), f"wrote {book.path} and {picture}")
     lost = [row for row in rows if row["status"] != "ok"]
     if args.json:

@@ -19,7 +19,7 @@ import numpy as np
 from fishmj import console, interrupt
 from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
-from fishmj.lbm_oracle import state
+from fishmj.lbm_oracle import cost, state
 from fishmj.lbm_oracle.domain import NAMES, PREVIEWS, preset
 from fishmj.lbm_oracle.field_options import STRONG, add_fields
 from fishmj.lbm_oracle.gait import Gait
@@ -40,7 +40,10 @@ def main(argv: list[str]) -> int:
     seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
     if args.out and args.out.exists() and not args.overwrite:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
-    run = _stage(args).run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
+    stage = _stage(args)
+    less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
+    cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
+    run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         state.load(args.start, run.coupled)
         run.begin()

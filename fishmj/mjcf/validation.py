@@ -27,6 +27,9 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
         kind = "a fitted water, for --water" if isinstance(given, str) and given.startswith("fishmj.water/") else "another format"
         finding = Finding("", None, "schema", shown(given), repr(schema.SCHEMA), f"this file is {kind}, not a robot")
         return [line(finding, table, where)], []
+    if foreign := _foreign(table):
+        expected = "a robot: [[link]], [servo], [timing], [water], ..."
+        return [line(Finding("", None, "", foreign, expected, "this file describes something else"), table, where)], []
     found = list(_single_keys(table))
     bad = {(f.block, f.nth) for f in found} | {(f.block, None) for f in found}
     listed = not any(f.block == "link" and f.nth is None for f in found)
@@ -36,6 +39,15 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
     if len(found) >= MOST:
         lines.append(f"{where}: got {MOST} errors, expected a robot; the rest of the file was not looked at")
     return lines, notes
+
+
+def _foreign(table: Mapping[str, Any]) -> str:
+    """The keys of a table that has nothing of a robot, nor a mistyped block of one; otherwise empty."""
+    own = {"schema", *schema.BLOCKS}
+    unknown = [key for key in table if key not in schema.keys()]
+    if not unknown or own & table.keys() or any(get_close_matches(key, schema.keys(), 1, 0.6) for key in unknown):
+        return ""
+    return shown(", ".join(unknown))
 
 
 def _order(f: Finding) -> tuple:

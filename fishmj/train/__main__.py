@@ -72,6 +72,7 @@ def options() -> console.Parser:
     add("--reward", type=weight, nargs="*", default=[], metavar="KEY=VALUE", help=reward)
     out = "folder of the run, refused when it holds one; with several seeds, of all (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
+    p.add_argument("--yes", action="store_true", help="begin also what takes more than a week, or more memory than there is")
     p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     return p
@@ -187,6 +188,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
 def main(argv: list[str] | None = None) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
+    from fishmj.train import cost
     from fishmj.train.settings import change
 
     settings = settings_from(args)
@@ -194,6 +196,7 @@ def main(argv: list[str] | None = None) -> int:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
     seeds = args.seeds or [settings.seed]
     folders = folders_of(args, settings, seeds)
+    cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
             shutil.rmtree(folder, ignore_errors=True)

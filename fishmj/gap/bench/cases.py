@@ -9,6 +9,7 @@ from fishmj import excitation
 KINDS = {"single": 0.4, "pair": 0.15, "none": 0.28, "off": 0.17}  # shares
 NOISE = (0.5, 1.0, 3.0)
 BUDGETS = (2, 6, 12)  # logs
+SMALL = 6  # logs of a case for a quick look
 SHARES = (0.15, 0.25, 0.6)  # of the budgets
 STRENGTH = (0.3, 1.5)  # of an effect's typical magnitude, log-uniform
 CASUAL = 0.2  # share of data sets whose commands are whatever a policy did, not designed experiments
@@ -37,7 +38,7 @@ def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small:
     for i, kind in enumerate(order):
         rng = np.random.default_rng([seed, 2, i])
         noise = 1.0 if small else float(rng.choice(NOISE))
-        budget = 6 if small else int(rng.choice(BUDGETS, p=SHARES))
+        budget = SMALL if small else int(rng.choice(BUDGETS, p=SHARES))
         session = excitation.CASUAL if not small and rng.random() < CASUAL else excitation.DESIGNED
         logs = [session[k] for k in sorted(rng.permutation(len(session))[:budget])]
         chosen: list[str] = []

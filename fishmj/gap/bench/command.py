@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from fishmj import console, interrupt
+from fishmj import console, cost, interrupt
 from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import options, watch
@@ -26,6 +26,7 @@ from fishmj.store import write_text
 GENERATORS = ("second", "lbm", "log")
 GENERATED = "second: the second robot; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a term deleted"
 MOST, MOST_JOBS = 100_000, 1024
+A_LOG = 3.3  # s of a core: 720 cases of 9 logs on average take one 30 s each (docs/gap.md)
 ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
 
 
@@ -46,17 +47,19 @@ def main(argv: list[str]) -> int:
     out = "folder for rows.jsonl and score.json; the same command continues where it stopped (default none)"
     add("--out", type=console.out_folder, help=out)
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
+    add("--yes", action="store_true", help="begin also what takes longer than a week")
     args = parser.parse_args(argv)
     if args.baselines and args.generator != "second":
         raise ConfigError("gap bench: --baselines are judged on --generator second only")
     index, shards = args.shard
+    jobs = args.jobs or usable_cores()
+    agree(args, len(range(index, args.cases, shards)), jobs)
     todo, ask = asked(args)
     todo = todo[: args.cases][index::shards]
     if not todo:
         raise ConfigError(f"gap bench: no case is left: {args.cases} cases of these kinds, every {shards}th from {index}")
     if args.generator != "log":
         compiled(fish() if args.generator == "second" else solver.plant(), console.say)  # once, before processes begin
-    jobs = args.jobs or usable_cores()
     rows = judged(todo, args.out, ask, jobs)
     result = score(list(rows))
     if args.out:
@@ -72,6 +75,21 @@ def main(argv: list[str]) -> int:
     wrong = result["precision"]["n"] - result["precision"]["hits"]
     fails = wrong > ALLOWED or result["false_alarm_rate"]["hits"] > ALLOWED
     return console.FAILED_CHECK if args.small and fails else console.OK
+
+
+def agree(args, many: int, jobs: int) -> None:
+    """Have weeks agreed to, before a case is drawn; of the flow solver there are as many as are shipped.
+
+    Raises:
+        TooMuch: nobody agreed.
+    """
+    if args.generator == "lbm":
+        return
+    left = many - len(kept(args.out / "rows.jsonl") if args.out else ())
+    logs = cases.SMALL if args.small else sum(a * b for a, b in zip(cases.BUDGETS, cases.SHARES, strict=True))
+    seconds = left * logs * A_LOG / min(jobs, usable_cores())
+    less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
+    cost.time("gap bench", seconds, f"{left} cases", instead=less, flag="--yes", agreed=args.yes)
 
 
 def _kinds(text: str) -> dict[str, float]:
