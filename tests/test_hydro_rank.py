@@ -10,7 +10,7 @@ import pytest
 from fishmj import controllers, engines
 from fishmj.engines import tanks
 from fishmj.errors import UsageError
-from fishmj.evaluate import figures, rank, rank_command, trials, two_waters
+from fishmj.evaluate import figures, rank, rank_command, statistics, trials, two_waters
 from fishmj.flow import stack
 from fishmj.hydro_fit.__main__ import main
 from fishmj.hydro_fit.model import HydroModel
@@ -91,7 +91,7 @@ def test_the_worst_controller_decides_the_gap():
 
 
 def test_too_few_trials_tell_nobody_apart():
-    few = lambda w: {name: x[: rank.LEAST - 1] for name, x in w.items()}  # noqa: E731
+    few = lambda w: {name: x[: statistics.APART - 1] for name, x in w.items()}  # noqa: E731
     found = rank.judged(KEY, [few(water(dob=0.1, pi=0.9))], [few(water(dob=0.1, pi=0.9))])
     assert found["counted"] == 0 and found["passed"]["tau"] is None and np.isnan(found["tau"])
 

@@ -230,12 +230,13 @@ def report(results: list[Result], args) -> int:
         save(args.out, results, found)
     console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
     console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
+    console.say(*tables.unbounded(summaries))
     for s in summaries:
         console.say("", f"{s['controller']} by flow speed", tables.by_condition(s, "by_speed"))
         console.say("", f"{s['controller']} by direction (0 = target straight upstream)", tables.by_condition(s, "by_los"))
     pairs = [(results[0], other) for other in results[1:]]
     for a, b in pairs:
-        console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; * = the interval excludes 0")
+        console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; {tables.STARRED}")
         console.say(tables.paired(a, b))
     if args.out is not None:
         console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log)}")

@@ -175,6 +175,7 @@ def shown(found: dict, args) -> int:
     console.say("", head, "value (95 % bootstrap interval over trials); gap = surrogate - solver, paired", "")
     for key in two_waters.KEYS:
         console.say(console.table([row_of(key, row) for row in found[key]["controllers"]]), "")
+    console.say(*unbounded(found))
     if t["n"] < t["asked"]:
         console.warn(f"{t['n']} of {t['asked']} trials are finished; the same command goes on with the rest")
     if found["model_fitted_on"] not in ("", found["domain"]):
@@ -190,9 +191,18 @@ def shown(found: dict, args) -> int:
     return {True: console.OK, False: console.FAILED_CHECK, None: console.CANNOT_TELL}[found["ok"]]
 
 
+def unbounded(found: dict) -> list[str]:
+    """Which controllers' figures stand there without an interval, and why: a line a reason."""
+    rows = [(key, row) for key in two_waters.KEYS for row in found[key]["controllers"] if row["gap"]["why"]]
+    reasons = dict.fromkeys((key, row["gap"]["why"]) for key, row in rows)
+    named = lambda reason: [row["controller"] for key, row in rows if (key, row["gap"]["why"]) == reason]  # noqa: E731
+    return [f"{reason[0]} of {', '.join(named(reason))}: {reason[1]}" for reason in reasons]
+
+
 def row_of(key: str, row: dict) -> dict:
     """One controller as the terminal shows it."""
-    cell = lambda e, sign="": f"{e['value']:{sign}.3f} ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"  # noqa: E731
+    bounds = lambda e, sign: "" if e["why"] else f" ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"  # noqa: E731
+    cell = lambda e, sign="": f"{e['value']:{sign}.3f}{bounds(e, sign)}"  # noqa: E731
     name = row["controller"]
     about = {"controller": name, "is": MEANING.get(name, "") if row["ranked"] else "not ranked", "n": row["n"]}
     about |= {
