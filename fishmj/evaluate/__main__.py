@@ -148,7 +148,7 @@ def tanks_words(folder: Path | None) -> str:
     """What an interrupted judgement in the flow solver says."""
     if folder is None:
         return "nothing was kept: with --out DIR every finished trial is"
-    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; go on with the same command"
+    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; {interrupt.again()}"
 
 
 def affordable(robot, trials, brains: int) -> None:

@@ -12,10 +12,11 @@ Exit code 1 where a tolerance is missed, 3 where too few trials tell the control
 """
 
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 
-from fishmj import console, controllers, engines
+from fishmj import console, controllers, engines, interrupt
 from fishmj.campaign.command import ON_GPU, PATIENCE
 from fishmj.campaign.solver import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
@@ -95,13 +96,20 @@ def main(argv: list[str]) -> int:
     beside = [(0.0, 0.0), *(two_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]
     body = engines.make(args.engine, fitted)
     surrogates = [two_waters.in_surrogate(fitted, body, shift) for shift in beside]
-    with console.Progress(total, "rank in the solver", unit="sim s") as bar:
-        trials, solved = in_turn(brains, trials, waters, tanks, args.budget, bar)
-    each = trials.duration * len(trials) * len(brains)
-    with console.Progress(each * len(surrogates), "rank in the surrogate", unit="sim s") as bar:
-        reports = [report_after(bar, i * each) for i in range(len(surrogates))]
-        swum = [two_waters.swim(brains, trials, water, report=told) for water, told in zip(surrogates, reports, strict=True)]
-    return shown(verdict(trials, solved, swum, model, args), args)
+    with interrupt.keeping(lambda: kept_words(args.out)):
+        with console.Progress(total, "rank in the solver", unit="sim s") as bar:
+            trials, solved = in_turn(brains, trials, waters, tanks, args.budget, bar)
+        each = trials.duration * len(trials) * len(brains)
+        with console.Progress(each * len(surrogates), "rank in the surrogate", unit="sim s") as bar:
+            reports = [report_after(bar, i * each) for i in range(len(surrogates))]
+            swum = [two_waters.swim(brains, trials, water, report=told) for water, told in zip(surrogates, reports, strict=True)]
+        return shown(verdict(trials, solved, swum, model, args), args)
+
+
+def kept_words(folder: Path) -> str:
+    """What an interrupted ranking says."""
+    swims = two_waters.kept_in(folder)
+    return f"{swims} holds {len(list(swims.glob('*.npz')))} finished trials of the solver; {interrupt.again()}"
 
 
 def report_after(bar: console.Progress, before: float) -> two_waters.Said:
