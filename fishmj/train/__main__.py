@@ -1,6 +1,7 @@
 """`python -m fishmj.train`: learn to hold station."""
 
 import argparse
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -91,30 +92,39 @@ def weight(text: str) -> tuple[str, float]:
     return console.OneOf(REWARD)(key), console.number(-1e6, 1e6)(value)
 
 
-def settings_from(args):
-    """The preset with everything that was asked for on the command line. Raises ConfigError, UnknownName."""
+def settings_from(args, run=None):
+    """The preset, or the settings of a run that goes on, with everything that was asked for on the command line.
+
+    Raises:
+        ConfigError, UnknownName: what cannot be, or own code of the run that nobody named again.
+    """
     from fishmj import plugins
     from fishmj.engines import own_effects
     from fishmj.tasks.own import named
-    from fishmj.train.settings import ALGORITHMS, change, preset
+    from fishmj.train.settings import ALGORITHMS, change, own_code, preset
 
     own_effects.join(args.effects)
-    s = preset(args.preset or _by_device())
+    s = run or preset(args.preset or _by_device())
+    for option, name in own_code(run).items() if run else ():
+        if getattr(args, option[2:]) is None:
+            raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
     algorithm, task, reward = {}, {}, dict(args.reward)
     top = {
-        name: value for name in ("engine", "robot", "water", "seed", "command_path") if (value := getattr(args, name)) is not None
+        name: value
+        for name in ("preset", "engine", "robot", "water", "seed", "command_path")
+        if (value := getattr(args, name)) is not None
     }
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
         if args.together:
             raise ConfigError("--together trains fishmj's own algorithms only; train the seeds one after another")
-        s = replace(s, algo=args.algo, algorithm={})
+        s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
     elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
     if len(reward) < len(args.reward):
         raise ConfigError("--reward: one weight stands there twice; name each once")
     if args.steps is not None:
-        top |= {"steps": int(args.steps), "assess_every": min(s.assess_every, max(1, int(args.steps) // 4))}
+        top |= {"steps": int(args.steps), "assess_every": min(preset(s.preset).assess_every, max(1, int(args.steps) // 4))}
     if args.envs is not None:
         algorithm["envs"] = args.envs
     if args.learning_rate is not None:
@@ -184,16 +194,25 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
     return found
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str]) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
-    from fishmj.train.settings import change
+    from fishmj.store import Checkpoints
+    from fishmj.train.settings import as_dict, change, of_run, same
 
-    settings = settings_from(args)
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
+    settings = settings_from(args)
     seeds = args.seeds or [settings.seed]
     folders = folders_of(args, settings, seeds)
+    there = {folder: run for folder in folders.values() if args.resume and (run := of_run(folder))}
+    if there:
+        settings = settings_from(args, next(iter(there.values())))
+        folders = folders if args.seeds else {settings.seed: folders[seeds[0]]}
+        seeds = list(folders)
+        for seed, folder in folders.items():
+            if folder in there:
+                same(folder, change(settings, seed=seed), as_dict(there[folder]))
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
             shutil.rmtree(folder, ignore_errors=True)
@@ -205,17 +224,18 @@ def main(argv: list[str] | None = None) -> int:
         results, seeds = train_together(settings, seeds, folders[seeds[0]]), []
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
+        resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
         if one.algo == "sb3-sac":
             from fishmj.train.sb3 import train_sb3
 
-            results.append(train_sb3(one, folder, resume=args.resume))
+            results.append(train_sb3(one, folder, resume=resume))
             if results[-1]["stopped"]:
                 break
             continue
         from fishmj.train.run import Run, learner_of
 
         learner = learner or learner_of(one)
-        results.append(Run(one, folder, resume=args.resume, learner=learner).go())
+        results.append(Run(one, folder, resume=resume, learner=learner).go())
         if results[-1]["stopped"]:
             break
     for r in results:
@@ -232,7 +252,10 @@ def main(argv: list[str] | None = None) -> int:
         from fishmj.train.run import go_on
 
         last = results[-1]
-        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"])
+        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings)
+        if len(folders) > 1 and not args.together:
+            again = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
+            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(again)}"
         console.warn(f"interrupted; {more}")
         return console.INTERRUPTED
     return console.OK
