@@ -34,7 +34,8 @@ def options() -> console.Parser:
     """The arguments of `evaluate`."""
     parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
-    brains = f"{', '.join(controllers.NAMES)}, a shipped policy, a policy file, or your own as module:Name or file.py:Name"
+    brains = f"{', '.join(controllers.NAMES)}, a shipped policy, a policy file, the folder of a training, or your own as"
+    brains += " module:Name or file.py:Name"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--water", type=console.text, default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")

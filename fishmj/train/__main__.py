@@ -19,7 +19,7 @@ EXAMPLES = """examples:
   fishmj train --memory 8                        the policy sees its last eight observations
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
-  fishmj evaluate runs/quick-ppo-0/best.safetensors  judge what came out
+  fishmj evaluate runs/quick-ppo-0               judge what came out: its best.safetensors
 """
 
 
