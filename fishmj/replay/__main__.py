@@ -73,9 +73,11 @@ def drawn_as(trial: Trial, robot: str | None) -> str:
     """What to know of the robot that a trial is drawn as: not its own. Raises ConfigError where its structure is another."""
     if robot is not None:
         return unlike(trial, load_robot(robot))
-    if trial.value("robot") and named_robot(trial) is None:
-        return f"{unlike(trial, robot_of(trial))}; name its own with --robot"
-    return ""
+    own = str(trial.value("robot") or "")[:64]
+    if not own or named_robot(trial) is not None:
+        return ""
+    drawn = f"drawn as {robot_of(trial).name!r}; name its own with --robot"
+    return f"{trial.name or 'trial'}: robot {own!r} does not come with fishmj: {drawn}"
 
 
 def report(trials: list[Trial], written: list[Path], *, as_json: bool) -> None:
