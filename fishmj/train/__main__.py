@@ -32,37 +32,67 @@ def options() -> console.Parser:
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
-    p = console.parser("train", "Learn to hold station in a current that the fish cannot sense.", examples=EXAMPLES)
+    about = (
+        "Learn to hold station in a current that the fish cannot sense: gives a policy file, best.safetensors in --out. The paper"
+    )
+    about += " is the one of docs/paper_errata.md, on station holding of a fish robot trained in simulation."
+    p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
-    preset = "quick: CPU, paper: GPU, paper-sac: the paper's budget (default: quick on a CPU, else paper)"
+    of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())  # noqa: E731
+    preset = "set of defaults. quick: PPO for a CPU; paper: PPO, the paper's network, for a GPU; paper-sac: the paper's algorithm"
+    preset += " and budget (default: quick on a CPU, else paper)"
     add("--preset", choices=tuple(PRESETS), help=preset)
     algo = f"learning algorithm: {', '.join(ALGORITHMS)}, or your own as module:Name (default: the preset's)"
     add("--algo", type=console.text, metavar="NAME", help=algo)
     task = f"{', '.join(COURSES)}, or your own as module:Name, docs/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
-    engine = "auto: mjx on a GPU, compiled or planar on a CPU (default: the preset's, auto)"
+    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)
-    steps = "control steps of 0.2 s, all fish together (default: the preset's)"
+    steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    add("--envs", type=console.whole(1, 2**20), metavar="N", help="fish that swim at once (default: the preset's)")
-    add("--seed", type=SEED, help="of the run (default: the preset's, 0)")
-    add("--seeds", type=console.Listed(SEED), metavar="N,..", help="several runs, for example 0,1,2 (default: --seed)")
+    add(
+        "--envs",
+        type=console.whole(1, 2**20),
+        metavar="N",
+        help=f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})",
+    )
+    add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
+    add(
+        "--seeds",
+        type=console.Listed(SEED),
+        metavar="N,..",
+        help="several runs, one after the other, for example 0,1,2 (default: --seed)",
+    )
     together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
     add("--together", action="store_true", help=together)
-    memory = "observations that the policy sees (default: the preset's, 1: memoryless, as the paper's)"
+    memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
-    critic = "privileged: the critic sees the flow, the policy does not; PPO only (default: plain)"
+    critic = "of PPO. privileged: it sees the flow, the policy does not; plain: what the policy sees (default: privileged)"
     add("--critic", choices=CRITICS, help=critic)
     widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
-    add("--hidden", type=widths, metavar="N,..", help="layer widths, for example 256,256 (default: the preset's)")
-    add("--learning-rate", type=console.number(0, 1, above=True), help="of the algorithm (default: the preset's)")
-    add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: the preset's, gust)")
-    intensity = "largest turbulence intensity; each episode draws from 0 to it (default: the preset's)"
+    add(
+        "--hidden",
+        type=widths,
+        metavar="N,..",
+        help=f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})",
+    )
+    add(
+        "--learning-rate",
+        type=console.number(0, 1, above=True),
+        help="of the algorithm (default: the preset's, else the algorithm's)",
+    )
+    add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")
+    intensity = "largest turbulence intensity, u_rms / max(speed, 0.1 m/s); each episode draws from 0 to it"
+    intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
     add("--intensity", type=console.number(0, 0.99), help=intensity)
-    way = "how commands travel between policy steps (default: linear)"
+    way = "servo commands between two decisions, 0.2 s apart. linear: on the way to the new angles; hold: the new angles at once;"
+    way += " move_time: linear, and the servo interpolates too (default: linear)"
     add("--command-path", choices=COMMAND_PATHS, help=way)
-    add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: the preset's, fish)")
-    water = "structured, surrogate, or a fitted water by name or TOML file (default: the preset's, structured)"
+    add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
+    water = (
+        "structured: the description's own coefficients; surrogate: the shipped water fitted to the flow solver for this robot;"
+    )
+    water += " or a fitted one by name or TOML file (default: structured)"
     add("--water", type=console.text, help=water)
     hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
     add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
@@ -71,9 +101,12 @@ def options() -> console.Parser:
     own_effects.option(p)
     reward = "weights of the reward: wG, wD, wS (default: the paper's)"
     add("--reward", type=weight, nargs="*", default=[], metavar="KEY=VALUE", help=reward)
-    out = "folder of the run, refused when it holds one; with several seeds, of all (default: runs/<preset>-<algo>-<seed>)"
+    out = "folder of the run, refused when it holds one; with several seeds, a folder seed-N in it for each"
+    out += " (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
-    p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
+    p.add_argument(
+        "--resume", action="store_true", help="go on with the run in --out, under its own settings: only --steps may differ"
+    )
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     return p
 
