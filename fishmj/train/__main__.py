@@ -32,10 +32,8 @@ def options() -> console.Parser:
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
-    about = (
-        "Learn to hold station in a current that the fish cannot sense: gives a policy file, best.safetensors in --out. The paper"
-    )
-    about += " is the one of docs/paper_errata.md, on station holding of a fish robot trained in simulation."
+    about = "Learn to hold station in a current that the fish cannot sense; leaves a policy file, best.safetensors, in --out."
+    about += " The paper is the one on zero-shot sim-to-real station holding (docs/paper_errata.md)."
     p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
     of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())  # noqa: E731
@@ -89,9 +87,7 @@ def options() -> console.Parser:
     way += " move_time: linear, and the servo interpolates too (default: linear)"
     add("--command-path", choices=COMMAND_PATHS, help=way)
     add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
-    water = (
-        "structured: the description's own coefficients; surrogate: the shipped water fitted to the flow solver for this robot;"
-    )
+    water = "structured: the description's own coefficients; surrogate: the shipped one fitted to the flow solver for this robot;"
     water += " or a fitted one by name or TOML file (default: structured)"
     add("--water", type=console.text, help=water)
     hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
