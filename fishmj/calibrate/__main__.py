@@ -14,6 +14,12 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 def fit(verb: str, argv: list[str]) -> int:
     """One of the calibrations: servo, latency, slip, mass."""
+    again = interrupt.again("start again")
+    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+        return _fit(verb, argv)
+
+
+def _fit(verb: str, argv: list[str]) -> int:
     from fishmj.calibrate.verbs import VERBS
 
     args = options(verb).parse_args(argv)
@@ -21,9 +27,7 @@ def fit(verb: str, argv: list[str]) -> int:
         if args.ratios and not args.recompute:
             raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
         args.ratios = args.ratios or RATIOS
-    again = interrupt.again("start again")
-    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
-        answer = VERBS[verb](args)
+    answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
     if "report" in answer:
