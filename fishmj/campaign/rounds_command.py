@@ -86,5 +86,10 @@ def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path, out:
     every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
     made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"}
     again = Again(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
-    with interrupt.keeping(lambda: again.loop.save() or kept_words(out)):
+
+    def words() -> str:
+        again.loop.save()  # the stage that is under way
+        return kept_words(out)
+
+    with interrupt.keeping(words):
         return replace(again.run(), name=model.name)

@@ -131,7 +131,12 @@ def _one(
         return told | {"validation": scores, "coefficients": water.coefficients}
     known = {"dataset": about["data"], "code": about["code"], "folder": stages}
     variant = Variant(robot, train, val, settings=settings, retune=row.retune, report=report, **known)
-    with interrupt.keeping(lambda: variant.loop.save() or words()):
+
+    def kept() -> str:
+        variant.loop.save()
+        return words()
+
+    with interrupt.keeping(kept):
         model = unfitted(robot) if row.kind == "prior" else variant.solve()
     scores = variant.scores | {"judged": variant.score(flat(model.base), model.learnt)}
     told = _told(check.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
