@@ -411,6 +411,7 @@ class Progress:
         self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
         self._clock, self._memory = clock, memory
         self._start = clock()
+        self.begun = 0.0  # done before, and no part of the rate
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `memory` seconds
         self._named = False  # a stage without a rate is under way
@@ -469,11 +470,10 @@ class Progress:
         """The text of the line as it stands."""
         done = self._seen[-1][1]
         part = min(done / self.total, 1.0) if self.total else 1.0
+        rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell
         ahead = f"{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
         figures = "".join(f"  {name} {_cell(value)}" for name, value in fields.items())
-        return (
-            f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(self.rate)} {self.unit}/s  {ahead}{figures}"
-        )
+        return f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(rate)} {self.unit}/s  {ahead}{figures}"
 
 
 def _short(number: float) -> str:

@@ -18,6 +18,7 @@ nowhere else: a program that imports fishmj keeps its own handlers.
 import atexit
 import os
 import select
+import shlex
 import signal
 import sys
 import threading
@@ -83,6 +84,19 @@ def disarm() -> None:
 def asked() -> bool:
     """Whether this command is being interrupted."""
     return bool(_asked)
+
+
+def again(verb: str = "go on") -> str:
+    """`go on with: fishmj evaluate dob --out runs/dob`, the command line of this process; in a program `the same command`."""
+    if not is_command():
+        return f"{verb} with the same command"
+    words = sys.orig_argv
+    if "-m" in words:
+        module, *rest = words[words.index("-m") + 1 :]
+        given = [*module.split(".")[1:], *rest]
+    else:
+        given = sys.argv[1:]
+    return f"{verb} with: {shlex.join(['fishmj', *given])}"
 
 
 def telling(tell: Callable[[str], object]) -> None:

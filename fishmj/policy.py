@@ -7,6 +7,7 @@ activation, memory, command path (policy_header.py), how it was trained. With me
 followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,12 +22,42 @@ from fishmj.store.plain_file import trouble
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
+OF_A_RUN = ("best.safetensors", "last.safetensors")  # what a training leaves, the better one first
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
 
 
 def shipped() -> list[str]:
     """Names of the policies that come with fishmj."""
     return sorted(p.stem for p in FOLDER.glob("*.safetensors"))
+
+
+def is_policy(text: "str | Path") -> bool:
+    """Whether `text` names a policy: a shipped one, a file *.safetensors, or a folder, as of a training."""
+    return str(text).endswith(".safetensors") or str(text) in shipped() or os.path.isdir(text)
+
+
+def file_of(source: "str | Path") -> Path:
+    """The file of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
+
+    Raises:
+        UnknownName: no such file or name. StoreError: not a plain file, or a folder without a policy.
+    """
+    path, named = Path(source), FOLDER / f"{source}.safetensors"
+    if os.path.isdir(source) and path.suffix != ".safetensors" and str(source) not in shipped():
+        inside = [path / name for name in OF_A_RUN if (path / name).is_file()]
+        deeper = [str(found.parent) for name in OF_A_RUN for found in sorted(path.glob(f"*/{name}"))]
+        if not inside:
+            also = f"; there is one in {', '.join(dict.fromkeys(deeper))}" if deeper else ""
+            expected = f"expected a policy file or the folder of a training{also}"
+            raise StoreError(f"{path}: a folder without {' or '.join(OF_A_RUN)}; {expected}")
+        return inside[0]
+    if path.suffix == ".safetensors" and (why := trouble(path)).startswith("is "):
+        raise StoreError(f"{path}: {why}")
+    if path.is_file():
+        return path
+    if not named.is_file():
+        raise UnknownName("policy", str(source), shipped())
+    return named
 
 
 @dataclass
@@ -39,18 +70,12 @@ class Policy:
 
     @classmethod
     def load(cls, source: "str | Path") -> "Policy":
-        """Read a policy by shipped name or path.
+        """Read a policy by shipped name or path, as `file_of`.
 
         Raises:
             UnknownName: no such file or name. StoreError: damaged file. ConfigError: not a policy, or shapes that do not fit.
         """
-        path = Path(source)
-        if path.suffix == ".safetensors" and (why := trouble(path)).startswith("is "):
-            raise StoreError(f"{path}: {why}")
-        if not path.is_file():
-            path = FOLDER / f"{source}.safetensors"
-        if not path.is_file():
-            raise UnknownName("policy", str(source), shipped())
+        path = file_of(source)
         arrays, meta = read_tensors(path)
         schema = meta.get("schema") if isinstance(meta, dict) else meta
         if schema != SCHEMA:

@@ -11,10 +11,10 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import latency, mass, model, servo
+from fishmj.calibrate import check, latency, mass, model, servo
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, correlation_length, fit
 from fishmj.calibrate.logs import Logs
 from fishmj.calibrate.systematic import widened
@@ -279,3 +279,24 @@ def test_score_compares_fitted_with_sealed(tmp_path: Path):
     (row,) = hidden_score.score(folder, str(out))
     assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"
     assert read_json(folder / "sealed.json")["values"]["kp"] == 8.0
+
+
+def test_robots_that_were_checked_are_not_checked_again(tmp_path, monkeypatch, capsys):
+    done, said = [], []
+
+    def one(true, logs, plant):
+        if len(done) == 2 and not said:
+            said.append(interrupt._kept[-1][0]())
+            raise KeyboardInterrupt
+        done.append(true["kp"])
+        return {"kp": [0.1 * len(done), 10.0, True]}
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(check, "one", one)
+    monkeypatch.setattr(hidden_trials, "trials", lambda seed: {})
+    with pytest.raises(KeyboardInterrupt):
+        command.drawn(["--robots", "3"])
+    assert said == [f"{command.CHECKED} holds 2 of 3 robots; go on with the same command"]
+    assert command.drawn(["--robots", "3", "--json"]) == 0 and len(done) == len(set(done)) == 3
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["check"]
+    assert row["robots"] == 3 and row["mean error"] == pytest.approx(0.2) and row["inside"] == 1.0

@@ -2,14 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.calibrate import __main__ as command
 from fishmj.calibrate import slip
 from fishmj.calibrate.logs import read
+from fishmj.campaign import hidden
 from fishmj.errors import LogError
 from fishmj.log import read_trial, write_trial
 
@@ -52,6 +54,35 @@ def test_a_coast_alone_cannot_tell_the_slip_ratio():
     at = {"tow_ahead": (float(slip.predictions("window_coarse", np.array([0.99]))["tow_ahead"][0]), 3)}
     found = slip.profile(at, "window_coarse")
     assert found.estimate.high - found.estimate.low > 0.02 or "cannot be told" in found.words
+
+
+def test_swims_that_were_finished_are_not_run_again(tmp_path, monkeypatch):
+    """A table made anew, interrupted in its third swim."""
+    run, said = [], []
+
+    def swum(waiting, device, tanks):
+        for job in waiting:
+            if len(run) == 2 and not said:
+                said.append(interrupt._kept[-1][0]())
+                raise KeyboardInterrupt
+            run.append((job.slip, job.what.id))
+            yield SimpleNamespace(job=job)
+
+    def trial_of(made):
+        t = np.arange(0, 9, 0.02)
+        tables = {"pose": {"t": t, "x": made.job.slip * t, "y": 0 * t, "yaw": 0 * t}}
+        return SimpleNamespace(table=tables.get)
+
+    monkeypatch.setattr(hidden, "swum", swum)
+    monkeypatch.setattr(hidden, "trial_of", trial_of)
+    with pytest.raises(KeyboardInterrupt):
+        slip.recompute("laptop", [0.5, 1.0], "cpu", 1, tmp_path)
+    assert said == [f"{tmp_path} holds 2 of 6 swims; go on with the same command"]
+    entry = slip.recompute("laptop", [0.5, 1.0], "cpu", 1, tmp_path)
+    assert len(run) == len(set(run)) == 6, "the first two were kept"
+    assert entry["gait"] == pytest.approx([0.5, 1.0]) and entry["tow_ahead"] == pytest.approx([2.0, 4.0])
+    slip.recompute("window", [0.5], "cpu", 1, tmp_path)
+    assert len(run) == 9, "another grid is another swim"
 
 
 def test_speed_and_coast_are_read_from_a_path():

@@ -1,5 +1,6 @@
 """The classical controllers: smooth commands, a beat-free heading, a measured gait, an observer that finds the flow."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,9 @@ from fishmj.controllers.adrc import Observer
 from fishmj.controllers.cpg import Cpg, Rates
 from fishmj.controllers.gains import gains_of
 from fishmj.controllers.sense import Navigator, hermite, turned
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.description import load_robot
-from fishmj.policy import Policy
+from fishmj.policy import FOLDER, Policy
 
 ROBOT = load_robot("fish")
 LAG = np.radians(gains_of("gait")["lag_deg"])
@@ -229,3 +230,25 @@ def test_every_gain_has_unit_and_source():
                 continue
             assert set(entry) == {"value", "unit", "source"}, f"{name}.{key}"
             assert entry["source"].partition(": ")[0] in ("default", "derived", "tuned"), f"{name}.{key}"
+
+
+def test_the_folder_of_a_training_is_its_best_policy(tmp_path):
+    run = tmp_path / "quick-ppo-0"
+    run.mkdir()
+    with pytest.raises(StoreError, match="quick-ppo-0: a folder without best.safetensors or last.safetensors; expected a policy"):
+        controllers.chosen(run)
+    shutil.copy(FOLDER / "fitted.safetensors", run / "last.safetensors")
+    assert "last.safetensors" in controllers.chosen(run).notes[0]
+    shutil.copy(FOLDER / "paper.safetensors", run / "best.safetensors")
+    for brain in (controllers.chosen(run), controllers.make(str(run))):
+        assert brain.sha256 == controllers.make("paper").sha256 and brain.name == "quick-ppo-0"
+        assert brain.notes[0] == f"policy quick-ppo-0: taken from {run / 'best.safetensors'}"
+    with pytest.raises(StoreError, match=f"there is one in {run}"):
+        controllers.chosen(tmp_path)
+
+
+def test_a_folder_does_not_hide_a_shipped_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("paper", "dob"):
+        (tmp_path / name).mkdir()
+        assert controllers.chosen(name).name == controllers.make(name).name == name

@@ -232,10 +232,24 @@ def test_pairing_sees_a_shift_that_the_spread_would_hide():
 
 
 def test_welch_follows_its_formula():
-    a, b = np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 5.0, 9.0])
-    d = statistics.difference("power", a, b[:3])
-    t = (b[:3].mean() - a.mean()) / np.sqrt(a.var(ddof=1) / 3 + b[:3].var(ddof=1) / 3)
+    a, b = np.array([1.0, 2.0, 4.0, 4.5, 3.0]), np.array([3.0, 5.0, 5.0, 9.0, 2.0])
+    d = statistics.difference("power", a, b)
+    t = (b.mean() - a.mean()) / np.sqrt(a.var(ddof=1) / 5 + b.var(ddof=1) / 5)
     assert d.welch_t == pytest.approx(t)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 4])
+def test_too_few_trials_have_neither_interval_nor_test(n):
+    a = np.arange(n) + 1.0
+    e, d = statistics.estimate("power", [*a, np.nan]), statistics.difference("power", a, a * 2)
+    assert e.n == d.n == n and e.why == d.why == f"too few trials for an interval: {n} of 5"
+    assert np.isnan([e.low, e.high, d.low, d.high, d.welch_t, d.welch_p]).all() and not d.apart
+    assert n == 0 or (e.value, d.value) == pytest.approx((a.mean(), a.mean()))
+
+
+def test_five_pairs_have_an_interval_and_six_can_be_told_apart():
+    five, six = (statistics.difference("power", np.zeros(n), np.ones(n) + 0.1 * np.arange(n)) for n in (5, 6))
+    assert five.low > 0 and not five.why and not five.apart and six.apart
 
 
 def test_results_of_other_trials_cannot_be_compared():

@@ -67,6 +67,21 @@ def test_the_command_prints_tables_and_one_json_object_last(capsys, tmp_path):
     assert json.loads((tmp_path / "o" / "results.json").read_text(encoding="utf-8")) == last
 
 
+def test_two_trials_have_no_interval_and_no_star_and_the_reason_stands_there(capsys, tmp_path):
+    argv = ("drift", "pd", "--speeds", "0.2", "--los", "180", "--repeats", "2", "--engine", "compiled", "--duration", "5")
+    code, out, _ = run_command(capsys, *argv, "--json", "--out", str(tmp_path / "o"))
+    *table, last = out.strip().splitlines()
+    why, found = "too few trials for an interval: 2 of 5", json.loads(last)
+    assert code == 0 and found["results"][0]["overall"]["power"]["why"] == why
+    assert found["results"][1]["by_speed"]["0.2"]["power"]["low"] is None
+    power = next(d for d in found["paired"] if d["key"] == "power")
+    assert (power["n"], power["low"], power["welch_p"], power["why"]) == (2, None, None, why)
+    assert any(line.startswith("pd: arrival") and line.endswith(why) for line in table)
+    row = next(line for line in table if line.startswith("| power"))
+    assert why in row and "*" not in row and "(" not in row
+    assert (tmp_path / "o" / "report.html").read_text(encoding="utf-8").count(why) >= 3
+
+
 def test_pictures_show_something(tmp_path, engine):
     from matplotlib import image
 

@@ -161,7 +161,7 @@ def test_fault_13_ctrl_c_saves_exits_130_and_the_run_goes_on(tmp_path, capfd):
     assert np.isfinite(Policy.load(made["policy"])(np.zeros((1, 11)))).all()
     steps = made["steps"] + 2048
     capfd.readouterr()
-    assert console.run(main, [*options, "--steps", str(steps), "--resume", "--json"]) == console.OK
+    assert console.run(main, ["--out", str(folder), "--steps", str(steps), "--resume", "--json"]) == console.OK
     again = json.loads(capfd.readouterr().out.splitlines()[-1])["runs"][0]
     assert again["steps"] >= steps and not again["stopped"]
     rows = [json.loads(line)["step"] for line in metrics.read_text().splitlines() if "reward" in line]

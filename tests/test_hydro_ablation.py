@@ -11,10 +11,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from fishmj import console, mjcf
+from fishmj import console, interrupt, mjcf
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import ablation, ablation_table, chain, check
+from fishmj.hydro_fit.ablation_fit import Variant
 from fishmj.hydro_fit.ellipsoid import fit, force, judged
 from fishmj.hydro_fit.ellipsoid.swim import Hooks
 from fishmj.hydro_fit.fit import rollout
@@ -218,6 +219,28 @@ def test_the_verb_makes_the_table_and_goes_on_where_it_was(records, tmp_path, ca
         ablation.table(ROBOT, *records.values(), names=["wholes"], **about)
     with pytest.raises(ConfigError, match="no seed"):
         ablation.table(ROBOT, *records.values(), seeds=[], **about)
+
+
+def test_an_interrupted_table_says_what_it_holds_and_uses_it(records, tmp_path, monkeypatch):
+    """Broken off in the second row's fit, behind its first stage: the first row and that stage are not done again."""
+    given = {"settings": replace(QUICK, swims=0), "dataset": {"sha256": "x"}, "folder": tmp_path, "names": ["prior", "forces"]}
+    said, done = [], []
+    score, linear = Variant.score, Variant._linear
+
+    def breaks(self, *args):
+        said.append(interrupt._kept[-1][0]())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Variant, "_rollout", breaks)
+    monkeypatch.setattr(Variant, "_linear", lambda self, state: done.append("linear") or linear(self, state))
+    monkeypatch.setattr(Variant, "score", lambda self, *a: done.append("score") or score(self, *a))
+    with pytest.raises(KeyboardInterrupt):
+        ablation.table(ROBOT, *records.values(), **given)
+    assert said == [f"{tmp_path} holds 1 of 2 rows; go on with the same command"]
+    assert done == ["score", "linear"] and list((tmp_path / "stages").glob("linear-*"))
+    monkeypatch.setattr(Variant, "_rollout", lambda self, state: self._unmoved(state))
+    rows = ablation.table(ROBOT, *records.values(), **given)
+    assert [row["row"] for row in rows] == ["prior", "forces"] and done.count("linear") == 1
 
 
 def test_learnt_rows_are_drawn_once_a_seed_and_shown_with_their_range(monkeypatch, tmp_path):

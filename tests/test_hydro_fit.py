@@ -160,14 +160,20 @@ def test_an_interrupted_fit_goes_on_where_it_was(fitted, records):
     assert other._read("linear") is None  # another seed is another fit
 
 
-def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records):
+def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records, tmp_path, monkeypatch):
     """A water with half the thrust, fitted again: the swims of both parts of the validation come closer."""
     model = fitted[1].base_only
     worse = replace(model, base=model.base._replace(ke=0.5 * model.base.ke))
-    fit = Again(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), dataset={"sha256": "made"})
+    given = {"dataset": {"sha256": "made"}, "folder": tmp_path}
+    fit = Again(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
     better = fit.run()
     assert fit.score(flat(better.base), None) < 0.5 * fit.score(flat(worse.base), None)
     assert better.learnt is None and better.slip == model.slip
+    same = Again(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
+    monkeypatch.setattr(Again, "_newton", lambda *_: pytest.fail("a stage that was finished is done again"))
+    assert same.run().base == better.base
+    with pytest.raises(pytest.fail.Exception):  # another model is another fit
+        Again(ROBOT, model, records["train"], (records["val"], records["test"][:4]), **given).run()
 
 
 def test_training_records_validate_where_no_others_do(records, tmp_path):

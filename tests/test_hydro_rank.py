@@ -7,10 +7,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from fishmj import console, controllers, engines
+from fishmj import console, controllers, engines, interrupt
 from fishmj.engines import tanks
 from fishmj.errors import UsageError
-from fishmj.evaluate import figures, rank, rank_command, trials, two_waters
+from fishmj.evaluate import figures, rank, rank_command, statistics, trials, two_waters
 from fishmj.flow import stack
 from fishmj.hydro_fit.__main__ import main
 from fishmj.hydro_fit.model import HydroModel
@@ -91,7 +91,7 @@ def test_the_worst_controller_decides_the_gap():
 
 
 def test_too_few_trials_tell_nobody_apart():
-    few = lambda w: {name: x[: rank.LEAST - 1] for name, x in w.items()}  # noqa: E731
+    few = lambda w: {name: x[: statistics.APART - 1] for name, x in w.items()}  # noqa: E731
     found = rank.judged(KEY, [few(water(dob=0.1, pi=0.9))], [few(water(dob=0.1, pi=0.9))])
     assert found["counted"] == 0 and found["passed"]["tau"] is None and np.isnan(found["tau"])
 
@@ -131,12 +131,13 @@ def test_the_figures_of_a_whole_trial_are_the_judges():
 class MadeUp:
     """A solver: the unfitted strips behind the tanks' interface. `asked` counts trials, `patience` ends the process's luck."""
 
-    asked, patience = 0, 1000
+    asked, patience, words = 0, 1000, ""
     stopped: list[str] = []
 
     def __init__(self, robot, flows, *, domain, slip, device, finer=1):
         type(self).asked += len(flows)
         if self.asked > self.patience:
+            type(self).words = interrupt._kept[-1][0]()
             raise KeyboardInterrupt
         self.domain = preset(domain)
         self.body, self.current, self.stopped = engines.make("batch", robot), stack(flows), [""] * len(flows)
@@ -162,6 +163,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, solver):
     with pytest.raises(KeyboardInterrupt):
         command(tmp_path, "pd", "drift", "--trials", "2")
     assert len(list(tmp_path.rglob("*.npz"))) == 3
+    assert "lbm holds 3 finished trials of the solver; go on with" in solver.words and str(tmp_path) in solver.words
     solver.patience = 1000
     command(tmp_path, "pd", "drift", "--trials", "2")
     assert solver.asked == 4 + 1, "the fourth was begun twice, the first three were kept"

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fishmj import console, evaluate
+from fishmj import console, evaluate, interrupt
 from fishmj.evaluate import __main__ as judge
 from fishmj.hydro_fit.fit.loop import Loop
 
@@ -193,3 +193,18 @@ def test_a_named_stage_is_shown_at_once_and_not_counted():
     assert out.getvalue().splitlines()[0] == "x: compiling" and bar.rate == 0
     bar.update(2)
     assert bar.rate == pytest.approx(0.01)  # 1 in 100 s; the 100 s of compiling are not among them
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["python", "-m", "fishmj.hydro_fit", "rank", "pd", "--out", "a b"], "go on with: fishmj hydro_fit rank pd --out 'a b'"),
+        (["python", "-m", "fishmj", "calibrate", "check"], "go on with: fishmj calibrate check"),
+        (["python", "/bin/fishmj", "evaluate", "dob"], "go on with: fishmj evaluate dob"),
+        (["python", "mine.py"], "go on with the same command"),
+    ],
+)
+def test_the_command_that_goes_on_is_this_one(given, said, monkeypatch):
+    monkeypatch.setattr(sys, "orig_argv", given)
+    monkeypatch.setattr(sys, "argv", given[1:])
+    assert interrupt.again() == said

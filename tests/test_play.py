@@ -9,13 +9,14 @@ import pty
 import re
 import socket
 import struct
+import subprocess
 import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fishmj import console, log
+from fishmj import __version__, console, log, source
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
@@ -284,3 +285,28 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
     assert steersman(asked, load_robot("fish")).name == "paper"
     assert steersman(asked, load_robot("tendon_fish")).name == "drift"
     assert "made for another fish" in capsys.readouterr().err
+
+
+def test_a_live_trial_says_its_target_and_what_made_it(tmp_path):
+    pond = Pond("drift", flow=Flow(speed=0.1, direction=np.pi))
+    pond.step()
+    path = log.write_trial(tmp_path / "a", pond.trial())
+    read = log.read_trial(path)
+    assert not [note for note in read.notes if "missing" in note]
+    assert read.value("target") == [0.7, 0.0] and read.value("commit") == source.commit() and read.value("versions.fishmj")
+    pond.target = np.array([0.5, 0.1])
+    pond.step()
+    moved = pond.trial()
+    assert moved.value("target") == [0.5, 0.1] and any("target was moved" in note for note in moved.value("notes"))
+
+
+def test_a_package_in_somebody_elses_repository_says_its_version(tmp_path, monkeypatch):
+    """As in an environment inside a checkout of something else: git knows of no such file there."""
+    (tmp_path / "fishmj").mkdir()
+    monkeypatch.setattr(source, "HERE", tmp_path / "fishmj")
+    for command in (
+        ["git", "init", "-q"],
+        ["git", "-c", "user.name=x", "-c", "user.email=x@y", "commit", "-q", "--allow-empty", "-m", "x"],
+    ):
+        subprocess.run(command, cwd=tmp_path, check=True)
+    assert source.commit.__wrapped__() == f"fishmj {__version__}"

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -14,14 +15,15 @@ import numpy as np
 import pytest
 from synthetic import swim
 
-from fishmj import log
+from fishmj import console, log
 from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.identity import identity
 from fishmj.mjcf.skin import posed, skin
 from fishmj.replay import track, write_html, write_mp4, write_png
 from fishmj.replay.__main__ import main
 from fishmj.replay.film import TopView
-from fishmj.replay.scene import robot_of
+from fishmj.replay.scene import robot_of, unlike
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +159,37 @@ def test_the_command_writes_page_and_picture_and_reports(trial, tmp_path, capsys
     assert main([str(tmp_path / "a"), str(tmp_path / "a"), "--out", str(out), "--png", str(png), "--at", "2", "--json"]) == 0
     files = json.loads(capsys.readouterr().out.splitlines()[-1])["files"]
     assert [(f["path"], f["bytes"]) for f in files] == [(str(p), p.stat().st_size) for p in (out, png)]
+
+
+def test_a_picture_alone_writes_no_page_beside(trial, tmp_path, monkeypatch):
+    log.write_trial(tmp_path / "a", trial)
+    monkeypatch.chdir(tmp_path)
+    assert main(["a", "--png", "x.png"]) == 0
+    assert (tmp_path / "x.png").is_file() and not (tmp_path / "replay.html").exists()
+    assert main(["a"]) == 0 and (tmp_path / "replay.html").is_file()
+
+
+def test_another_robot_is_refused_and_other_numbers_are_said(trial, robot, tmp_path, capsys):
+    swum = log.Trial({**trial.meta, **identity(robot)}, trial.tables, name="a")
+    log.write_trial(tmp_path / "a", swum)
+    heavier = replace(robot, links=(replace(robot.links[0], mass=2 * robot.links[0].mass), *robot.links[1:]))
+    longer = replace(robot, name="mine", links=(replace(robot.links[0], length=2 * robot.links[0].length), *robot.links[1:]))
+    assert unlike(swum, robot) == ""
+    assert re.search(r"a: the log is of robot 'swift' \(\w{12}\), drawn as 'swift' \(\w{12}\)", unlike(swum, heavier))
+    with pytest.raises(ConfigError, match="--robot is 'mine' of another structure: lengths"):
+        unlike(swum, longer)
+    with pytest.raises(ConfigError, match="another structure: 5 joints, expected 3"):
+        unlike(log.Trial({"robot": "eel", "joints": 5}, {}, name="b"), robot)
+    assert unlike(log.Trial({"origin": "measured"}, trial.tables), robot) == ""
+    argv = [str(tmp_path / "a"), "--out", str(tmp_path / "r.html"), "--robot", "tendon_fish"]
+    assert console.run(main, argv) == console.BAD_INPUT
+    assert "another structure" in capsys.readouterr().err and not (tmp_path / "r.html").exists()
+
+
+def test_a_robot_that_does_not_come_with_fishmj_is_said(trial, tmp_path, capsys):
+    log.write_trial(tmp_path / "a", log.Trial({**trial.meta, "robot": "my_fish"}, trial.tables))
+    assert main([str(tmp_path / "a"), "--out", str(tmp_path / "r.html")]) == 0
+    assert "robot 'my_fish' does not come with fishmj: drawn as 'swift'; name its own with --robot" in capsys.readouterr().err
 
 
 def test_help_teaches_by_example(capsys):

@@ -1,5 +1,6 @@
 """Training runs on the fish: they learn, resume to the same bits, hide the flow from the policy, refuse what makes no sense."""
 
+import io
 import json
 import signal
 import subprocess
@@ -14,12 +15,13 @@ from training import StopAt, calm_run, figures_of, sac_run
 from fishmj import console, mjcf
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.policy import Policy
+from fishmj.store import write_json
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train import together
 from fishmj.train.__main__ import main
 from fishmj.train.learner import policy_of
 from fishmj.train.networks import mlp
-from fishmj.train.run import Run, is_better, learner_of
+from fishmj.train.run import Run, go_on, is_better, learner_of
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
 
 
@@ -114,12 +116,55 @@ def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume
     StopAt(settings, tmp_path, 8192, learner=learner).go()
     with pytest.raises(ConfigError, match="already holds a run; add --resume"):
         Run(settings, tmp_path, learner=learner)
-    with pytest.raises(ConfigError, match="made with other seed; resume with the same settings"):
+    with pytest.raises(ConfigError, match="seed = 5, the run has 0; a run goes on with its own settings"):
         Run(change(settings, seed=5), tmp_path, learner=learner, resume=True)
     with pytest.raises(ConfigError, match="nothing to resume"):
         Run(settings, tmp_path / "empty", learner=learner, resume=True)
     longer = Run(change(settings, steps=10**9), tmp_path, learner=learner, resume=True)  # only longer: that is allowed
     assert longer.done == 8192
+
+
+def test_a_resumed_run_reads_its_own_settings(tmp_path, capsys):
+    """Nothing is said again but where it is; what is said again and differs is refused with both values."""
+    out, n = str(tmp_path / "run"), 2048
+    small = ["--preset", "quick", "--engine", "compiled", "--hidden", "8", "--envs", "64", "--memory", "2", "--seed", "3"]
+    run = lambda *argv: console.run(main, ["--out", out, *argv, "--json"])  # noqa: E731
+    assert run(*small, "--steps", str(n)) == 0
+    for line, said in (
+        ("--envs 32", "algorithm.envs = 32, the run has 64"),
+        ("--seed 0", "seed = 0, the run has 3"),
+        ("--preset paper", "preset = paper, the run has quick"),
+        ("--algo sac", "algo = sac, the run has ppo"),
+        ("--hide joint", "task.hide = ['joint'], the run has not set"),
+    ):
+        assert run("--resume", *line.split()) == console.BAD_INPUT
+        assert said in capsys.readouterr().err
+    assert run("--resume", "--envs", "64", "--steps", str(2 * n)) == 0  # said again and the same
+    made = json.loads(capsys.readouterr().out.splitlines()[-1])["runs"][0]
+    assert (made["seed"], made["steps"]) == (3, 2 * n)
+    assert Policy.load(made["policy"]).memory == 2
+
+
+def test_own_code_of_a_run_is_named_again_on_the_command_line(tmp_path, capsys):
+    settings = calm_run(task={"course": "./mine.py:Line"})
+    write_json(tmp_path / "settings.json", as_dict(settings))
+    (tmp_path / "checkpoints").mkdir()
+    assert console.run(main, ["--resume", "--out", str(tmp_path)]) == console.BAD_INPUT
+    assert "add --task ./mine.py:Line" in capsys.readouterr().err
+    assert go_on(tmp_path, 5, settings).endswith(f"fishmj train --resume --out {tmp_path} --task ./mine.py:Line")
+    write_json(tmp_path / "settings.json", {"preset": "quick"})
+    assert console.run(main, ["--resume", "--out", str(tmp_path)]) == console.BAD_INPUT
+    assert "settings.json: no settings of a training" in capsys.readouterr().err
+
+
+def test_a_training_of_one_iteration_shows_its_rate_at_its_end():
+    now, out = [0.0], io.StringIO()
+    bar = console.Progress(8000, "train", "steps", stream=out, clock=lambda: now[0])
+    bar.begun = 4000  # of the run that goes on
+    bar.stage("compiling the first iteration")
+    now[0] = 4.0
+    bar.update(8000)
+    assert "  1k steps/s  took 4.0 s" in out.getvalue().splitlines()[-1]
 
 
 def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, monkeypatch):

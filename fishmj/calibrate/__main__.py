@@ -4,16 +4,23 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from fishmj import console
+from fishmj import console, interrupt
 from fishmj.console import Command
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
 
+CHECKED = Path("runs") / "calibrate" / "check"  # finished robots of `check`
 RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 
 def fit(verb: str, argv: list[str]) -> int:
     """One of the calibrations: servo, latency, slip, mass."""
+    again = interrupt.again("start again")
+    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+        return _fit(verb, argv)
+
+
+def _fit(verb: str, argv: list[str]) -> int:
     from fishmj.calibrate.verbs import VERBS
 
     args = options(verb).parse_args(argv)
@@ -60,7 +67,7 @@ def options(verb: str) -> console.Parser:
             type=console.text,
             help="grid of the solver's table: paper, window, laptop; default: the trials', else window",
         )
-        add("--recompute", action="store_true", help="run the solver and print a new entry of the table")
+        add("--recompute", action="store_true", help="run the solver and print a new entry of the table; keeps finished swims")
         ratios = console.Listed(console.number(0, 1), 20)
         add(
             "--ratios",
@@ -82,30 +89,34 @@ def score(argv: list[str]) -> int:
 
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
-    from fishmj.calibrate.check import check
+    from fishmj.calibrate.check import gathered, one
+    from fishmj.calibrate.kept import Kept
     from fishmj.calibrate.logs import Logs
     from fishmj.campaign.hidden_trials import hidden, trials, truth
+    from fishmj.gap.plants.bench import Bench
     from fishmj.gap.watch import shown
 
-    parser = console.parser("calibrate check", "Calibrate robots drawn anew, whose numbers are known: errors and coverage.")
+    about = (
+        f"Calibrate robots drawn anew, whose numbers are known: errors and coverage. Those that are done are kept in {CHECKED}"
+    )
+    parser = console.parser("calibrate check", f"{about} and not done again.")
     parser.add_argument("--robots", type=console.whole(1, 1000), default=8, help="how many are drawn; a robot takes minutes")
     parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
     args = parser.parse_args(argv)
-    seeds = range(args.seed, args.seed + args.robots)
-    with shown(args.robots, "robots", "robots") as bar:
-        rows = check(_counted(((truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed))) for seed in seeds), bar))
+    names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
+    kept, plant, robots = Kept(CHECKED, {}), Bench(), []
+    with interrupt.keeping(lambda: kept.words(list(names), "robots")), shown(args.robots, "robots", "robots") as bar:
+        for done, (name, seed) in enumerate(names.items(), 1):
+            off = kept.find(name)
+            if off is None:
+                off = kept.keep(name, one(truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed)), plant))
+            robots.append(off)
+            bar.update(done)
+    rows = gathered(robots)
     console.say(console.table(rows))
     if args.json:
         console.emit_json({"check": rows})
     return console.OK
-
-
-def _counted(cases, bar):
-    """The same, each counted as done when the next is asked for."""
-    for done, case in enumerate(cases):
-        bar.update(done)
-        yield case
-        bar.update(done + 1)
 
 
 def _model_file(text: str) -> Path:

@@ -1,7 +1,5 @@
 """How far off a calibration is where the truth is known: the systematic part of every interval comes from here."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from fishmj.calibrate import latency, servo
@@ -9,16 +7,23 @@ from fishmj.calibrate.logs import Logs
 from fishmj.calibrate.systematic import widened
 from fishmj.gap.plants.bench import Bench
 
+Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 
-def check(robots: Iterable[tuple[dict[str, float], Logs]]) -> list[dict]:
-    """Calibrate servo and latencies of robots whose numbers are given: mean and RMS error, share inside the 90 % interval."""
-    plant, off = Bench(), {}
-    for true, logs in robots:
-        found = servo.calibrate(logs, plant, alone=False)
-        fitted = found.estimates | {"camera_latency": latency.calibrate(logs, found).estimates["camera_latency"]}
-        for name, e in fitted.items():
-            wide = widened(e)
-            off.setdefault(name, []).append((e.value - true[name], true[name], wide.low <= true[name] <= wide.high))
+
+def one(true: dict[str, float], logs: Logs, plant: Bench) -> Off:
+    """Calibrate servo and latencies of a robot whose numbers are given."""
+    found = servo.calibrate(logs, plant, alone=False)
+    fitted = found.estimates | {"camera_latency": latency.calibrate(logs, found).estimates["camera_latency"]}
+    wide = {name: widened(e) for name, e in fitted.items()}
+    return {
+        name: [e.value - true[name], true[name], bool(wide[name].low <= true[name] <= wide[name].high)]
+        for name, e in fitted.items()
+    }
+
+
+def gathered(robots: list[Off]) -> list[dict]:
+    """Of all robots: mean and RMS error, share inside the 90 % interval."""
+    off = {name: [robot[name] for robot in robots] for name in robots[0]}
     return [
         {
             "number": name,

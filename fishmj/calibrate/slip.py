@@ -12,11 +12,13 @@ stress is rho c times the speed at which water slides along it, c = -ln(s) dx / 
 """
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import console
+from fishmj import console, interrupt
+from fishmj.calibrate.kept import Kept
 from fishmj.calibrate.least_squares import Estimate
 from fishmj.calibrate.systematic import table
 from fishmj.errors import LogError, UnknownName
@@ -182,8 +184,12 @@ def grid_of(trials: Iterable[Trial]) -> str:
     return "window"
 
 
-def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int) -> dict:
-    """One entry of the table: the nominal fish in the solver, without noise, at every ratio."""
+def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folder: Path) -> dict:
+    """One entry of the table: the nominal fish in the solver, without noise, at every ratio.
+
+    Args:
+        folder: finished swims are kept there, and not run again.
+    """
     from dataclasses import replace
 
     from fishmj import excitation
@@ -194,13 +200,26 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int) -> di
     rows = [round((WINDOW[what.id][1] + SPARE) / PERIOD) for what in whats]
     whats = [replace(what, commands=what.commands[:n]) for what, n in zip(whats, rows, strict=True)]
     ratios = sorted(float(s) for s in ratios)
-    waiting = [replace(job, slip=s) for s in ratios for job in jobs({}, whats, 0, 0.0, 0.0, grid)]
+    every = {_swim(job): job for job in (replace(j, slip=s) for s in ratios for j in jobs({}, whats, 0, 0.0, 0.0, grid))}
+    kept = Kept(folder, {"grid": grid})
+    waiting = [job for name, job in every.items() if kept.find(name) is None]
     steps = sum(job.steps for job in waiting)
-    water, cells = steps * waiting[0].domain.dt, np.prod(waiting[0].domain.shape) / 1e6
-    console.say(f"{len(waiting)} swims, {water:.0f} s of water, {steps} steps of {cells:.2f} million cells on {device}")
+    domain = next(iter(every.values())).domain
+    water, cells = steps * domain.dt, np.prod(domain.shape) / 1e6
+    there = f"; {len(every) - len(waiting)} more are kept in {folder}" if len(waiting) < len(every) else ""
+    console.say(f"{len(waiting)} swims, {water:.0f} s of water, {steps} steps of {cells:.2f} million cells on {device}{there}")
+    with interrupt.keeping(lambda: kept.words(list(every), "swims")):
+        for run in swum(waiting, device, tanks):
+            found = metric(run.job.what.id, trial_of(run).table("pose"))
+            kept.keep(_swim(run.job), [found])
+            console.say(f"slip {run.job.slip:g}, {run.job.what.id}: {found:.4g}")
     entry: dict = {"grid": grid, "slip": ratios, **{name: [float("nan")] * len(ratios) for name in WINDOW}}
-    for run in swum(waiting, device, tanks):
-        found = metric(run.job.what.id, trial_of(run).table("pose"))
-        entry[run.job.what.id][ratios.index(run.job.slip)] = found
-        console.say(f"slip {run.job.slip:g}, {run.job.what.id}: {found:.4g}")
+    for name, job in every.items():
+        (value,) = kept.find(name)
+        entry[job.what.id][ratios.index(job.slip)] = float("nan") if value is None else value
     return entry
+
+
+def _swim(job) -> str:
+    """File name of a swim of `recompute`."""
+    return f"{job.what.id}-{job.slip!r}"

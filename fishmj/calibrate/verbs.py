@@ -169,7 +169,7 @@ def run_slip(args) -> Answer:
 def recomputed(args) -> Answer:
     """One more entry for the table of solver swims."""
     grid, ratios = args.grid or "window_coarse", args.ratios
-    entry = slip.recompute(grid, ratios, args.device, args.tanks)
+    entry = slip.recompute(grid, ratios, args.device, args.tanks, args.report / "swims")
     console.say(f"put this into data/calib/calibrate.toml, in place of grid {grid}:", "", "[[solver]]", f'grid = "{grid}"')
     console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in values)}]" for key, values in entry.items() if key != "grid"))
     return {"solver": entry}

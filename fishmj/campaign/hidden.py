@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fishmj import __version__, excitation
+from fishmj import excitation
 from fishmj.campaign.hidden_run import CARRY, PASSES, WIDTH, HiddenRun, Job
 from fishmj.campaign.tank import DOUBT
 from fishmj.errors import ConfigError, OracleUnstable
@@ -22,6 +22,7 @@ from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.tanks import Tanks
 from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.source import made_by
 from fishmj.virtual_robot import draws, sensors
 from fishmj.virtual_robot.trials import SENSORS, Effects, plant, sense, sigmas
 
@@ -154,7 +155,7 @@ def _meta(run: HiddenRun, tables: dict) -> dict:
         "controller": "open loop",
         "refined_ticks": run.refined,
         "stopped": " ".join(run.stopped.split()),
-        "versions": {"fishmj": __version__, "numpy": np.__version__},
+        **made_by("numpy"),
         "source": "fishmj.campaign.hidden",
         "licence": "Apache-2.0",
         "notes": "simulated: immersed fish, electronics of the second robot; what is hidden in it is kept elsewhere",

@@ -9,12 +9,12 @@ from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
-from fishmj import console, controllers
+from fishmj import console, controllers, interrupt
 from fishmj.campaign.collect import Local
 from fishmj.campaign.command import ON_GPU
 from fishmj.campaign.rounds import correct
 from fishmj.campaign.tank import Setup
-from fishmj.hydro_fit.dataset import Dataset, open_dataset
+from fishmj.hydro_fit.dataset import SEGMENTS, Dataset, open_dataset
 from fishmj.hydro_fit.model import HydroModel
 from fishmj.lbm_oracle import cost
 from fishmj.lbm_oracle.device import device_of
@@ -54,8 +54,9 @@ def main(argv: list[str]) -> int:
     setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
     pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)
-    refit = lambda model, solver: refitted(robot, model, first, solver)  # noqa: E731
-    found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)
+    refit = lambda model, solver: refitted(robot, model, first, solver, out)  # noqa: E731
+    with interrupt.keeping(lambda: kept_words(out)):
+        found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)
     path = found["model"].save(out)
     console.say(console.table(found["rounds"]), f"model: {path}")
     if args.json:
@@ -63,8 +64,18 @@ def main(argv: list[str]) -> int:
     return console.OK if found["agreed"] else console.FAILED_CHECK
 
 
-def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path) -> HydroModel:
-    """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set."""
+def kept_words(out: Path) -> str:
+    """What an interrupted correction says."""
+    rounds, swims = (len(list(out.glob(kind))) for kind in ("round-*.json", f"solver/{SEGMENTS}/*.json"))
+    return f"{out} holds {rounds} finished rounds and {swims} segments of the solver; {interrupt.again()}"
+
+
+def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path, out: Path) -> HydroModel:
+    """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set.
+
+    Args:
+        out: folder of the rounds; finished stages of the fit are kept there.
+    """
     from fishmj.hydro_fit.fit.again import Again
     from fishmj.hydro_fit.fit.dealt import several
     from fishmj.hydro_fit.fit.newton import flaps
@@ -78,5 +89,11 @@ def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path) -> H
     room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
     every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
     made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"}
-    again = Again(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made)
-    return replace(again.run(), name=model.name)
+    again = Again(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
+
+    def words() -> str:
+        again.loop.save()  # the stage that is under way
+        return kept_words(out)
+
+    with interrupt.keeping(words):
+        return replace(again.run(), name=model.name)

@@ -1,6 +1,6 @@
 """Controllers for station holding behind one interface: egocentric, all trials at once.
 
-    controller = make("dob", robot)             a name of NAMES, a shipped policy, or a policy file
+    controller = make("dob", robot)             a name of NAMES, a shipped policy, a policy file, or the folder of a training
     controller.reset(n)
     commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
 
@@ -25,6 +25,7 @@ from fishmj import plugins
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.policy import is_policy
 from fishmj.policy import shipped as shipped_policies
 
 NAMES = ("drift", "pd", "pi", "dob", "adrc-c1", "adrc-c2", "adrc-c3")
@@ -43,7 +44,7 @@ class Controller(Protocol):
 
 
 def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False, **options: Any) -> Controller:
-    """A controller by name, or a policy by name or file. It runs no code but fishmj's, so the name may come from a file.
+    """A controller by name, or a policy by name, file or folder. It runs no code but fishmj's, so the name may come from a file.
 
     Args:
         any_command_path: a policy may steer on another command path than it was trained on, because that was asked for.
@@ -54,7 +55,7 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path:
             is not the one that the policy is for.
     """
     robot, name = load_robot(robot), str(name)
-    learned = name.endswith(".safetensors") or name in shipped_policies()
+    learned = name not in NAMES and is_policy(name)
     if not learned and name not in NAMES:
         raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
     if not learned and name != "drift":
@@ -78,7 +79,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_pat
     """
     robot, text = load_robot(robot), str(text)
     own = plugins.is_reference(text) or text in plugins.listed("controller")
-    known = text in NAMES or text.endswith(".safetensors") or text in shipped_policies()
+    known = text in NAMES or is_policy(text)
     if known or not (own or ".py" in text or ":" in text):
         if not known and (extra := plugins.listed("controller")):
             raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))

@@ -1,7 +1,7 @@
 """A trained policy as a controller: 11 numbers in, three joint angles out, on the robot's command path."""
 
+import os
 from hashlib import sha256
-from pathlib import Path
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.structure import observation_of, structure_of
 from fishmj.names import nearest
-from fishmj.policy import FOLDER, Policy
+from fishmj.policy import FOLDER, Policy, file_of
 from fishmj.policy_header import Body, fit
 from fishmj.tasks import station_hold as task
 
@@ -22,8 +22,8 @@ class Learned:
     """Wraps `fishmj.policy.Policy`; `action` is its last answer, `sha256` the file's, `notes` what is worth a line.
 
     Args:
-        source: path of a policy file, or the name of a shipped one. any_command_path: the robot's command path was asked for,
-            also where the policy was trained on another.
+        source: path of a policy file or of a training's folder, or the name of a shipped one.
+        any_command_path: the robot's command path was asked for, also where the policy was trained on another.
 
     Raises:
         UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
@@ -31,9 +31,11 @@ class Learned:
 
     def __init__(self, robot: Robot, source: str, any_command_path: bool = False):
         self.robot, self.policy = robot, Policy.load(source)
-        path = Path(source)
-        self.name = (nearest(path.stem) or "policy") if path.is_file() else source
-        self.sha256 = sha256((path if path.is_file() else FOLDER / f"{source}.safetensors").read_bytes()).hexdigest()
+        path, of_a_run = file_of(source), os.path.isdir(source)
+        self.name = (
+            source if path.parent == FOLDER else nearest(path.parent.resolve().name if of_a_run else path.stem) or "policy"
+        )
+        self.sha256 = sha256(path.read_bytes()).hexdigest()
         wanted = (5 + 2 * robot.n_joints, robot.n_joints)
         if (self.policy.n_obs, self.policy.n_act) != wanted:
             raise ConfigError(
@@ -43,7 +45,8 @@ class Learned:
         found = fit(self.policy.meta, body_of(robot), any_path=any_command_path, known=shipped_structures())
         if found.refused:
             raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {OTHERS}")
-        self.notes = tuple(f"policy {self.name}: {note}" for note in found.notes)
+        taken = (f"taken from {path}",) if of_a_run and path.parent != FOLDER else ()
+        self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
 
     def reset(self, n: int) -> None:
         """n episodes: the policy's memory is empty, the last command zero."""

@@ -2,17 +2,16 @@
 
 import tempfile
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from fishmj import __version__
 from fishmj.engines.solo import reported
 from fishmj.errors import LogError, SimDiverged
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
+from fishmj.source import made_by
 
 SANE_SPEED, SANE_SPIN = 20.0, 30.0  # m/s and rad/s: beyond them a log is refused, so rescued rows stop there
 
@@ -80,7 +79,7 @@ def meta_of(sim) -> dict:
         "latency": {"pose": 0.0, "command": sim.delay * sim.robot.timing.physics_dt},
         "seed": flow.seed,
         "clock": {name: "simulation" for name in ("cmd", "joint", "pose", "power", "truth", "flow")},
-        "versions": {"fishmj": __version__, "mujoco": version("mujoco"), "numpy": version("numpy")},
+        **made_by("mujoco", "numpy"),
         "source": "fishmj.sim",
         "licence": "Apache-2.0",
         "notes": f"simulated; {sensors}, without sensor noise or camera latency",

@@ -14,6 +14,7 @@ from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
+from fishmj.hydro_fit.model import shipped
 from fishmj.lbm_oracle.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 
@@ -32,33 +33,61 @@ def options() -> console.Parser:
     """The arguments of `evaluate`."""
     parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
-    brains = f"{', '.join(controllers.NAMES)}, a shipped policy, a policy file, or your own as module:Name or file.py:Name"
+    brains = f"{', '.join(controllers.NAMES)}; a shipped policy ({', '.join(controllers.shipped_policies())}); a policy file, the"
+    brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
-    add("--water", type=console.text, default="structured", help=f"{', '.join(WATERS)}, or the TOML of a fitted water")
+    water = "structured: the description's own coefficients; surrogate: the shipped water fitted for this robot; a fitted one by"
+    water += " name or TOML file; lbm: the flow solver itself, hours without a GPU"
+    add("--water", type=console.text, default="structured", help=water)
     add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
-    add("--slip", type=console.number(0, 1), default=1.0, help="slip ratio of --water lbm at the paper's grid")
+    add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in --water lbm: 1 slides, 0 sticks")
     add("--device", type=console.device, default="auto", help="of --water lbm: auto, cpu, cuda or cuda:N")
     tanks = "trials of --water lbm that run side by side; 12 or more keep one GPU busy"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
-    add("--turbulence", choices=tuple(PRESETS), default="default", help="of the current")
-    add("--intensity", type=console.number(0, 0.99), help="TI = u_rms / max(U, 0.1 m/s); default 0.05")
+    add("--turbulence", choices=tuple(PRESETS), default="default", help="kind of turbulence of the current")
+    add("--intensity", type=console.number(0, 0.99), help="of the turbulence, u_rms / max(speed, 0.1 m/s); default 0.05")
     speeds = console.Listed(console.number(0, 1))
-    add("--speeds", type=speeds, metavar="M/S,..", help="of the current; default 0.1,0.2,0.3")
+    add("--speeds", type=speeds, metavar="M/S,..", help="speeds of the current; default 0.1,0.2,0.3")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
-    add("--los", type=los, metavar="DEG,..", help="default 0,45,..,315; 0 = target straight upstream")
-    add("--repeats", type=console.whole(1, 1000), metavar="N", help="of every speed and direction; default 3")
-    add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start")
-    add("--engine", choices=engines.NAMES, default="batch", help="the judge is batch (MuJoCo C)")
-    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
+    angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315"
+    add("--los", type=los, metavar="DEG,..", help=angle)
+    add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
+    add(
+        "--heading",
+        choices=protocol.HEADINGS,
+        default="upstream",
+        help="of the fish at the start; uniform: drawn",
+    )
+    add(
+        "--engine",
+        choices=engines.NAMES,
+        default="batch",
+        help="what moves the fish; batch (MuJoCo in C) judges",
+    )
+    add(
+        "--duration",
+        type=console.number(1, 600),
+        metavar="S",
+        help="of a trial; default 60",
+    )
     add("--seed", type=console.SEED, default=0, help="of all draws")
-    add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
+    add(
+        "--seeds",
+        choices=protocol.SETS,
+        default="judge",
+        help="which draws; tune is for choosing gains and checkpoints",
+    )
     add(
         "--command-path",
         choices=COMMAND_PATHS,
-        help="how commands travel between policy steps; default the robot's. Asked for, policies of another steer too",
+        help="servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too",
     )
-    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
+    add(
+        "--any-command-path",
+        action="store_true",
+        help="policies steer on the robot's command path, not on theirs",
+    )
     own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
@@ -76,8 +105,8 @@ def main(argv: list[str]) -> int:
     if unused and args.water != "lbm":
         raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
     joined = own_effects.join(args.effects)
-    if args.water not in WATERS and not args.water.endswith(".toml"):
-        raise UnknownName("water", args.water, WATERS)
+    if args.water not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
+        raise UnknownName("water", args.water, (*WATERS, *shipped()))
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
     if args.plots and find_spec("matplotlib") is None:
@@ -149,7 +178,7 @@ def tanks_words(folder: Path | None) -> str:
     """What an interrupted judgement in the flow solver says."""
     if folder is None:
         return "nothing was kept: with --out DIR every finished trial is"
-    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; go on with the same command"
+    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; {interrupt.again()}"
 
 
 def affordable(robot, trials, brains: int) -> None:
@@ -214,12 +243,13 @@ def report(results: list[Result], args) -> int:
         save(args.out, results, found)
     console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
     console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
+    console.say(*tables.unbounded(summaries))
     for s in summaries:
         console.say("", f"{s['controller']} by flow speed", tables.by_condition(s, "by_speed"))
         console.say("", f"{s['controller']} by direction (0 = target straight upstream)", tables.by_condition(s, "by_los"))
     pairs = [(results[0], other) for other in results[1:]]
     for a, b in pairs:
-        console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; * = the interval excludes 0")
+        console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; {tables.STARRED}")
         console.say(tables.paired(a, b))
     if args.out is not None:
         console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log)}")

@@ -8,16 +8,15 @@ import hashlib
 import json
 import shutil
 from dataclasses import asdict
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fishmj import console, store
-from fishmj.calib import calib_folder
+from fishmj import console, interrupt, store
 from fishmj.errors import StoreError
 from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.result import Result
 from fishmj.mjcf.description import Robot
+from fishmj.source import package_sha256
 
 ARRAYS = ("t", "target", "pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
 
@@ -64,7 +63,7 @@ class Kept:
         """What is kept, and how to go on."""
         if self.folder is None:
             return "nothing was kept: with --out DIR every finished controller is"
-        return f"{self.folder} holds {len(self.done)} of {len(self.names)} controllers; go on with the same command"
+        return f"{self.folder} holds {len(self.done)} of {len(self.names)} controllers; {interrupt.again()}"
 
     def end(self) -> None:
         """All are finished and reported."""
@@ -80,19 +79,10 @@ class Kept:
             "water": water_of(self.robot),
             "trials": asdict(self.trials),
             "engine": self.engine,
-            "code": code(),
+            "code": package_sha256(),
         }
         mark = hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:16]
         return self.folder / "judged" / f"{brain.name}_{mark}.npz"
-
-
-@cache
-def code() -> str:
-    """sha256 over the source of this package and its constants."""
-    digest = hashlib.sha256()
-    for path in [*sorted(Path(__file__).parents[1].rglob("*.py")), *sorted(calib_folder().glob("*.toml"))]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def water_of(robot: Robot) -> list[str]:

@@ -1,19 +1,18 @@
 """Judged trials as trial folders (`fishmj.log`), for replay and for whoever wants the time series."""
 
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from math import ceil
 from pathlib import Path
 
 import numpy as np
 
-from fishmj import __version__
 from fishmj.engines.planar import link_centres
 from fishmj.evaluate.result import Result
 from fishmj.flow import sample, stack
 from fishmj.hydro_fit.chain import chain_of
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
+from fishmj.source import made_by
 from fishmj.store import Manifest
 from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
 
@@ -85,7 +84,7 @@ def trial_of(r: Result, i: int) -> Trial:
             "pose": float(camera[0]) * r.robot.timing.bus_dt,
             "command": float(np.asarray(params.delay)[0]) * r.robot.timing.physics_dt,
         },
-        "versions": {"fishmj": __version__, "numpy": np.__version__, "mujoco": _version("mujoco")},
+        **made_by("numpy", "mujoco"),
         "source": "fishmj.evaluate",
         "licence": "Apache-2.0",
         "notes": NOTE if ticks == len(r.t) - 1 else f"{NOTE}; the tank stopped after {ticks * r.robot.timing.bus_dt:.2f} s",
@@ -130,10 +129,3 @@ def _flow_at_links(r: Result, i: int, ticks: int) -> dict:
         rows.append(sample(np, many, link_centres(np, chain, some), tick)[0])
     u = np.concatenate(rows)
     return {**numbered("u#x", u[:, :, 0]), **numbered("u#y", u[:, :, 1])}
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

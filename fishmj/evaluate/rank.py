@@ -3,12 +3,11 @@
     gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval; of a trial that was repeated
                in a water, the mean over its runs there: a fish that overshoots and turns back is chaotic
     allowed    0.02 m, or twice what the solver's own mean moves by when the trials are repeated in it
-    told apart in a water: the interval of the paired difference of two controllers excludes 0; at least `LEAST` trials
+    told apart in a water: the interval of the paired difference of two controllers excludes 0 (`statistics.Difference.apart`)
     tau-b      sum s_a s_b / sqrt(sum s_a^2 sum s_b^2),  s = sign of a pair's mean difference in each water (Kendall 1945)
 
 Only pairs that are told apart in both waters count for the verdict: of a pair that lies within its interval nobody knows which
-is better. Of fewer than `LEAST` trials even equal controllers would all have the same sign in more than 5 % of the draws,
-2^(1 - n), so that no 95 % interval can be had from them.
+is better.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +15,9 @@ from itertools import combinations
 
 import numpy as np
 
-from fishmj.evaluate.statistics import Difference, difference, estimate
+from fishmj.evaluate.statistics import difference, estimate
 
 GAP, TAU = 0.02, 0.8  # m; the least rank correlation
-LEAST = 6  # trials
 UNRANKED = ("drift",)  # shown beside the others
 
 ByController = Mapping[str, np.ndarray]  # (n,) one figure a trial, m, NaN where a trial has none
@@ -70,7 +68,7 @@ def controller(key: str, name: str, solver: np.ndarray, surrogate: np.ndarray) -
         "lost": int(len(both) - gap.n),
         "solver": estimate(key, a)._asdict(),
         "surrogate": estimate(key, b)._asdict(),
-        "gap": {"value": gap.value, "low": gap.low, "high": gap.high},
+        "gap": {key: getattr(gap, key) for key in ("value", "low", "high", "why")},
         "repeats": repeats,
         "runs": [len(solver), len(surrogate)],
         "allowed": allowed,
@@ -102,23 +100,19 @@ def pair(key: str, a: str, b: str, solver: ByController, surrogate: ByController
     four = [np.asarray(water[name], float) for water in (solver, surrogate) for name in (a, b)]
     all_four = np.isfinite(four).all(0)
     first, second = (difference(key, *(x[all_four] for x in two)) for two in (four[:2], four[2:]))
-    told = [apart(first), apart(second)]
+    told = [first.apart, second.apart]
     return {
         "a": a,
         "b": b,
         "n": first.n,
         "solver": {"value": first.value, "low": first.low, "high": first.high},
         "surrogate": {"value": second.value, "low": second.low, "high": second.high},
+        "why": first.why,
         "solver_told": told[0],
         "surrogate_told": told[1],
         "counted": all(told),
         "agree": bool(first.value * second.value > 0),
     }
-
-
-def apart(d: Difference) -> bool:
-    """Whether a paired difference is one: its interval excludes 0, from `LEAST` trials or more."""
-    return bool(d.n >= LEAST and (d.low > 0 or d.high < 0))
 
 
 def kendall(pairs: list[dict]) -> float:

@@ -12,10 +12,11 @@ Exit code 1 where a tolerance is missed, 3 where too few trials tell the control
 """
 
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 
-from fishmj import console, controllers, engines
+from fishmj import console, controllers, engines, interrupt
 from fishmj.campaign.command import GO, ON_GPU
 from fishmj.campaign.solver import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
@@ -99,13 +100,20 @@ def main(argv: list[str]) -> int:
     beside = [(0.0, 0.0), *(two_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]
     body = engines.make(args.engine, fitted)
     surrogates = [two_waters.in_surrogate(fitted, body, shift) for shift in beside]
-    with console.Progress(total, "rank in the solver", unit="sim s") as bar:
-        trials, solved = in_turn(brains, trials, waters, tanks, args.budget, bar)
-    each = trials.duration * len(trials) * len(brains)
-    with console.Progress(each * len(surrogates), "rank in the surrogate", unit="sim s") as bar:
-        reports = [report_after(bar, i * each) for i in range(len(surrogates))]
-        swum = [two_waters.swim(brains, trials, water, report=told) for water, told in zip(surrogates, reports, strict=True)]
-    return shown(verdict(trials, solved, swum, model, args), args)
+    with interrupt.keeping(lambda: kept_words(args.out)):
+        with console.Progress(total, "rank in the solver", unit="sim s") as bar:
+            trials, solved = in_turn(brains, trials, waters, tanks, args.budget, bar)
+        each = trials.duration * len(trials) * len(brains)
+        with console.Progress(each * len(surrogates), "rank in the surrogate", unit="sim s") as bar:
+            reports = [report_after(bar, i * each) for i in range(len(surrogates))]
+            swum = [two_waters.swim(brains, trials, water, report=told) for water, told in zip(surrogates, reports, strict=True)]
+        return shown(verdict(trials, solved, swum, model, args), args)
+
+
+def kept_words(folder: Path) -> str:
+    """What an interrupted ranking says."""
+    swims = two_waters.kept_in(folder)
+    return f"{swims} holds {len(list(swims.glob('*.npz')))} finished trials of the solver; {interrupt.again()}"
 
 
 def report_after(bar: console.Progress, before: float) -> two_waters.Said:
@@ -179,6 +187,7 @@ def shown(found: dict, args) -> int:
     console.say("", head, "value (95 % bootstrap interval over trials); gap = surrogate - solver, paired", "")
     for key in two_waters.KEYS:
         console.say(console.table([row_of(key, row) for row in found[key]["controllers"]]), "")
+    console.say(*unbounded(found))
     if t["n"] < t["asked"]:
         console.warn(f"{t['n']} of {t['asked']} trials are finished; the same command goes on with the rest")
     if found["model_fitted_on"] not in ("", found["domain"]):
@@ -194,9 +203,18 @@ def shown(found: dict, args) -> int:
     return {True: console.OK, False: console.FAILED_CHECK, None: console.CANNOT_TELL}[found["ok"]]
 
 
+def unbounded(found: dict) -> list[str]:
+    """Which controllers' figures stand there without an interval, and why: a line a reason."""
+    rows = [(key, row) for key in two_waters.KEYS for row in found[key]["controllers"] if row["gap"]["why"]]
+    reasons = dict.fromkeys((key, row["gap"]["why"]) for key, row in rows)
+    named = lambda reason: [row["controller"] for key, row in rows if (key, row["gap"]["why"]) == reason]  # noqa: E731
+    return [f"{reason[0]} of {', '.join(named(reason))}: {reason[1]}" for reason in reasons]
+
+
 def row_of(key: str, row: dict) -> dict:
     """One controller as the terminal shows it."""
-    cell = lambda e, sign="": f"{e['value']:{sign}.3f} ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"  # noqa: E731
+    bounds = lambda e, sign: "" if e["why"] else f" ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"  # noqa: E731
+    cell = lambda e, sign="": f"{e['value']:{sign}.3f}{bounds(e, sign)}"  # noqa: E731
     name = row["controller"]
     about = {"controller": name, "is": MEANING.get(name, "") if row["ranked"] else "not ranked", "n": row["n"]}
     about |= {

@@ -37,7 +37,8 @@ def _draw(ax, found: dict) -> None:
     from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 
     rows = [row for row in found["controllers"] if row["n"]]
-    ends = [row[water][end] for row in rows for water in ("solver", "surrogate") for end in ("low", "high", "value")]
+    spans = [row[water][end] for row in rows for water in ("solver", "surrogate") for end in ("low", "high", "value")]
+    ends = [end for end in spans if np.isfinite(end)]
     low, high = max(min(ends, default=0.05) / 1.4, 5e-3), max(ends, default=1.0) * 1.4
     line = np.geomspace(low, high, 200)
     ax.fill_between(line, np.maximum(line - GAP, low / 10), line + GAP, color=FAINT, alpha=0.5, lw=0, label=f"within {GAP:g} m")

@@ -147,9 +147,11 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], repl
         "<h2>All trials</h2><p class='quiet'>value (95 % bootstrap interval over trials)</p>",
         as_html(tables.overall(summaries)),
         as_html(tables.overall(summaries, ("arrival", *tables.REST))),
+        *(f"<p class='quiet'>{escaped(line)}</p>" for line in tables.unbounded(summaries)),
     ]
     for other in results[1:]:
         parts.append(f"<h2>{escaped(other.controller)} minus {escaped(results[0].controller)}, paired by trial</h2>")
+        parts.append(f"<p class='quiet'>{escaped(tables.STARRED)}</p>")
         parts.append(as_html(tables.paired(results[0], other)))
     for path, caption in shown:
         shown_as = picture(path.read_bytes(), caption)

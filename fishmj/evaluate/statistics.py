@@ -2,6 +2,10 @@
 
     interval      percentile bootstrap over trials, 95 %, fixed seed (Efron & Tibshirani 1993)
     difference    mean of b_i - a_i over the trials that both have, its bootstrap interval, and Welch's t-test of a against b
+    too few       of fewer than `ENOUGH` trials there is neither interval nor test (NaN): a bootstrap of so few draws the same
+                  values again and again, and its interval is far too narrow (one trial: none wide at all)
+    told apart    the interval excludes 0, of `APART` pairs or more: of fewer even two equal controllers give all differences
+                  the same sign in 2^(1 - n) > 5 % of the draws, so that no 95 % interval can tell
 
 Approach time is a median over the trials that arrive; every other key is a mean over the trials that have it.
 """
@@ -16,16 +20,18 @@ from fishmj.evaluate.metrics import UNITS, figures
 from fishmj.evaluate.result import Result
 
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
+ENOUGH, APART = 5, 6  # trials
 MEDIANS = ("approach_time",)
 
 
 class Estimate(NamedTuple):
-    """A figure with its interval over n trials."""
+    """A figure with its interval over n trials; `why` there is none, where low and high are NaN."""
 
     value: float
     low: float
     high: float
     n: int
+    why: str = ""
 
 
 class Difference(NamedTuple):
@@ -38,6 +44,12 @@ class Difference(NamedTuple):
     n: int
     welch_t: float
     welch_p: float
+    why: str = ""
+
+    @property
+    def apart(self) -> bool:
+        """Whether the difference is one: its interval excludes 0, of `APART` pairs or more."""
+        return self.n >= APART and (self.low > 0 or self.high < 0)
 
 
 def statistic(key: str) -> Callable:
@@ -45,15 +57,20 @@ def statistic(key: str) -> Callable:
     return np.median if key in MEDIANS else np.mean
 
 
+def too_few(n: int) -> str:
+    """Why n trials have no interval; "" where they have one."""
+    return f"too few trials for an interval: {n} of {ENOUGH}" if n < ENOUGH else ""
+
+
 def estimate(key: str, values) -> Estimate:
     """Gather (n,) figures, NaN left out, with a bootstrap interval over trials."""
     x = np.asarray(values, float)
     x = x[np.isfinite(x)]
-    if not len(x):
-        return Estimate(np.nan, np.nan, np.nan, 0)
     gather = statistic(key)
-    low, high = _interval(gather(_resampled(x), -1))
-    return Estimate(float(gather(x)), low, high, len(x))
+    value = float(gather(x)) if len(x) else np.nan
+    if why := too_few(len(x)):
+        return Estimate(value, np.nan, np.nan, len(x), why)
+    return Estimate(value, *_interval(gather(_resampled(x), -1)), len(x))
 
 
 def difference(key: str, a, b) -> Difference:
@@ -63,14 +80,15 @@ def difference(key: str, a, b) -> Difference:
     a, b = np.asarray(a, float), np.asarray(b, float)
     both = np.isfinite(a) & np.isfinite(b)
     a, b = a[both], b[both]
-    if not len(a):
-        return Difference(key, np.nan, np.nan, np.nan, 0, np.nan, np.nan)
+    value = float(np.mean(b - a)) if len(a) else np.nan
+    if why := too_few(len(a)):
+        return Difference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, why)
     low, high = _interval(_resampled(b - a).mean(-1))
     t = p = np.nan
-    if len(a) > 1 and (np.ptp(a) > 0 or np.ptp(b) > 0):
+    if np.ptp(a) > 0 or np.ptp(b) > 0:
         one, two = ((x.mean(), x.std(ddof=1), len(x)) for x in (b, a))
         t, p = ttest_ind_from_stats(*one, *two, equal_var=False)
-    return Difference(key, float(np.mean(b - a)), low, high, len(a), float(t), float(p))
+    return Difference(key, value, low, high, len(a), float(t), float(p))
 
 
 def _resampled(x) -> np.ndarray:
@@ -88,7 +106,7 @@ def summary(result: Result) -> dict:
     """Every key over all trials, by speed and by direction; plain numbers, ready for JSON.
 
     Returns:
-        {"controller", "n", "overall": {key: {value, low, high, n, unit}}, "by_speed": {"0.1": ..}, "by_los": {"45": ..}}
+        {"controller", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..}, "by_los": {"45": ..}}
     """
     found = figures(result)
     trials = result.trials
@@ -104,7 +122,7 @@ def summary(result: Result) -> dict:
 
 
 def gather(found: dict, rows=slice(None)) -> dict:
-    """{key: {value, low, high, n, unit}} of some trials."""
+    """{key: {value, low, high, n, why, unit}} of some trials."""
     return {key: {**estimate(key, x[rows])._asdict(), "unit": UNITS[key]} for key, x in found.items()}
 
 

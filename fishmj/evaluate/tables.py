@@ -4,7 +4,7 @@ from math import isfinite
 
 from fishmj import console
 from fishmj.evaluate.result import Result
-from fishmj.evaluate.statistics import compare
+from fishmj.evaluate.statistics import APART, compare
 
 SHORT = {  # key -> heading, digits
     "arrival": ("arrival", 3),
@@ -18,6 +18,7 @@ SHORT = {  # key -> heading, digits
     "rheotactic_index": ("RI cos", 3),
     "rheotactic_index_linear": ("RI lin", 3),
 }
+STARRED = f"* = the interval excludes 0, of {APART} pairs or more"
 MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
 
@@ -52,9 +53,19 @@ def cell(key: str, e: dict, interval: bool = True) -> str:
     if e["n"] == 0:
         return "-"
     text = f"{e['value']:.{digits}f}"
-    if interval:
+    if interval and not e["why"]:
         text += f" ({e['low']:.{digits}f} {e['high']:.{digits}f})"
     return f"{text} n={e['n']}" if key == "approach_time" else text
+
+
+def unbounded(summaries: list[dict]) -> list[str]:
+    """Which figures of which controller stand there without an interval, and why: a line a reason."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for s in summaries:
+        for key, e in s["overall"].items():
+            if e["why"] and e["n"]:
+                found.setdefault((s["controller"], e["why"]), []).append(SHORT[key][0])
+    return [f"{name}: {', '.join(heads)}: {why}" for (name, why), heads in found.items()]
 
 
 def number(x: float, form: str) -> str:
@@ -72,18 +83,17 @@ def by_condition(summary: dict, which: str, keys=MAIN) -> str:
 
 
 def paired(first: Result, second: Result, keys=MAIN) -> str:
-    """second minus first, trial by trial: mean difference, its interval, Welch's t-test."""
+    """second minus first, trial by trial: mean difference, its interval or why there is none, Welch's t-test."""
     rows = []
     for d in compare(first, second):
         if d.key not in keys:
             continue
         head, digits = SHORT[d.key]
-        clear = d.low > 0 or d.high < 0
         row: dict[str, object] = {
             "key": head,
             f"{second.controller} - {first.controller}": f"{d.value:+.{digits}f}" if d.n else "-",
         }
-        row["95 % interval"] = f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if clear else ''}" if d.n else "-"
+        row["95 % interval"] = d.why or f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if d.apart else ''}"
         row |= {"pairs": d.n, "Welch t": number(d.welch_t, ".2f"), "Welch p": number(d.welch_p, ".2g")}
         rows.append(row)
     return console.table(rows)

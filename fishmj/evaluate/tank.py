@@ -20,6 +20,7 @@ from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.result import Result
 from fishmj.mjcf.description import Robot
 
+KEPT = "lbm"  # folder of finished trials
 ARRAYS = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
 
 
@@ -62,7 +63,7 @@ def judge(
     steps = round(trials.duration / robot.timing.control_dt)
     label = "_".join(filter(None, (fingerprint(brain, robot, trials, domain, slip), variation.name)))
     box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "finer": variation.finer}
-    paths = [None if folder is None else folder / "lbm" / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
+    paths = [None if folder is None else folder / KEPT / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
     found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
     waiting = [i for i in range(len(trials)) if i not in found]
     for group in (waiting[k : k + tanks] for k in range(0, len(waiting), tanks)):

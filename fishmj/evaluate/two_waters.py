@@ -47,13 +47,18 @@ def in_solver(
     variation: tank.Variation = tank.UNCHANGED,
 ) -> Water:  # fmt: skip
     """The flow solver; finished trials are kept in `folder` under the solver's own sha256 and not run again."""
-    kept = Path(folder) / f"solver-{solver_sha256()[:8]}"
+    kept = kept_in(folder).parent
 
     def judge(brain, trials: Trials, report: Report) -> Result:
         box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "tanks": tanks, "variation": variation}
         return tank.judge(brain, robot, trials, kept, progress=report, **box)
 
     return judge
+
+
+def kept_in(folder: Path) -> Path:
+    """Where `in_solver` keeps finished trials."""
+    return Path(folder) / f"solver-{solver_sha256()[:8]}" / tank.KEPT
 
 
 def in_surrogate(robot: Robot, engine="batch", shift: tuple[float, float] = (0.0, 0.0)) -> Water:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj import interrupt
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.hydro_fit import chain, check
 from fishmj.hydro_fit.ablation_fit import Variant
@@ -79,21 +80,24 @@ def table(
     if not seeds:
         raise ConfigError("ablation: no seed; expected at least one, such as --seeds 0")
     todo = [(name, seed) for name in ROWS if name in names for seed in (seeds if ROWS[name].drawn else seeds[:1])]
-    made, parts = [], (train, val, test)
+    made: list[dict] = []
+    parts = (train, val, test)
     about = {"robot": robot_hash(robot), "data": dataset, "code": code()}
     about["records"] = [[r.id for r in part] for part in parts]
-    for k, (name, seed) in enumerate(todo):
-        own = replace(settings, seed=seed, **ROWS[name].changes)
-        key, place = _key(about, ROWS[name], own), folder / "rows" / f"{name}-{seed}.json"
-        row = _kept(place, key)
-        if row is None:
-            told = lambda stage, share, _, k=k, name=name: report and report((k + share) / len(todo), f"{name}: {stage}")  # noqa: E731
-            found = _one(robot, parts, ROWS[name], own, about, folder / "stages", told)
-            row = plain({"schema": SCHEMA, "key": key, "row": name, "title": ROWS[name].title, "seed": seed, **found})
-            write_json(place, row)
-        made.append(row)
-        if report is not None:
-            report((k + 1) / len(todo), name)
+    words = lambda: f"{folder} holds {len(made)} of {len(todo)} rows; {interrupt.again()}"  # noqa: E731
+    with interrupt.keeping(words):
+        for k, (name, seed) in enumerate(todo):
+            own = replace(settings, seed=seed, **ROWS[name].changes)
+            key, place = _key(about, ROWS[name], own), folder / "rows" / f"{name}-{seed}.json"
+            row = _kept(place, key)
+            if row is None:
+                told = lambda stage, part, _, k=k, name=name: report and report((k + part) / len(todo), f"{name}: {stage}")  # noqa: E731
+                found = _one(robot, parts, ROWS[name], own, about, folder / "stages", told, words)
+                row = plain({"schema": SCHEMA, "key": key, "row": name, "title": ROWS[name].title, "seed": seed, **found})
+                write_json(place, row)
+            made.append(row)
+            if report is not None:
+                report((k + 1) / len(todo), name)
     return made
 
 
@@ -114,7 +118,10 @@ def _kept(place: Path, key: str) -> dict | None:
     return row if row.get("schema") == SCHEMA and row.get("key") == key else None
 
 
-def _one(robot: Robot, parts, row: Row, settings: Settings, about: dict, stages: Path, report: Callable) -> dict:
+def _one(
+    robot: Robot, parts, row: Row, settings: Settings, about: dict, stages: Path, report: Callable, words: interrupt.Words
+) -> dict:
+    """Fit and judge a row. words: what an interrupted table says, which also keeps the stage of the fit that is under way."""
     train, val, test = parts
     if row.kind == "ellipsoid":
         fit = ellipsoid.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
@@ -124,7 +131,13 @@ def _one(robot: Robot, parts, row: Row, settings: Settings, about: dict, stages:
         return told | {"validation": scores, "coefficients": water.coefficients}
     known = {"dataset": about["data"], "code": about["code"], "folder": stages}
     variant = Variant(robot, train, val, settings=settings, retune=row.retune, report=report, **known)
-    model = unfitted(robot) if row.kind == "prior" else variant.solve()
+
+    def kept() -> str:
+        variant.loop.save()
+        return words()
+
+    with interrupt.keeping(kept):
+        model = unfitted(robot) if row.kind == "prior" else variant.solve()
     scores = variant.scores | {"judged": variant.score(flat(model.base), model.learnt)}
     told = _told(check.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
     return told | {"validation": scores, "stages": variant.seconds}

@@ -12,13 +12,11 @@ letter, `tethered` holds the root; the torques that this takes are the servo's a
 """
 
 from collections.abc import Callable, Generator, Iterator
-from importlib.metadata import version
 from typing import cast
 
 import numpy as np
 import warp as wp
 
-from fishmj import __version__
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.coupling import Coupled
 from fishmj.lbm_oracle.drivers import Driver, Servos
@@ -30,6 +28,7 @@ from fishmj.mjcf.bus import arrived, on_the_bus
 from fishmj.mjcf.centres import link_centres
 from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
+from fishmj.source import made_by
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
@@ -309,7 +308,7 @@ class Run:
             | {"refined_ticks": self.refined, "stopped": self.stopped},
             "seed": flow.seed,
             "clock": {name: "simulation" for name in tables},
-            "versions": {"fishmj": __version__} | {name: version(name) for name in ("mujoco", "numpy", "warp-lang")},
+            **made_by("mujoco", "numpy", "warp-lang"),
             "source": "fishmj.lbm_oracle",
             "licence": "Apache-2.0",
             "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r"

@@ -97,9 +97,8 @@ def options() -> console.Parser:
     """The arguments of `play`."""
     parser = console.parser("play", "One fish live in MeshCat: you make the current and move the target.", examples=EXAMPLES)
     add = parser.add_argument
-    steered = (
-        f"controller, shipped policy, policy file, or your own as module:Name; default {BEST} where it fits the robot, else drift"
-    )
+    steered = "controller, shipped policy, policy file, folder of a training, or your own as module:Name; default"
+    steered += f" {BEST} where it fits the robot, else drift"
     add("--controller", type=console.text, help=steered)
     add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
     add("--robot", type=console.text, default="fish", help="description, name or TOML")

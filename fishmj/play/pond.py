@@ -1,17 +1,17 @@
 """One fish, one controller, and a current and target that may change while it swims."""
 
-from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import __version__, controllers, engines
+from fishmj import controllers, engines
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.flow import Flow, sample
 from fishmj.hydro_fit import chain
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
+from fishmj.source import made_by
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
 from fishmj.tasks.sensing import Sensors, readings
@@ -191,6 +191,8 @@ class Pond:
             notes.append(
                 "the current was changed by hand: flow.speed and flow.direction are the last ones set, the table flow is exact"
             )
+        if not (still := len({(*c.target,) for c in self.chunks}) == 1):
+            notes.append("the target was moved by hand: target is where it was last, the table target is exact")
         if len(brains) > 1:
             notes.append(f"steered by {', '.join(brains)}, one after the other")
         return {
@@ -204,7 +206,8 @@ class Pond:
             "engine": self.engine_name,
             "controller": brains[-1],
             "policy_sha256": str(getattr(self.controller, "sha256", "")),
-            "excitation": "live" if len({(*c.target,) for c in self.chunks}) > 1 or not steady else "station holding",
+            "target": self.chunks[-1].target.tolist(),
+            "excitation": "station holding" if still and steady else "live",
             "replicate_of": "",
             "start": [float(value) for value in self._start],
             "push": [0.0, 0.0, 0.0],
@@ -215,7 +218,7 @@ class Pond:
                 "command": float(np.asarray(self._params.delay)[0]) * self.robot.timing.physics_dt,
             },
             "seed": self.flow.seed,
-            "versions": {"fishmj": __version__, "numpy": np.__version__, "mujoco": version("mujoco")},
+            **made_by("numpy", "mujoco"),
             "source": "fishmj.play",
             "licence": "Apache-2.0",
             "notes": notes if len(notes) > 1 else notes[0],

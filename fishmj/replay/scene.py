@@ -13,6 +13,8 @@ from fishmj.calib import shipped
 from fishmj.errors import ConfigError, FishmjError, LogError
 from fishmj.log import Trial, stacked
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.structure import structure_of
 
 FPS = 50.0
 LONGEST = 3600.0  # s of one log; a page holds 50 frames of each of them
@@ -62,6 +64,32 @@ def named_robot(trial: Trial) -> Robot | None:
         if wanted in (name, candidate.name):
             return candidate
     return None
+
+
+def unlike(trial: Trial, robot: Robot) -> str:
+    """What to know of drawing a trial as `robot`; "" where the trial is of it, or does not say whose it is.
+
+    Raises:
+        ConfigError: the trial is of a robot of another structure.
+    """
+    name, total, joints = (trial.value(key) for key in ("robot", "robot_sha256", "joints"))
+    if not name or total == robot_sha256(robot):
+        return ""
+    own, log = named_robot(trial), f"{trial.name or 'trial'}: the log is of robot {str(name)[:64]!r}"
+    known = own if own is not None and (own.name != robot.name or total == robot_sha256(own)) else None
+    a, b = ({} if one is None else structure_of(one) for one in (known, robot))
+    other = next((f"{key} {a[key]}, expected {b[key]}" for key in ("links", "lengths", "joints") if a and a[key] != b[key]), "")
+    if isinstance(joints, int) and joints != robot.n_joints:
+        other = f"{joints} joints, expected {robot.n_joints}"
+    if other:
+        raise ConfigError(f"{log}, --robot is {robot.name!r} of another structure: {other}; leave --robot out, or name its own")
+    if name == robot.name and total is None:
+        return ""
+    return f"{log}{_sum(total)}, drawn as {robot.name!r}{_sum(robot_sha256(robot))}: not the same description"
+
+
+def _sum(total: object) -> str:
+    return f" ({total[:12]})" if isinstance(total, str) else ""
 
 
 def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:

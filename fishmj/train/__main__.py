@@ -1,6 +1,7 @@
 """`python -m fishmj.train`: learn to hold station."""
 
 import argparse
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ EXAMPLES = """examples:
   fishmj train --memory 8                        the policy sees its last eight observations
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
-  fishmj evaluate runs/quick-ppo-0/best.safetensors  judge what came out
+  fishmj evaluate runs/quick-ppo-0               judge what came out: its best.safetensors
 """
 
 
@@ -31,37 +32,63 @@ def options() -> console.Parser:
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
-    p = console.parser("train", "Learn to hold station in a current that the fish cannot sense.", examples=EXAMPLES)
+    about = "Learn to hold station in a current that the fish cannot sense; leaves a policy file, best.safetensors, in --out."
+    about += " The paper is the one on zero-shot sim-to-real station holding (docs/paper_errata.md)."
+    p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
-    preset = "quick: CPU, paper: GPU, paper-sac: the paper's budget (default: quick on a CPU, else paper)"
+    of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())  # noqa: E731
+    preset = "set of defaults. quick: PPO for a CPU; paper: PPO, the paper's network, for a GPU; paper-sac: the paper's algorithm"
+    preset += " and budget (default: quick on a CPU, else paper)"
     add("--preset", choices=tuple(PRESETS), help=preset)
     algo = f"learning algorithm: {', '.join(ALGORITHMS)}, or your own as module:Name (default: the preset's)"
     add("--algo", type=console.text, metavar="NAME", help=algo)
     task = f"{', '.join(COURSES)}, or your own as module:Name, docs/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
-    engine = "auto: mjx on a GPU, compiled or planar on a CPU (default: the preset's, auto)"
+    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)
-    steps = "control steps of 0.2 s, all fish together (default: the preset's)"
+    steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    add("--envs", type=console.whole(1, 2**20), metavar="N", help="fish that swim at once (default: the preset's)")
-    add("--seed", type=SEED, help="of the run (default: the preset's, 0)")
-    add("--seeds", type=console.Listed(SEED), metavar="N,..", help="several runs, for example 0,1,2 (default: --seed)")
+    add(
+        "--envs",
+        type=console.whole(1, 2**20),
+        metavar="N",
+        help=f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})",
+    )
+    add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
+    add(
+        "--seeds",
+        type=console.Listed(SEED),
+        metavar="N,..",
+        help="several runs, one after the other, for example 0,1,2 (default: --seed)",
+    )
     together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
     add("--together", action="store_true", help=together)
-    memory = "observations that the policy sees (default: the preset's, 1: memoryless, as the paper's)"
+    memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
-    critic = "privileged: the critic sees the flow, the policy does not; PPO only (default: plain)"
+    critic = "of PPO. privileged: it sees the flow, the policy does not; plain: what the policy sees (default: privileged)"
     add("--critic", choices=CRITICS, help=critic)
     widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
-    add("--hidden", type=widths, metavar="N,..", help="layer widths, for example 256,256 (default: the preset's)")
-    add("--learning-rate", type=console.number(0, 1, above=True), help="of the algorithm (default: the preset's)")
-    add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: the preset's, gust)")
-    intensity = "largest turbulence intensity; each episode draws from 0 to it (default: the preset's)"
+    add(
+        "--hidden",
+        type=widths,
+        metavar="N,..",
+        help=f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})",
+    )
+    add(
+        "--learning-rate",
+        type=console.number(0, 1, above=True),
+        help="of the algorithm (default: the preset's, else the algorithm's)",
+    )
+    add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")
+    intensity = "largest turbulence intensity, u_rms / max(speed, 0.1 m/s); each episode draws from 0 to it"
+    intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
     add("--intensity", type=console.number(0, 0.99), help=intensity)
-    way = "how commands travel between policy steps (default: linear)"
+    way = "servo commands between two decisions, 0.2 s apart. linear: on the way to the new angles; hold: the new angles at once;"
+    way += " move_time: linear, and the servo interpolates too (default: linear)"
     add("--command-path", choices=COMMAND_PATHS, help=way)
-    add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: the preset's, fish)")
-    water = "structured, surrogate, or a fitted water by name or TOML file (default: the preset's, structured)"
+    add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
+    water = "structured: the description's own coefficients; surrogate: the shipped one fitted to the flow solver for this robot;"
+    water += " or a fitted one by name or TOML file (default: structured)"
     add("--water", type=console.text, help=water)
     hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
     add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
@@ -70,10 +97,13 @@ def options() -> console.Parser:
     own_effects.option(p)
     reward = "weights of the reward: wG, wD, wS (default: the paper's)"
     add("--reward", type=weight, nargs="*", default=[], metavar="KEY=VALUE", help=reward)
-    out = "folder of the run, refused when it holds one; with several seeds, of all (default: runs/<preset>-<algo>-<seed>)"
+    out = "folder of the run, refused when it holds one; with several seeds, a folder seed-N in it for each"
+    out += " (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
     p.add_argument("--yes", action="store_true", help="begin also what takes more than a week, or more memory than there is")
-    p.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --out")
+    p.add_argument(
+        "--resume", action="store_true", help="go on with the run in --out, under its own settings: only --steps may differ"
+    )
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     return p
 
@@ -92,30 +122,39 @@ def weight(text: str) -> tuple[str, float]:
     return console.OneOf(REWARD)(key), console.number(-1e6, 1e6)(value)
 
 
-def settings_from(args):
-    """The preset with everything that was asked for on the command line. Raises ConfigError, UnknownName."""
+def settings_from(args, run=None):
+    """The preset, or the settings of a run that goes on, with everything that was asked for on the command line.
+
+    Raises:
+        ConfigError, UnknownName: what cannot be, or own code of the run that nobody named again.
+    """
     from fishmj import plugins
     from fishmj.engines import own_effects
     from fishmj.tasks.own import named
-    from fishmj.train.settings import ALGORITHMS, change, preset
+    from fishmj.train.settings import ALGORITHMS, change, own_code, preset
 
     own_effects.join(args.effects)
-    s = preset(args.preset or _by_device())
+    s = run or preset(args.preset or _by_device())
+    for option, name in own_code(run).items() if run else ():
+        if getattr(args, option[2:]) is None:
+            raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
     algorithm, task, reward = {}, {}, dict(args.reward)
     top = {
-        name: value for name in ("engine", "robot", "water", "seed", "command_path") if (value := getattr(args, name)) is not None
+        name: value
+        for name in ("preset", "engine", "robot", "water", "seed", "command_path")
+        if (value := getattr(args, name)) is not None
     }
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
         if args.together:
             raise ConfigError("--together trains fishmj's own algorithms only; train the seeds one after another")
-        s = replace(s, algo=args.algo, algorithm={})
+        s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
     elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
     if len(reward) < len(args.reward):
         raise ConfigError("--reward: one weight stands there twice; name each once")
     if args.steps is not None:
-        top |= {"steps": int(args.steps), "assess_every": min(s.assess_every, max(1, int(args.steps) // 4))}
+        top |= {"steps": int(args.steps), "assess_every": min(preset(s.preset).assess_every, max(1, int(args.steps) // 4))}
     if args.envs is not None:
         algorithm["envs"] = args.envs
     if args.learning_rate is not None:
@@ -185,17 +224,26 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
     return found
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str]) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
+    from fishmj.store import Checkpoints
     from fishmj.train import cost
-    from fishmj.train.settings import change
+    from fishmj.train.settings import as_dict, change, of_run, same
 
-    settings = settings_from(args)
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
+    settings = settings_from(args)
     seeds = args.seeds or [settings.seed]
     folders = folders_of(args, settings, seeds)
+    there = {folder: run for folder in folders.values() if args.resume and (run := of_run(folder))}
+    if there:
+        settings = settings_from(args, next(iter(there.values())))
+        folders = folders if args.seeds else {settings.seed: folders[seeds[0]]}
+        seeds = list(folders)
+        for seed, folder in folders.items():
+            if folder in there:
+                same(folder, change(settings, seed=seed), as_dict(there[folder]))
     cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
@@ -208,17 +256,18 @@ def main(argv: list[str] | None = None) -> int:
         results, seeds = train_together(settings, seeds, folders[seeds[0]]), []
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
+        resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
         if one.algo == "sb3-sac":
             from fishmj.train.sb3 import train_sb3
 
-            results.append(train_sb3(one, folder, resume=args.resume))
+            results.append(train_sb3(one, folder, resume=resume))
             if results[-1]["stopped"]:
                 break
             continue
         from fishmj.train.run import Run, learner_of
 
         learner = learner or learner_of(one)
-        results.append(Run(one, folder, resume=args.resume, learner=learner).go())
+        results.append(Run(one, folder, resume=resume, learner=learner).go())
         if results[-1]["stopped"]:
             break
     for r in results:
@@ -235,7 +284,10 @@ def main(argv: list[str] | None = None) -> int:
         from fishmj.train.run import go_on
 
         last = results[-1]
-        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"])
+        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings)
+        if len(folders) > 1 and not args.together:
+            again = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
+            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(again)}"
         console.warn(f"interrupted; {more}")
         return console.INTERRUPTED
     return console.OK

@@ -4,6 +4,7 @@ A run is a folder: settings.json, metrics.jsonl (one line an iteration), checkpo
 Killed at any point it goes on from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
 """
 
+import shlex
 import time
 import warnings
 from pathlib import Path
@@ -12,15 +13,14 @@ from threading import Lock
 import jax
 import numpy as np
 
-from fishmj import console, store
+from fishmj import console, interrupt, store
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.train.assess import Assessment
 from fishmj.train.board import Board
 from fishmj.train.endure import stop_on_signal, when_there_is_room
 from fishmj.train.learner import algorithm, environment, pick_engine, policy_of
-from fishmj.train.settings import Settings, as_dict
+from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
-FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
 PROGRESS = ("done", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
@@ -73,7 +73,8 @@ class Run:
             self._restore()
         elif self.checkpoints.paths():
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
-        store.write_json(self.folder / "settings.json", as_dict(settings))
+        self.bar.begun = self.done
+        store.write_json(self.folder / FILE, as_dict(settings))
 
     def go(self) -> dict:
         """Train to the end, or to Ctrl-C; the summary says which."""
@@ -129,8 +130,8 @@ class Run:
                 newest = held[1]["done"]
                 self.checkpoints.save(newest, *held)
         if not newest:
-            return f"nothing was learnt yet; start again with: fishmj train --out {self.folder} (and the same options)"
-        return go_on(self.folder, newest)
+            return f"nothing was learnt yet; {interrupt.again('start again')}"
+        return go_on(self.folder, newest, self.settings)
 
     def summary(self, stopped: bool = False) -> dict:
         """What the command line prints last."""
@@ -200,12 +201,7 @@ class Run:
             found = self.checkpoints.latest()
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
-        mine, theirs = as_dict(self.settings), found.meta["settings"]
-        differs = [k for k in mine if mine[k] != theirs.get(k) and k not in FREE]
-        if differs:
-            raise ConfigError(
-                f"{self.folder}: the checkpoint was made with other {', '.join(differs)}; resume with the same settings"
-            )
+        same(self.folder, self.settings, found.meta["settings"])
         self.training = tree_of(found.arrays, self.training)
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
@@ -216,9 +212,11 @@ class Run:
                     path.rename(path.with_suffix(".damaged"))
 
 
-def go_on(folder: Path, done: int) -> str:
+def go_on(folder: Path, done: int, settings: Settings) -> str:
     """What an interrupted run says."""
-    return f"{folder} holds the run up to step {done:,}; go on with: fishmj train --resume --out {folder} (and the same options)"
+    own = [word for pair in own_code(settings).items() for word in pair]  # which only a command line may name
+    command = shlex.join(["fishmj", "train", "--resume", "--out", str(folder), *own])
+    return f"{folder} holds the run up to step {done:,}; go on with: {command}"
 
 
 def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:

@@ -1,11 +1,16 @@
 """What a training run is: presets, everything that can be changed, and how it is written to disk at the start."""
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 from fishmj import plugins
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.store import read_json
+from fishmj.tasks.course import COURSES
 
+FILE = "settings.json"  # of a run
+FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
 ALGORITHMS = ("ppo", "sac", "sb3-sac")
 REWARD = ("wG", "wD", "wS")
 
@@ -98,3 +103,46 @@ def from_dict(table: dict) -> Settings:
     tupled = lambda v: tuple(v) if isinstance(v, list) else v  # noqa: E731
     values: dict[str, Any] = {k: {a: tupled(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in table.items()}
     return Settings(**values)
+
+
+def of_run(folder: Path) -> Settings | None:
+    """The settings that the run in a folder has written; None where there are none. Raises StoreError, ConfigError."""
+    path = folder / FILE
+    if not path.is_file():
+        return None
+    table = read_json(path)
+    expected = {f.name: dict if f.default is MISSING else type(f.default) for f in fields(Settings)}
+    if not isinstance(table, dict) or set(table) != set(expected) or not all(_is(table[k], t) for k, t in expected.items()):
+        raise ConfigError(f"{path}: no settings of a training by this version of fishmj; give them again on the command line")
+    return from_dict(table)
+
+
+def _is(value: Any, kind: type) -> bool:
+    return isinstance(value, (int, float) if kind is float else kind)
+
+
+def own_code(settings: Settings) -> dict[str, str]:
+    """Option -> name of what is not fishmj's own code in a run."""
+    course = settings.task.get("course", "station_hold")
+    own = {"--algo": settings.algo if settings.algo not in ALGORITHMS else "", "--task": course if course not in COURSES else ""}
+    return {option: name for option, name in own.items() if name}
+
+
+def same(folder: Path, mine: Settings, theirs: dict) -> None:
+    """Refuse to go on with a run under other settings than its own, `theirs` as in its files.
+
+    Raises:
+        ConfigError: with both values of those that differ.
+    """
+    a, b = flat(as_dict(mine)), flat(theirs)
+    other = [k for k in {**a, **b} if a.get(k) != b.get(k) and k not in FREE]
+    if other:
+        said = "; ".join(f"{key} = {a.get(key, 'not set')}, the run has {b.get(key, 'not set')}" for key in other[:3])
+        more = f" and {len(other) - 3} more" if len(other) > 3 else ""
+        raise ConfigError(f"{folder}: {said}{more}; a run goes on with its own settings: leave these options out")
+
+
+def flat(table: dict) -> dict:
+    """`{"task": {"memory": 8}}` -> `{"task.memory": 8}`."""
+    nested = {f"{k}.{a}": b for k, v in table.items() if isinstance(v, dict) for a, b in v.items()}
+    return {k: v for k, v in table.items() if not isinstance(v, dict)} | nested

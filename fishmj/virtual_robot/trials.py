@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from fishmj import __version__, excitation
+from fishmj import excitation
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.excitation import Excitation
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.source import made_by
 from fishmj.virtual_robot import draws, network, sensors
 from fishmj.virtual_robot.catalogue import CATALOGUE
 from fishmj.virtual_robot.effect import Effect
@@ -142,7 +143,7 @@ def trial_of(
         "sigma": sigmas(made, noise),
         "clock": {table: clocks[table] for table in tables},
         "controller": "open loop",
-        "versions": {"fishmj": __version__, "numpy": np.__version__},
+        **made_by("numpy"),
         "source": "fishmj.virtual_robot",
         "licence": "Apache-2.0",
         "notes": "simulated by the second robot; what is hidden in it is kept elsewhere",

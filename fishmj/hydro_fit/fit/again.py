@@ -6,7 +6,10 @@ As in the first fit, what makes the validation swims worse is not taken, and the
 and keeps what it had.
 """
 
+import hashlib
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,32 +33,36 @@ class Again(Fit):
 
     Args:
         train: records at the model's slip ratio. val: those of the first fit, and new ones, which count for half however few
-            they are: what was added is what the model is fitted again for. dataset: as in `Fit`.
+            they are: what was added is what the model is fitted again for. dataset, folder: as in `Fit`.
     """
 
     def __init__(
         self, robot: Robot, model: HydroModel, train: Sequence[Record], val: tuple[Sequence[Record], Sequence[Record]], *,
-        dataset: dict,
+        dataset: dict, folder: Path | None = None,
     ):  # fmt: skip
         settings = Settings(members=len(model.members), residual=model.learnt is not None, swims=STEPS)
-        super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings)
+        super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings, folder=folder)
         self.model, self.parts = model, [self._match(part, None) for part in val if part]
+        sums = [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in self._first().values()]
+        self.key = hashlib.sha256(json.dumps([self.key, sums]).encode()).hexdigest()
 
     def run(self) -> HydroModel:
         """The factors of the model as it swims, then the error bar; strips fitted without the residual stay as they are."""
+        stages = ("rollout", "finish") if self.model.learnt is None else ("swims", "retune", "finish")
+        return self._model(self.through(stages, state=self._first()))
+
+    def _first(self) -> dict[str, Any]:
+        """The model as a fit has it that comes to its swims."""
         model, still = self.model, np.zeros((self.settings.members, len(groups(self.chain.n))))
         state: dict[str, Any] = {"water": flat(model.base), "factors": still, "alone": model.alone[0], "alone_factors": still}
-        if model.learnt is None:
-            state |= self._newton(state, None, "rollout")
-        else:
-            state |= packed(model.learnt)
-            taught = state | self._swims(state)
-            if self.score(state["water"], unpacked(taught)) < self.score(state["water"], model.learnt):
-                state = taught
-            else:
-                self.notes.append("swims: not taken")
-            state |= self._newton(state, unpacked(state), "retune")
-        return self._model(state | self._finish(state))
+        return state if model.learnt is None else state | packed(model.learnt)
+
+    def _swims(self, state) -> dict:
+        taught = super()._swims(state)
+        if self.score(state["water"], unpacked(state | taught)) < self.score(state["water"], self.model.learnt):
+            return taught
+        self.notes.append("swims: not taken")
+        return {}
 
     def _reached(self, net: residual.Net, water: np.ndarray) -> learned.Residual:
         """The range of before, as far as the new swims go beyond it wider."""

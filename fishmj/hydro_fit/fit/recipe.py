@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from fishmj import interrupt
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit import chain, learned, residual
 from fishmj.hydro_fit.fit import band, begin, learning, lessons, linear, newton, rollout, starts, swims
@@ -97,9 +98,11 @@ class Fit:
         """All stages; returns the model."""
         return self._model(self.through(STAGES))
 
-    def through(self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
-        """What the stages leave, each read where it is kept and else done; `clock` times them."""
-        state: dict[str, Any] = {}
+    def through(
+        self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter, state: dict[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What the stages leave, each read where it is kept and else done; `clock` times them, they begin with `state`."""
+        state = dict(state or {})
         for stage in stages:
             self.enter(stage)
             kept = self._read(stage)
@@ -122,7 +125,7 @@ class Fit:
         if self.folder is None:
             return "nothing of it is kept"
         done = [stage for stage in STAGES if (path := self._path(stage)) is not None and path.is_file()]
-        return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; go on with the same command"
+        return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; {interrupt.again()}"
 
     def enter(self, stage: str) -> None:
         """Called before a stage; a fit whose stages have keys of their own sets `key`."""
