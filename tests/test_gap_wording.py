@@ -123,7 +123,7 @@ def test_a_share_names_what_it_is_of():
     assert "98 % of the excess log likelihood" in words.meaning(material(named))
     force = {"name": "sway force ~ tail angle", "closure": 0.28, "firm": True, "alike": []}
     v = replace(SHRUNK, terms=(force,))
-    assert "takes off 28 % of the excess of |z|^2 on the records that it was fitted to, firm" in v.text()
+    assert "takes off 28 % of the excess of |z|^2 of the records that it was fitted to, firm" in v.text()
     assert "28 %" in words.next_step(material(v)) and "Fitted to these records" in words.next_step(material(v))
 
 

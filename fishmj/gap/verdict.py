@@ -103,7 +103,7 @@ class Verdict:
             lines.append(f"  {self.told()}")
         for t in self.terms[:3]:
             also = f"; or {t['alike'][0]}" if t["alike"] else ""
-            share = f"takes off {percent(t['closure'])} of the excess of |z|^2 on the records that it was fitted to"
+            share = f"takes off {percent(t['closure'])} of the excess of |z|^2 of the records that it was fitted to"
             lines.append(f"  as a force: {t['name']}, {share}, {'firm' if t['firm'] else 'weak'}{also}")
         lines += [f"  {gap}" for gap in self.gaps()]
         lines += [f"  warning: {w}" for w in self.warnings]

@@ -44,8 +44,8 @@ def quantity(value: float, unit: str, low: float | None = None, high: float | No
     return f"{text} {shown}".strip()
 
 
-def sizes(name: str, parameters: dict) -> str:
-    """What an effect came out at. parameters: of a `verdict.Named`."""
+def sizes(name: str, parameters: dict, alone: bool = False) -> str:
+    """What an effect came out at. parameters: of a `verdict.Named`. alone: without its name."""
     many = len(parameters) > 1
     values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in parameters.items()]
-    return f"{title(name)} {', '.join(values)}"
+    return f"{'' if alone else title(name) + ' '}{', '.join(values)}"

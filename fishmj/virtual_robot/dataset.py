@@ -79,7 +79,7 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
 
 
 def own_reference(text: str) -> str:
-    """The `package.module:Name` or `file.py:Name` that begins what a user wrote of an effect of their own; "" for a plain name."""
+    """The `package.module:Name` or `file.py:Name` that what a user wrote begins with; "" for a plain name."""
     found = OWN.match(text)
     return found[0] if found and is_reference(found[0]) else ""
 

@@ -153,7 +153,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         for c in step.ranked:
             name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
             p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
-            p = given.get(name, p) if p is not None else None
+            p = given.get(name, p)  # the verdict polished its rivals: one may have left its bound
             behind = float((c.cost - best.cost) / gained) if gained > 0 else None
             rows.append(Row(name, values(e.plant, c, name), behind, p, name in against, c is best))
         order = listed(rows)

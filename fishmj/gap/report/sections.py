@@ -12,8 +12,8 @@ from fishmj.gap.report.material import Material, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
 from fishmj.gap.report.traces import traces
 from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, meaning, next_step
-from fishmj.gap.verdict import LIKELIHOOD, Named, said
-from fishmj.gap.wording import level, number, percent, quantity, title
+from fishmj.gap.verdict import LIKELIHOOD, said
+from fishmj.gap.wording import level, number, percent, quantity, sizes, title
 from fishmj.pages import document
 from fishmj.pages import escaped as escape
 
@@ -45,8 +45,8 @@ def answer(m: Material) -> str:
     v = m.inquiry.verdict
     value = ""
     if v.effects:
-        shown = " · ".join(escape(sizes(n, alone=len(v.effects) == 1)) for n in v.effects)
         tentative = v.answer == "UNEXPLAINED"
+        shown = " · ".join(escape(sizes(n.name, n.parameters, len(v.effects) == 1 and not tentative)) for n in v.effects)
         shown = f"tentative: {shown}" if tentative else f'{shown} <span class="small">90&nbsp;% interval</span>'
         value = f'<p class="{"small" if tentative else "value"}">{shown}</p>'
     chips = "".join(
@@ -58,13 +58,6 @@ def answer(m: Material) -> str:
         f'<p class="lead">{told(meaning(m))}</p><p class="next"><b>Next</b>{told(next_step(m))}</p>'
         f'<div class="figures">{"".join(figures(m))}</div><div class="contract">{chips}</div></div></header>'
     )
-
-
-def sizes(effect: Named, alone: bool) -> str:
-    """What an effect came out at."""
-    many = len(effect.parameters) > 1
-    values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in effect.parameters.items()]
-    return ", ".join(values) if alone and not many else f"{'' if alone else title(effect.name) + ' '}{', '.join(values)}"
 
 
 def figures(m: Material) -> list[str]:
@@ -168,6 +161,7 @@ def candidates(m: Material) -> str:
         "The finalists, fitted to all records that decide, the largest P(best) first: the share of bootstrap draws over records"
         " that an effect wins, all seen in the evidence around the one that was tried. Behind: how much less likely than that one"
         " it makes the records, each in the evidence around itself, as a share of what that one gains; below zero, likelier."
+        " Values are those of the round; what the head of the page says was fitted once more, with all that was taken."
         " The map is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell"
         " them apart."
     )
@@ -212,7 +206,7 @@ def ranked(r: Round, place: int, count: int) -> str:
         behind = "tried" if row.tried else "-" if row.behind is None else f"{number(100 * row.behind)} %"
         name = f'<td class="name"><span class="letter">{letter}</span>{escape(title(row.name))}{mark}</td>'
         rows.append(f'<tr>{name}<td>{values}</td><td class="keep">{share}</td><td class="n">{behind}</td></tr>')
-    heads = '<tr><th>effect</th><th>comes out at</th><th>P(best)</th><th class="n">behind</th></tr>'
+    heads = '<tr><th>effect</th><th>in its round</th><th>P(best)</th><th class="n">behind</th></tr>'
     head = f"<h3>Effect {place + 1}</h3>" if count > 1 else ""
     table = f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>"
     drawn = f"<figure>{pictures.confusion(r)}</figure>" if len(r.table) > 1 else ""
