@@ -87,9 +87,11 @@ class Verdict:
     def gaps(self) -> list[str]:
         """The gap in words, before and after what was taken; as it is where nothing was."""
         where = "on the records searched" if self.searched else "on records kept aside"
-        apart = (self.gap_unseen_before, self.gap_after_unseen, "on records that no decision saw")
-        parts = [(self.gap_before, self.gap_after, where), *([apart] if self.gap_unseen_before is not None else [])]
-        return [moved(before, after if self.taken else None, place) for before, after, place in parts]
+        out = [moved(self.gap_before, self.gap_after if self.taken else None, where)]
+        if self.gap_unseen_before is not None:
+            now = self.gap_after_unseen if self.taken else None
+            out.append(moved(self.gap_unseen_before, now, "on records that no decision saw"))
+        return out
 
     def text(self) -> str:
         """The answer in words, for a terminal."""
