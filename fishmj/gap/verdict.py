@@ -150,4 +150,4 @@ def said(taken: bool, gain: float, gap: "tuple[float, float] | None") -> str:
         return f"{text}, accepted"
     if lowers(gap):
         return f"{text}, accepted: their gap falls from {level(gap[0])} to {level(gap[1])}"
-    return f"{text}, tentative: their gap does not fall ({level(gap[0])} before, {level(gap[1])} after)"
+    return f"{text}, taken though their gap does not fall ({level(gap[0])} before, {level(gap[1])} after)"
