@@ -13,7 +13,6 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.log import Trial, measurements, write_dataset
 from fishmj.log.folder import META_FILE
 from fishmj.names import checked
-from fishmj.plugins import is_reference
 from fishmj.store import Manifest, sha256, write_json
 from fishmj.store.manifest import MANIFEST
 from fishmj.virtual_robot import draws
@@ -25,7 +24,7 @@ from fishmj.virtual_robot.trials import EFFECTS
 SCHEMA = "fishmj.truth/1"
 WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
 Limits = Callable[[str, Parameter], tuple[float, float]]
-OWN = re.compile(r"[^:=]*\.[^:=]*:[^:=]+")  # a plain name has no dot
+OWN = re.compile(r"([^:=]+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)+):[A-Za-z_][\w.]*")  # an effect's name has no dot
 INSTEAD = (
     "list it in a fish (docs/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects, or, if it"
     " acts on what sensors report alone, put it on logs that are there: fishmj gap plant --generator log --from DATA"
@@ -81,7 +80,7 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
 def own_reference(text: str) -> str:
     """The `package.module:Name` or `file.py:Name` that what a user wrote begins with; "" for a plain name."""
     found = OWN.match(text)
-    return found[0] if found and is_reference(found[0]) else ""
+    return found[0] if found else ""
 
 
 def bounds(name: str, parameter: Parameter) -> tuple[float, float]:
