@@ -29,7 +29,7 @@ def test_the_proposed_experiment_turns_a_class_into_a_name(example, tmp_path, ca
     assert example.tell("class", tmp_path, QUICK) == ["CLASS", "NAMED"]
     before, after = capsys.readouterr().out.split("The proposed experiment is done")
     assert "torque saturation" in before and "speed limit" in before and "would decide between" in before
-    assert "\n  torque saturation 0." in after
+    assert "\n  torque saturation 1." in after
 
 
 def test_what_is_weighed_where_that_is_proposed_is_searched_with(example, tmp_path, monkeypatch):
