@@ -113,8 +113,8 @@ def parts(inquiry: Inquiry) -> tuple[Part, ...]:
         out.append(Part(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
     if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
         what = "no decision ever saw these"
-        reached = v.gap_after_unseen if v.taken else v.gap_unseen_before
-        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, reached)
+        ended = v.gap_after_unseen if v.taken else v.gap_unseen_before
+        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
         if inquiry.apart is not None:
             one, two = (inquiry.apart.gap(row)[1] for row in (found.base.row, after(inquiry)))
             last = replace(last, by_channel={name: (one[name], two[name]) for name in one})
