@@ -28,8 +28,8 @@ def test_the_example_gets_the_answer_it_is_called_by(example, name, tmp_path):
 def test_the_proposed_experiment_turns_a_class_into_a_name(example, tmp_path, capsys):
     assert example.tell("class", tmp_path, QUICK) == ["CLASS", "NAMED"]
     before, after = capsys.readouterr().out.split("The proposed experiment is done")
-    assert "torque_saturation" in before and "speed_limit" in before and "would decide between" in before
-    assert "  torque_saturation: limit" in after
+    assert "torque saturation" in before and "speed limit" in before and "would decide between" in before
+    assert "\n  torque saturation 1." in after
 
 
 def test_what_is_weighed_where_that_is_proposed_is_searched_with(example, tmp_path, monkeypatch):

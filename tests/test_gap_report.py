@@ -20,7 +20,8 @@ from fishmj.gap.records import record_of
 from fishmj.gap.report import gathered, write
 from fishmj.gap.report.material import parted, parts
 from fishmj.gap.report.sections import html
-from fishmj.gap.report.words import CONTRACT, gates, headline, quantity
+from fishmj.gap.report.words import CONTRACT, gates, headline
+from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import evidence_of, investigate
 from fishmj.virtual_robot import generate
 

@@ -18,12 +18,15 @@ from fishmj.effects.calibration import Fitted, Interval
 from fishmj.engines import own_effects, with_effects
 from fishmj.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.evaluate.__main__ import main as evaluate
-from fishmj.log import read_trial
+from fishmj.gap.plant import main as plant
+from fishmj.log import read_trial, write_dataset
 from fishmj.mjcf.description import load_robot
 from fishmj.tasks.course import Launch
 from fishmj.tasks.episode import Rules, Setting
 from fishmj.tasks.own import course_of
 from fishmj.tasks.station_hold import draw_start
+from fishmj.virtual_robot import generate
+from fishmj.virtual_robot.__main__ import main as hide
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
@@ -274,6 +277,8 @@ def test_a_task_without_reward_and_end_has_the_papers():
         ({"outside": lambda self, xp, pose: pose[..., 0]}, "outside gave float64; expected bool"),
         ({"seconds": -1}, "seconds = -1"),
         ({"seconds": "10"}, "seconds = '10'"),
+        ({"observe": lambda self, xp, step: step.distance}, "has observe, which nothing would call: the policy sees the 5 + 2 J"),
+        ({"observation_space": 3}, "has observation_space, which nothing would call"),
     ],
 )
 def test_a_wrong_task_is_one_line_before_anything_runs(change, said):
@@ -420,6 +425,42 @@ def test_an_effect_with_a_name_of_the_catalogue_or_of_another_kind_is_refused(tm
         own_effects.join([f"{path}:E"])
     with pytest.raises(OwnCodeError, match="is a int, expected a fishmj.effects.Effect"):
         own_effects.join([f"{path}:N"])
+
+
+@pytest.mark.parametrize(
+    ("main", "words"),
+    [
+        (plant, ["WEED=1", "--out", "OUT"]),
+        (plant, ["WEED:drag=1", "--out", "OUT", "--generator", "lbm"]),
+        (hide, ["--plant", "WEED", "--out", "OUT", "--truth", "OUT.json"]),
+    ],
+)
+def test_the_second_robot_says_what_works_for_an_own_effect_and_runs_nothing_of_it(main, words, tmp_path, capsys):
+    path = write(tmp_path, "raise RuntimeError('this was run')\n")
+    argv = [w.replace("WEED", f"{path}:WEED").replace("OUT", str(tmp_path / "out")) for w in words]
+    said = refused(main, argv, capsys)
+    assert "equations of its own" in said
+    assert "fishmj evaluate --robot FISH.toml --effects" in said and "--generator log --from DATA" in said
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.py"]
+
+
+def test_an_own_effect_on_sensors_is_put_onto_logs_and_one_before_them_is_not(tmp_path, catalogue, capsys):
+    head = "from fishmj.effects import Effect, Parameter\n"
+    about = "stage='measurement', about='a', formula='f', source='s', shows=('position',)"
+    size = "parameters=(Parameter(name='x', unit='m', low=-1.0, high=1.0, typical=(0.01, 0.05)),)"
+    text = f"FAR = Effect(name='moved', {about}, {size}, measure=lambda xp, p, seen: seen._replace(x=seen.x + p.x))\n"
+    path = write(tmp_path, head + text)
+    write_dataset(tmp_path / "logs", {t.name: t for t in generate({}, ["idle", "gait"], 0)}, meta={"origin": "synthetic"})
+    into = ["--generator", "log", "--from", str(tmp_path / "logs"), "--out"]
+    assert console.run(plant, [f"{path}:FAR=0.25", *into, str(tmp_path / "far")]) == console.OK
+    for name in ("01_idle", "02_gait"):
+        before, now = (read_trial(tmp_path / folder / name).tables["pose"] for folder in ("logs", "far"))
+        np.testing.assert_allclose(now["x"], before["x"] + 0.25, atol=1e-3)
+        np.testing.assert_array_equal(now["y"], before["y"])
+    assert json.loads((tmp_path / "far.truth.json").read_text())["effects"] == {"moved": {"x": 0.25}}
+    said = refused(plant, [f"{EXAMPLE}:WEED=1", *into, str(tmp_path / "weed")], capsys)
+    assert "'weed' acts before the sensors" in said and not (tmp_path / "weed").exists()
+    assert "expected -1 to 1 m" in refused(plant, [f"{path}:FAR=7", *into, str(tmp_path / "weed")], capsys)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from fishmj.gap.search import Found
 from fishmj.gap.separation import Prospect, Side, evenly, hinted, prospects
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.watch import Bars, silent
+from fishmj.gap.wording import title
 
 ENOUGH = 5.0  # sigma from which an experiment is said to decide
 LEFT = 3  # explanations compared, the best among them
@@ -47,10 +48,10 @@ def advice(plant, found: list[Prospect], sides: list[Side]) -> str:
     rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
     sigma, other = max((weighing.separation(plant, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
     if sigma >= ENOUGH:
-        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {sides[0].label} and {other}."
+        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {title(sides[0].label)} and {title(other)}."
     most = max(found, key=lambda p: p.sigma)
     a, b = most.pair
-    text = f"No experiment tried separates {a} from {b} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
+    text = f"No experiment tried separates {title(a)} from {title(b)} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
     same = next((c for x in sides[0].names for y in sides[1].names if (c := together(x, y))), None)
     return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
 

@@ -20,6 +20,7 @@ from fishmj.errors import ConfigError
 from fishmj.gap import doors, judge, options, version
 from fishmj.gap.check import check
 from fishmj.gap.data import digest, judged, null_of
+from fishmj.gap.wording import level, title
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import write_text
 
@@ -62,7 +63,7 @@ def main(argv: list[str]) -> int:
     if written.mjcf:
         console.say(written.mjcf.rstrip("\n"))
     if written.hooks:
-        console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(written.hooks)}")
+        console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
     if written.accepted:
         console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
     if args.json:
@@ -139,7 +140,7 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
 
 def verdict_on(answer: str, before: float, after: float) -> tuple[bool, str]:
     """Whether a candidate becomes a version, and why."""
-    moved = f"gap {before:.2f} -> {after:.2f} on records that nothing was fitted to"
+    moved = f"gap {level(before)} -> {level(after)} on records that nothing was fitted to"
     if answer != "NAMED":
         return False, f"{answer}: no effect explains the gap for certain ({moved})"
     return (True, moved) if after < before else (False, f"the patch hurts: {moved}")

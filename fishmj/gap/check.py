@@ -14,6 +14,7 @@ from fishmj.engines.added import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap import doors, judge, options, version
 from fishmj.gap.data import digest, judged, null_of, trials_in
+from fishmj.gap.wording import level
 from fishmj.mjcf.description import load_robot
 
 SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
@@ -64,9 +65,9 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
     (before, _), (after, channels) = judge.gaps([load_robot(parent), robot], *given)
     limit, worse = SLACK * stated["gap_after"], ""
     if same and after > limit:
-        worse = f"gap {after:.3f} on {len(trials)} records, stated was {stated['gap_after']:.3f}"
+        worse = f"gap {level(after)} on {len(trials)} records, stated was {level(stated['gap_after'])}"
     elif after >= before:
-        worse = f"gap {after:.3f} on {len(trials)} records, no smaller than its parent's {before:.3f}"
+        worse = f"gap {level(after)} on {len(trials)} records, no smaller than its parent's {level(before)}"
     return {
         "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
         "stated": stated["gap_after"], "by_channel": channels, "worse": worse, "notes": notes,

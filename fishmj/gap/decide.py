@@ -32,7 +32,8 @@ from fishmj.gap.nearby import polished
 from fishmj.gap.search import Found
 from fishmj.gap.sizes import SMALL, SPREAD, chance, sizes, small, untold, vague
 from fishmj.gap.spared import error, misformed
-from fishmj.gap.verdict import Named, Value, Verdict
+from fishmj.gap.verdict import LIKELIHOOD, Named, Value, Verdict
+from fishmj.gap.wording import number, percent, quantity, title
 
 CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
 SLIGHT = 0.15  # of the gain over all records, by which one may get worse
@@ -49,12 +50,13 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
         tentative = named(found, first.ranked[0], {}) if first.gain > 0 else ()
-        why = f"there is a gap, but the best candidate gains {first.gain:.0f} on records not seen, less than {gates.gain:.0f}"
+        gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"
+        why = f"there is a gap, but {gains}, less than {number(gates.gain)}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
     if chance(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.enough:
-        why = f"{effects[0].name} comes out as no more than chance may make of it"
+        why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
@@ -69,7 +71,8 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     warnings = tuple(w for n in kept for w in doubts[n.name])
     whole: dict = dict(effects=kept, rivals=rivals, warnings=warnings, gates=checks, steps=steps, explained=checks["closure"])
     whole |= dict(gap_before=before, gap_after=e.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in spoilt))
-    answer, reason = _answer(checks, gates, kept, stand, rivals, warnings)
+    shrinks = Verdict("", **whole).shrinks
+    answer, reason = _answer(checks, gates, kept, stand, rivals, warnings, shrinks)
     return Verdict(answer, reason=reason, **whole)
 
 
@@ -87,24 +90,31 @@ def _rival(name: str, rival: Rival) -> dict:
     return {"name": rival.name, "p_best": rival.p_best, "behind": rival.behind, "instead_of": name}
 
 
-def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings) -> tuple[str, str]:
-    """(answer, reason) once something was found."""
+def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings, shrinks: bool) -> tuple[str, str]:
+    """(answer, reason) once something was found. shrinks: the gap gets smaller with it."""
+    told = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the gap"
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
-        return "UNEXPLAINED", f"the catalogue explains {checks['closure']:.0%} of what is unexpected; its best is tentative"
+        return "UNEXPLAINED", f"the best of the catalogue {told}; it is tentative"
     if checks["rest"] > rest_allowed(checks, gates):
-        left = f"what is left is {checks['rest']:.1f} times what a formula's own error allows"
-        return "UNEXPLAINED", f"the best explains {checks['closure']:.0%}, but {left}; it is tentative"
+        left = f"what is left is {number(checks['rest'])} times what a formula's own error allows"
+        return "UNEXPLAINED", f"the best {told}, {'but' if shrinks else 'and'} {left}; it is tentative"
     if misformed(checks):
-        return "UNEXPLAINED", f"the best would have to be wrong by {checks['form']:.0%} of what it changes; it is tentative"
+        return "UNEXPLAINED", f"the best would have to be wrong by {percent(checks['form'])} of what it changes; it is tentative"
     if checks["size"] > gates.size:
-        return "UNEXPLAINED", f"the best would have to be resized by {checks['size']:.0%} from record to record; it is tentative"
+        resized = f"the best would have to be resized by {percent(checks['size'])} from record to record"
+        return "UNEXPLAINED", f"{resized}; it is tentative"
     if checks["transfer"] < gates.transfer:
-        return "UNEXPLAINED", f"{1 - checks['transfer']:.0%} of the records get worse, unseen; the best is tentative"
+        return "UNEXPLAINED", f"{percent(1 - checks['transfer'])} of the records get less likely, unseen; the best is tentative"
     if rivals or any(stand[n.name].p_best < gates.p_best for n in kept):
         return "CLASS", "these records cannot tell apart what is listed"
     if warnings:
         return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
-    return "NAMED", "explains records that it has not seen, and nothing else does"
+    does = (
+        "explains records that it has not seen"
+        if shrinks
+        else "makes records that it has not seen likelier, not their gap smaller"
+    )
+    return "NAMED", f"{does}, and nothing else does"
 
 
 def unseen(e: Evidence, found: Found) -> dict[str, float]:
@@ -166,15 +176,15 @@ def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[st
     for p in effect.parameters:
         place = e.plant.index(n.name, p.name)
         if any(b != p.null and abs(c.row[place] - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
-            out.append(f"{n.name}.{p.name} = {c.row[place]:.4g} {p.unit} lies on its bound")
+            out.append(f"{title(n.name)}: {title(p.name)} = {quantity(c.row[place], p.unit)} lies on its bound")
     first, *others = sizes(effect)
     main = n.parameters[first.name]
     if small(e, n, SMALL):
-        out.append(f"{n.name} is far smaller than it is anywhere known: it may stand in for something else")
+        out.append(f"{title(n.name)} is far smaller than it is anywhere known: it may stand in for something else")
     if not others and vague(first, main):
-        out.append(f"{n.name}: the records disagree about its size by more than {SPREAD:.0%}")
+        out.append(f"{title(n.name)}: the records disagree about its size by more than {percent(SPREAD)}")
     if little and others and untold((first, *others), n.parameters):
-        out.append(f"{n.name}: the records do not tell any of its values from none")
+        out.append(f"{title(n.name)}: the records do not tell any of its values from none")
     return tuple(out)
 
 
@@ -182,4 +192,4 @@ def described(step) -> dict:
     """One round for the report: candidates with their costs."""
     best = step.ranked[0].cost
     table = [{"names": list(c.names), "behind": c.cost - best} for c in step.ranked]
-    return {"gain": step.gain, "accepted": step.accepted, "ranked": table}
+    return {"gain": step.gain, "accepted": step.accepted, "gap_unseen": step.gap, "ranked": table}

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.candidates import PRIOR, Candidate, Search, bounds
-from fishmj.gap.evidence import Evidence
+from fishmj.gap.evidence import Evidence, gap
 from fishmj.gap.records import Record
 
 FOLDS = 3
@@ -46,6 +46,14 @@ class Fitted(NamedTuple):
             others = near.part(~fold, more[:, ~fold[near.layout.record]])
             out += near.part(near.everything, more).loss(fit.row) - others.loss(fit.row)
         return out
+
+    def gap(self, folds: np.ndarray) -> float:
+        """The gap, in units of the floor, each fold (F, L) by the fit that did not see it."""
+        layout = self.near.layout
+        predicted = self.near.plant.predict(self.near.records, np.stack([fit.row for fit in self.fits]))
+        whole = layout.residuals(predicted)
+        mine = np.where(folds[:, layout.record], whole, 0.0).sum(0)
+        return gap(mine, self.near.scale, layout)
 
 
 def left_open(e: Evidence, fold: np.ndarray, fit: Candidate, best: Candidate, slopes: np.ndarray) -> np.ndarray:

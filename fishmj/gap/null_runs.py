@@ -4,7 +4,8 @@
 
 The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
 and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
-an experiment gives is kept on disk under the hash of all that made it, so a standard experiment is run once a machine.
+an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (sources.py), so a
+standard experiment is run once a machine.
 """
 
 import hashlib
@@ -12,7 +13,7 @@ import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from zlib import crc32
 
@@ -22,16 +23,17 @@ from fishmj.calib import resolve
 from fishmj.engines.native import cache_folder
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
-from fishmj.gap import weighing
+from fishmj.gap import sources, weighing
 from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.watch import Bar, Bars, silent
 from fishmj.mjcf.description import Robot
-from fishmj.store import read_npz, write_npz
+from fishmj.store import read_npz, sha256, write_npz
 
 Tick = Callable[[int], None]
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
 RUNS = 96
+SIMULATOR = "fishmj.virtual_robot.trials"
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,8 @@ class Null:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
         swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
-        text = json.dumps([simulator(), swims, plant.fingerprint, what.id, drawn, done])
+        made = [sources.digest(SIMULATOR), sha256(resolve("virtual_robot")), model(plant)]
+        text = json.dumps([*made, swims, plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
@@ -141,13 +144,9 @@ def kept_at(key: str) -> Path:
     return cache_folder() / "null" / f"{key}.npz"
 
 
-@cache
-def simulator() -> str:
-    """Hash of the simulator's own source and constants: runs of an older one are not taken for its."""
-    from fishmj import virtual_robot
-
-    sources = sorted(Path(virtual_robot.__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in [*sources, resolve("virtual_robot")])).hexdigest()[:16]
+def model(plant) -> str:
+    """Hash of the code that predicts the null runs and takes their residuals."""
+    return sources.digest(type(plant).__module__, "fishmj.gap.records", "fishmj.gap.features")
 
 
 def repeated(record: Record) -> Excitation:

@@ -15,8 +15,9 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.excitation import Excitation
+from fishmj.gap import sources
 from fishmj.gap.features import WINDOW
-from fishmj.gap.null_runs import Null, Tick
+from fishmj.gap.null_runs import Null, Tick, model
 from fishmj.gap.records import Record, record_of
 from fishmj.log import Trial
 from fishmj.log.bundle import read_bundle
@@ -62,7 +63,8 @@ class Sets(Null):
         return out
 
     def _key(self, plant, record: Record, what: Excitation) -> str:
-        text = json.dumps([[sha256(path) for path in self.bundles], plant.fingerprint, what.id, *WINDOW, record.dt, *what.start])
+        made = [[sha256(path) for path in self.bundles], sources.digest("fishmj.log.bundle"), model(plant)]
+        text = json.dumps([*made, plant.fingerprint, what.id, *WINDOW, record.dt, *what.start])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 

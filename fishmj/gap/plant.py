@@ -1,7 +1,8 @@
 """`gap plant EFFECT[=value] --out DATA`: data in which an effect is hidden; what it was goes to another file.
 
 independent   the second, independently written robot (fishmj.virtual_robot) with the effect in its own equations
-log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be
+log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be;
+              also one of your own, module:EFFECT or file.py:EFFECT
 lbm           the flow solver's fish on the second robot's servos, network and camera
 
     fishmj gap plant command_latency=0.04 --seed 7 --out planted
@@ -15,6 +16,7 @@ from fishmj import console, effects, excitation
 from fishmj.effects import Active
 from fishmj.effects.draws import draw
 from fishmj.effects.sites import Seen
+from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import data, doors, options, watch
 from fishmj.gap.data import LOUDEST
@@ -24,7 +26,7 @@ from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
 from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.dataset import bounds, placed, write_hidden
+from fishmj.virtual_robot.dataset import bounds, own_reference, placed, write_hidden
 from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
 
@@ -152,9 +154,13 @@ def experiments(args) -> list[str]:
 def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
     """`NAME`, `NAME=value`, `NAME:p=1,q=2` or `random`, of the effects that can be put on a log afterwards.
 
+    An effect of the user's own, `module:NAME` or `file.py:NAME` in place of NAME, is loaded and joins the catalogue.
+
     Raises:
         UnknownName, ConfigError: no such effect, one that acts before the sensors, no number, a value outside the bounds.
+        OwnCodeError: the user's own code breaks a rule.
     """
+    texts = [_joined(text) for text in texts]
     able = {e.name: e for e in effects.catalogue().values() if afterwards(e)}
     out: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
@@ -179,6 +185,12 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
             row[active.index(name, effect.parameter(key).name)] = _number(text, value, effect.parameter(key))
         out[name] = {p.name: float(v) for p, v in zip(effect.parameters, row, strict=True)}
     return out
+
+
+def _joined(text: str) -> str:
+    """The same with the name of the effect in place of a reference to the user's own code, which is loaded."""
+    own = own_reference(text)
+    return own_effects.join([own])[0].name + text[len(own) :] if own else text
 
 
 def afterwards(effect) -> bool:

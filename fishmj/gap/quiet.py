@@ -12,6 +12,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.gap.records import Record
+from fishmj.gap.wording import title
 
 FEWEST, SHORTEST, QUIETEST = 2, 2.0, np.radians(1.0)  # records, s, rad of command from end to end
 NEXT = 4  # excitations to suggest
@@ -27,10 +28,8 @@ class Shortage:
 
     def text(self) -> str:
         """For a terminal."""
-        todo = ", ".join(self.record)
-        return (
-            f"{self.reason}\nconfounded: {', '.join(self.confounded)}\nrecord next: {todo} (fishmj.excitation; two runs of each)"
-        )
+        names, todo = ", ".join(map(title, self.confounded)), ", ".join(self.record)
+        return f"{self.reason}\nconfounded: {names}\nrecord next: {todo} (fishmj.excitation; two runs of each)"
 
 
 def shortage(records: list[Record], catalogue) -> "Shortage | None":

@@ -34,13 +34,15 @@ class Step:
 
     ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
     candidate was worth judging. gain: what it takes off the loss of all records, each predicted without its fold; or,
-    where only that was enough, on all at once or given the others.
+    where only that was enough, on all at once or given the others. gap: where it is accepted, the gap of records that are
+    predicted without their fold, before (of the model as it is, where that is smaller) and after; it decides nothing.
     """
 
     ranked: tuple[Candidate, ...]
     fitted: Fitted | None
     gain: float
     accepted: bool
+    gap: tuple[float, float] | None = None
 
 
 class Part(NamedTuple):
@@ -88,7 +90,13 @@ def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: fl
     if not accepted and not known.best.names:
         joint = min(whole.loss(known.best.row) - loss[first], known.given(folds) - fitted.given(folds))
         accepted, gain = (True, joint) if joint > gates.joint else (False, gain)
-    return Step(tuple(ranked), fitted, gain, accepted)
+    return Step(tuple(ranked), fitted, gain, accepted, gap_of(known, fitted, folds) if accepted else None)
+
+
+def gap_of(known: Fitted, fitted: Fitted, folds: np.ndarray) -> tuple[float, float]:
+    """What `Step.gap` holds."""
+    as_it_is = known.near.gap(known.near.plant.null)[0]
+    return min(as_it_is, known.gap(folds)), fitted.gap(folds)
 
 
 def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:

@@ -22,6 +22,7 @@ from fishmj.gap.null import smooth, whitening
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, Sensor
 from fishmj.gap.watch import Bars, silent
+from fishmj.gap.wording import title
 
 HINTS = 6  # experiments that a quick look tries
 
@@ -50,7 +51,7 @@ class Prospect(NamedTuple):
 
     def text(self) -> str:
         """As a recommendation."""
-        a, b = self.pair
+        a, b = (title(side) for side in self.pair)
         return (
             f"Run `{self.excitation}` ({self.seconds:.0f} s): expected separation {self.sigma:.0f} sigma;"
             f" would decide between {a} and {b}."

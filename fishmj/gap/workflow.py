@@ -19,8 +19,9 @@ from fishmj.gap.gates import Gates, frozen
 from fishmj.gap.null_runs import Null
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.search import Found, find
-from fishmj.gap.verdict import Verdict
+from fishmj.gap.verdict import Verdict, said
 from fishmj.gap.watch import Bars, silent
+from fishmj.gap.wording import level, title
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
 
@@ -112,7 +113,7 @@ def investigate(
         near = apart.around(found.best.row, found.near.form)
         grown = after > before + GROWN and near.loss(found.best.row) > apart.loss(plant.null)
         if grown and verdict.answer in ("NAMED", "CLASS"):
-            why = f"the gap grows from {before:.2f} to {after:.2f} on records that no decision saw; the best is tentative"
+            why = f"the gap grows from {level(before)} to {level(after)} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
     synthetic = any(t.value("origin") == "synthetic" for t in trials)
     return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
@@ -165,6 +166,4 @@ def unrepeatable(trials: list[Trial], e: Evidence) -> str:
 
 
 def _round(step) -> str:
-    best = step.ranked[0]
-    verdict = "accepted" if step.accepted else "not enough"
-    return f"{' + '.join(best.names)}: gain {step.gain:.0f} on records not seen, {verdict}"
+    return f"{title('+'.join(step.ranked[0].names))}: {said(step.accepted, step.gain, step.gap)}"

@@ -7,6 +7,8 @@
         def reward(self, xp, step): ..              (B,) from a Stride; optional, the paper's without it
         def outside(self, xp, pose): ..             (B,) bool from poses (B, 3); optional, |x|, |y| > 2 m without it
 
+The policy sees fishmj's observations; a task that brings its own is refused, since nothing would ever call them.
+
 `xp` is NumPy or jax.numpy: the same functions serve Gymnasium, dm_control and the trainer. Fields of a dataclass are options.
 """
 
@@ -23,6 +25,7 @@ from fishmj.tasks.course import COURSES, Launch, Stride
 
 LONGEST = 1e6  # s
 TRIED = 5  # episodes of the trial run
+UNASKED = ("observe", "observation", "observations", "get_observation", "get_obs", "observation_space", "observation_spec")
 
 
 def named(task: Any) -> Any:
@@ -80,6 +83,11 @@ class OwnCourse:
             function = getattr(task, call.partition("(")[0], None)
             if needed or function is not None:
                 plugins.takes(self.what, function, call, count)
+        if theirs := [name for name in UNASKED if hasattr(task, name)]:
+            raise OwnCodeError(
+                f"{self.what}: has {theirs[0]}, which nothing would call: the policy sees the 5 + 2 J observations of fishmj;"
+                " put what matters into launch, target and reward, and take it out (docs/your_own_code.md)"
+            )
         self.seconds: Any = getattr(task, "seconds", None)
         if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float) or not 0 < self.seconds <= LONGEST:
             raise OwnCodeError(

@@ -3,6 +3,7 @@
 The truth file is JSON with what was planted, the seed and the hash of the data set's manifest. It may not lie in the data set.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -23,6 +24,11 @@ from fishmj.virtual_robot.trials import EFFECTS
 SCHEMA = "fishmj.truth/1"
 WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
 Limits = Callable[[str, Parameter], tuple[float, float]]
+OWN = re.compile(r"([^:=]+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)+):[A-Za-z_][\w.]*")  # an effect's name has no dot
+INSTEAD = (
+    "list it in a fish (docs/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects, or, if it"
+    " acts on what sensors report alone, put it on logs that are there: fishmj gap plant --generator log --from DATA"
+)
 LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
 
 
@@ -33,10 +39,13 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
     limits: of each parameter of an effect; default, `bounds`.
 
     Raises:
-        UnknownName: no such effect or parameter. ConfigError: no number, one out of its range, or an effect that is said twice.
+        UnknownName: no such effect or parameter. ConfigError: no number, one out of its range, an effect that is said twice, or
+            one of the user's own.
     """
     effects: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
+        if own := own_reference(text):
+            raise ConfigError(f"effect {own[:60]}: the second robot cannot hide it, having equations of its own; {INSTEAD}")
         rng = draws.stream(seed, "lottery", position)
         name, colon, list_ = text.partition(":")
         main = None
@@ -66,6 +75,12 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
         for parameter in effect.parameters:
             _ranged(text, parameter, effects[name].get(parameter.name, parameter.null), (limits or bounds)(name, parameter))
     return effects
+
+
+def own_reference(text: str) -> str:
+    """The `package.module:Name` or `file.py:Name` that what a user wrote begins with; "" for a plain name."""
+    found = OWN.match(text)
+    return found[0] if found else ""
 
 
 def bounds(name: str, parameter: Parameter) -> tuple[float, float]:

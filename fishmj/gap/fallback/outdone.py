@@ -24,6 +24,7 @@ from fishmj.gap.nearby import moved, nearest, polished
 from fishmj.gap.rounds import telling
 from fishmj.gap.search import Found
 from fishmj.gap.verdict import Verdict
+from fishmj.gap.wording import number
 
 LEAD = 60.0  # in twice the log likelihood: right names were led by 28 at most, by terms that are nearly their formula
 HALF = 0.5  # of the form error of what was found, that a term may have at most, if it has more than is usual
@@ -51,7 +52,8 @@ def challenged(plant, e: Evidence, found: Found, verdict: Verdict) -> Verdict:
     verdict = replace(verdict, gates=verdict.gates | told)
     if not outdone(verdict.gates):
         return verdict
-    why = f"a free force, {free.name}, gains {lead:.0f} more on records not seen; the best is tentative"
+    gains = f"gains {number(lead)} more in twice the log likelihood of records not seen"
+    why = f"a free force, {free.name}, {gains}; the best is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from fishmj.gap.localise.lags import alike, told
+from fishmj.gap.wording import number, percent
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
 AGREES = 1.25  # below this mean square there is nothing to place
@@ -109,11 +110,15 @@ def frame(p) -> str:
         return ""
     size, angle = 1e3 * np.hypot(*vector), math.degrees(math.atan2(vector[1], vector[0]))
     if f.points == "world":
-        what = f"{size:.0f} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
+        what = f"{number(size)} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
         against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"
         return f"The position drifts off {what} ({against}): a current, or the camera's axes."
     where_to = "ahead" if abs(angle) < 45 else "astern" if abs(angle) > 135 else "left" if angle > 0 else "right"
-    what = f"{size:.0f} mm/s to the robot's own {where_to}" if where_to in ("left", "right") else f"{size:.0f} mm/s {where_to}"
+    what = (
+        f"{number(size)} mm/s to the robot's own {where_to}"
+        if where_to in ("left", "right")
+        else f"{number(size)} mm/s {where_to}"
+    )
     against = f"{percent(f.body_share)} of its drift, against {percent(f.world_share)} in the tank"
     return f"The position drifts off {what}, turning with the robot ({against}): thrust, drag or an offset."
 
@@ -135,7 +140,7 @@ def side(p) -> str:
 def growth(p) -> str:
     """Within a record."""
     grown = [
-        f"the {noun(name)} from {v[0]:.1f} to {v[-1]:.0f} times the floor"
+        f"the {noun(name)} from {number(v[0])} to {number(v[-1])} times the floor"
         for name, v in p.thirds.items()
         if v[-1] > 3 * max(v[0], 1.0) and p.share[p.channels.index(name)].sum() > LITTLE
     ]
@@ -148,9 +153,8 @@ def speed(p) -> str:
     if r is None or p.share[p.channels.index("joint")].sum() < LITTLE:
         return ""
     if r.ratio > 4:
-        return (
-            f"The joint residual grows with the speed of the command ({r.ratio:.0f} times from the slowest fifth to the fastest)."
-        )
+        times = f"{number(r.ratio)} times from the slowest fifth to the fastest"
+        return f"The joint residual grows with the speed of the command ({times})."
     if r.ratio < 1.5:
         return "The joint residual does not grow with the speed of the command."
     return ""
@@ -160,11 +164,6 @@ def session(p) -> str:
     """Over the session."""
     drifting = [noun(name) for name, s in p.session.items() if math.isfinite(s) and abs(s) > 1e-3]
     return f"It changes over the session in the {listed(drifting)}." if drifting else ""
-
-
-def percent(share: float) -> str:
-    """As one reads it."""
-    return f"{100 * share:.0f} %"
 
 
 def ms(lag) -> str:

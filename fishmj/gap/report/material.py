@@ -11,6 +11,7 @@ from fishmj.gap.contest import on_bound
 from fishmj.gap.gates import Gates, frozen
 from fishmj.gap.growth import Curve, curves
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
+from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
 
 
@@ -30,19 +31,21 @@ class Part:
 
 @dataclass(frozen=True)
 class Row:
-    """One finalist of a round. values: parameter -> (value, unit). behind: cost above the best, share of the gain.
-    p_best: None on a bound (a limiting form, no rival)."""
+    """One finalist of a round. values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival).
+    behind: how much less likely than the one that was tried it makes the records, each in the evidence around itself, as a share
+    of what that one gains; below zero, ahead; None where that gains nothing. tried: whether it is that one."""
 
     name: str
     values: dict
-    behind: float
+    behind: float | None
     p_best: float | None
     rival: bool
+    tried: bool = False
 
 
 @dataclass(frozen=True)
 class Round:
-    """The finalists of one round, best first. alike: (n, n) cosine between what they change, whitened."""
+    """The finalists of one round, the largest P(best) first. alike: (n, n) cosine between what they change, whitened."""
 
     table: tuple[Row, ...]
     alike: np.ndarray
@@ -83,16 +86,15 @@ def gathered(inquiry: Inquiry, gates: Gates | None = None) -> Material:
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
-    """The row with what was found; with nothing accepted, the tentative best when one is shown."""
-    found, verdict = inquiry.found, inquiry.verdict
-    tentative = not found.best.names and verdict.answer == "UNEXPLAINED" and verdict.effects and found.steps
-    return found.steps[0].ranked[0].row if tentative else found.best.row
+    """The row with what was found; the model as it is where the answer lists nothing, or what did not help unseen records."""
+    return (inquiry.found.best if inquiry.verdict.taken else inquiry.found.base).row
 
 
 def parts(inquiry: Inquiry) -> tuple[Part, ...]:
     """Fitted, held out, never used."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
-    rows = np.stack([found.base.row, found.fitted.fits[0].row])
+    found_without = found.fitted.fits[0] if v.taken else found.base
+    rows = np.stack([found.base.row, found_without.row])
     residuals = e.layout.residuals(e.plant.predict(e.records, rows))
     count = e.runs
     null = e.factors[:count] * np.sqrt(count)
@@ -111,10 +113,11 @@ def parts(inquiry: Inquiry) -> tuple[Part, ...]:
         out.append(Part(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
     if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
         what = "no decision ever saw these"
-        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, v.gap_after_unseen)
+        ended = v.gap_after_unseen if v.taken else v.gap_unseen_before
+        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
         if inquiry.apart is not None:
-            before, after = (inquiry.apart.gap(c.row)[1] for c in (found.base, found.best))
-            last = replace(last, by_channel={name: (before[name], after[name]) for name in before})
+            one, two = (inquiry.apart.gap(row)[1] for row in (found.base.row, after(inquiry)))
+            last = replace(last, by_channel={name: (one[name], two[name]) for name in one})
         out.append(last)
     return tuple(out)
 
@@ -137,7 +140,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         if not step.accepted and number:
             break
         everything, best = np.ones(len(e.records), bool), step.ranked[0]
-        gained = max((e.around(start.row) if number else e).part(everything).loss(start.row) - best.cost, 1e-9)
+        gained = (e.around(start.row) if number else e).part(everything).loss(start.row) - best.cost
         z, *sides = e.around(best.row).part(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
         free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
         share = evidence.p_best(
@@ -150,14 +153,20 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         for c in step.ranked:
             name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
             p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
-            p = given.get(name, p) if p is not None else None
-            behind = float((c.cost - best.cost) / gained)
-            rows.append(Row(name, values(e.plant, c, name), behind, p, name in against))
-        signatures = np.stack(sides) - z
+            p = given.get(name, p)  # the verdict polished its rivals: one may have left its bound
+            behind = float((c.cost - best.cost) / gained) if gained > 0 else None
+            rows.append(Row(name, values(e.plant, c, name), behind, p, name in against, c is best))
+        order = listed(rows)
+        signatures = (np.stack(sides) - z)[order]
         unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
-        out.append(Round(tuple(rows), unit @ unit.T))
+        out.append(Round(tuple(rows[i] for i in order), unit @ unit.T))
         start = best
     return tuple(out)
+
+
+def listed(rows: list[Row]) -> list[int]:
+    """The order of a table: the largest P(best) first, of the same the one that was tried; last what lies on a bound."""
+    return sorted(range(len(rows)), key=lambda i: (-1.0 if (p := rows[i].p_best) is None else p, rows[i].tried), reverse=True)
 
 
 def values(plant, c: Candidate, name: str) -> dict:
@@ -191,7 +200,7 @@ def blind(inquiry: Inquiry, gates: Gates) -> tuple[Blind, ...]:
         ratio = max(float(x) for x, o in zip(change, owners, strict=True) if o.name == effect) / gates.gain
         if ratio < 1.0:
             p = next(o for o in owners if o.name == effect).parameters[0]
-            out.append(Blind(effect, f"{p.name} {p.typical[1]:g} {p.unit}", ratio))
+            out.append(Blind(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
     return tuple(sorted(out, key=lambda b: -b.ratio))
 
 

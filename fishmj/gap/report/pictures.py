@@ -8,7 +8,8 @@ from fishmj.gap.growth import Curve
 from fishmj.gap.localise import Localisation
 from fishmj.gap.report.drawing import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
 from fishmj.gap.report.material import Part, Round
-from fishmj.gap.report.words import LETTERS, level
+from fishmj.gap.report.words import LETTERS
+from fishmj.gap.wording import level, number
 
 ANGLE = {"rad": (math.degrees(1.0), "deg"), "m": (1e3, "mm")}
 
@@ -209,7 +210,7 @@ def _tenth(value: float) -> str:
 
 
 def _short(value: float) -> str:
-    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+    return number(value) if value >= 10 else f"{value:.1f}"
 
 
 def _wrapped(text: str, width: int = 14) -> str:

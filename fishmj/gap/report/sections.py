@@ -5,14 +5,15 @@ import re
 import numpy as np
 
 from fishmj import __version__
-from fishmj.gap.localise.words import nothing, percent
+from fishmj.gap.localise.words import nothing
 from fishmj.gap.report import pictures
 from fishmj.gap.report.drawing import style
 from fishmj.gap.report.material import Material, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
 from fishmj.gap.report.traces import traces
-from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, level, meaning, next_step, quantity, title
-from fishmj.gap.verdict import Named
+from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, meaning, next_step
+from fishmj.gap.verdict import LIKELIHOOD, said
+from fishmj.gap.wording import level, number, percent, quantity, sizes, title
 from fishmj.pages import document
 from fishmj.pages import escaped as escape
 
@@ -44,8 +45,8 @@ def answer(m: Material) -> str:
     v = m.inquiry.verdict
     value = ""
     if v.effects:
-        shown = " · ".join(escape(sizes(n, alone=len(v.effects) == 1)) for n in v.effects)
         tentative = v.answer == "UNEXPLAINED"
+        shown = " · ".join(escape(sizes(n.name, n.parameters, len(v.effects) == 1 and not tentative)) for n in v.effects)
         shown = f"tentative: {shown}" if tentative else f'{shown} <span class="small">90&nbsp;% interval</span>'
         value = f'<p class="{"small" if tentative else "value"}">{shown}</p>'
     chips = "".join(
@@ -59,20 +60,14 @@ def answer(m: Material) -> str:
     )
 
 
-def sizes(effect: Named, alone: bool) -> str:
-    """What an effect came out at."""
-    many = len(effect.parameters) > 1
-    values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in effect.parameters.items()]
-    return ", ".join(values) if alone and not many else f"{'' if alone else title(effect.name) + ' '}{', '.join(values)}"
-
-
 def figures(m: Material) -> list[str]:
     """The few numbers that one asks for first."""
     v, last = m.inquiry.verdict, m.parts[-1]
     out = []
     if m.comparison.changed:
         out.append((f"{level(last.before)} → {level(last.after)}", f"gap on records {last.name}; 1 is agreement"))
-        out.append((f"{percent(v.explained)}", "of what was unexpected is explained"))
+        if v.shrinks and last.after < last.before:
+            out.append((f"{percent(v.explained)}", f"of {LIKELIHOOD} is explained, on records not fitted to"))
     else:
         out.append((level(last.before), f"gap on records {last.name}; 1 is agreement"))
     if v.answer in ("NAMED", "CLASS") and v.effects:
@@ -107,8 +102,10 @@ def gap(m: Material) -> str:
 def warnings(m: Material) -> str:
     """Why to be careful, before anything else is read."""
     notes, quiet = list(m.inquiry.verdict.warnings), ""
-    for n in m.inquiry.verdict.tentative:
-        notes.append(f"{n.name} helped a little too, but could be something else: it is counted in, not named")
+    for n in m.inquiry.verdict.tentative if m.inquiry.verdict.taken else ():
+        notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
+    if m.comparison.changed and not m.inquiry.verdict.shrinks:
+        notes.append(f"What was found {m.inquiry.verdict.told()}")
     if not m.inquiry.unseen.any():
         quiet = "No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw."
     about = "".join(f'<p class="about">{escape(n)}</p>' for n in m.inquiry.notes)  # file names: nothing of them is marked up
@@ -161,9 +158,12 @@ def candidates(m: Material) -> str:
     if not m.rounds:
         return ""
     about = (
-        "The finalists, fitted to all records that decide. P(best): share of bootstrap draws over records that an effect wins."
-        " Behind: how much less it takes away, as share of what the best does. The map is the cosine between what two of them"
-        " change, seen through the floor: near 1 these records can hardly tell them apart."
+        "The finalists, fitted to all records that decide, the largest P(best) first: the share of bootstrap draws over records"
+        " that an effect wins, all seen in the evidence around the one that was tried. Behind: how much less likely than that one"
+        " it makes the records, each in the evidence around itself, as a share of what that one gains; below zero, likelier."
+        " Values are those of the round; what the head of the page says was fitted once more, with all that was taken."
+        " The map is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell"
+        " them apart."
     )
     blocks = [ranked(r, i, len(m.rounds)) for i, r in enumerate(m.rounds)]
     return section("What came closest" if v.answer == "AGREES" else "What it could be", about, "".join(blocks) + rounds(m))
@@ -178,32 +178,36 @@ def forces(m: Material) -> str:
         mark = "firm" if t["firm"] else "weak"
         tag = f'<span class="tag {"passed" if t["firm"] else "not"}">{mark}</span>'
         alike = f'<br><span class="small">or {escape(", ".join(t["alike"][:3]))}</span>' if t["alike"] else ""
-        size = f"{t['coefficient']:.3g} {escape(t['unit'])}"
+        size = f"{number(t['coefficient'])} {escape(t['unit'])}"
         name = f"<td><b>{escape(t['name'])}</b>{alike}</td>"
         numbers = (
             f'<td class="n">{size}</td><td class="n">{percent(t["closure"])}</td><td class="n">{percent(t["stability"])}</td>'
         )
         rows.append(f"<tr>{name}{numbers}<td>{tag}</td></tr>")
-    heads = '<tr><th>term</th><th class="n">coefficient</th><th class="n">closes</th><th class="n">chosen in</th><th></th></tr>'
+    heads = (
+        '<tr><th>term</th><th class="n">coefficient</th><th class="n">takes off</th><th class="n">chosen in</th><th></th></tr>'
+    )
     about = (
-        "Forces and torques written as products of what the robot does, best first: a description of what is missing, not a name."
-        " Chosen in: share of half-samples of the records in which a term is among the first two. Firm: it passes every doubt."
+        "Forces and torques written as products of what the robot does, the largest gain on records not seen first: a description"
+        " of what is missing, not a name. Takes off: share of the excess of |z|² over chance, against the floor of null runs, on"
+        " the records that it was fitted to. Chosen in: share of half-samples of the records in which a term is among the first"
+        " two. Firm: it passes every doubt."
     )
     return section("As a force", about, f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>")
 
 
-def ranked(r: Round, number: int, count: int) -> str:
+def ranked(r: Round, place: int, count: int) -> str:
     """One round."""
     rows = []
     for letter, row in zip(LETTERS, r.table, strict=False):
         values = "<br>".join(f"{escape(title(k))} {nobreak(quantity(*x))}" for k, x in row.values.items())
         share = '<span class="small">on a bound: no rival</span>' if row.p_best is None else _bar(row.p_best)
         mark = ' <span class="tag failed">rival</span>' if row.rival else ""
-        behind = "best" if row.behind == 0 else f"{100 * row.behind:.1f} %"
+        behind = "tried" if row.tried else "-" if row.behind is None else f"{number(100 * row.behind)} %"
         name = f'<td class="name"><span class="letter">{letter}</span>{escape(title(row.name))}{mark}</td>'
         rows.append(f'<tr>{name}<td>{values}</td><td class="keep">{share}</td><td class="n">{behind}</td></tr>')
-    heads = '<tr><th>effect</th><th>comes out at</th><th>P(best)</th><th class="n">behind</th></tr>'
-    head = f"<h3>Effect {number + 1}</h3>" if count > 1 else ""
+    heads = '<tr><th>effect</th><th>in its round</th><th>P(best)</th><th class="n">behind</th></tr>'
+    head = f"<h3>Effect {place + 1}</h3>" if count > 1 else ""
     table = f"<table><thead>{heads}</thead><tbody>{''.join(rows)}</tbody></table>"
     drawn = f"<figure>{pictures.confusion(r)}</figure>" if len(r.table) > 1 else ""
     return f'{head}<div class="rank"><div>{table}</div><div>{drawn}</div></div>'
@@ -212,9 +216,7 @@ def ranked(r: Round, number: int, count: int) -> str:
 def rounds(m: Material) -> str:
     """What each round did."""
     items = "".join(
-        f"<li>{escape(' + '.join(title(n) for n in s.ranked[0].names))}: gain {s.gain:.0f} on records not seen, "
-        f"{'accepted' if s.accepted else 'not enough: stop'}</li>"
-        for s in m.inquiry.found.steps
+        f"<li>{escape(title('+'.join(s.ranked[0].names)))}: {said(s.accepted, s.gain, s.gap)}</li>" for s in m.inquiry.found.steps
     )
     return f'<p><b>Rounds</b></p><ul class="plain">{items}</ul>'
 

@@ -1,24 +1,16 @@
 """The answer in words: what it says, what it means, what to do next, and each gate as a question."""
 
-import math
 from typing import NamedTuple
 
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.fallback.outdone import LEAD, outdone
 from fishmj.gap.gates import rest_allowed
-from fishmj.gap.localise.words import percent
 from fishmj.gap.report.material import Material
 from fishmj.gap.spared import misformed
-from fishmj.gap.verdict import Verdict
+from fishmj.gap.verdict import LIKELIHOOD, Verdict
+from fishmj.gap.wording import level, number, percent, title
 
-SCALES = {
-    "s": (1e3, "ms"),
-    "rad": (math.degrees(1.0), "deg"),
-    "rad/s": (math.degrees(1.0), "deg/s"),
-    "m": (1e3, "mm"),
-    "m/s": (1e3, "mm/s"),
-}
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
 CONTRACT = {
     "AGREES": "Nothing differs beyond what the model leaves open.",
@@ -37,26 +29,6 @@ class Gate(NamedTuple):
     value: str
     needed: str
     state: str
-
-
-def title(name: str) -> str:
-    """An effect's id as words."""
-    return " and ".join(part.replace("_", " ") for part in name.split("+"))
-
-
-def quantity(value: float, unit: str, low: float | None = None, high: float | None = None) -> str:
-    """A value in the unit that a lab uses, with its interval."""
-    small = unit.startswith("rad") or max(abs(value), abs(high or 0.0)) < 1.0
-    factor, shown = SCALES[unit] if unit in SCALES and small else (1.0, "" if unit == "1" else unit)
-    text = f"{factor * value:.3g}"
-    if low is not None and high is not None:
-        text += f" ({factor * low:.3g} to {factor * high:.3g})"
-    return f"{text} {shown}".strip()
-
-
-def level(value: float) -> str:
-    """A mean square in units of the floor, three digits."""
-    return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
 def headline(v: Verdict) -> str:
@@ -81,9 +53,9 @@ def meaning(m: Material) -> str:
     known = {e.name: e for e in m.inquiry.evidence.plant.active.effects}
     if v.answer == "NAMED":
         about = "; ".join(_about(known[e.name]) for e in v.effects if e.name in known)
-        return f"{about[:1].upper()}{about[1:]}. With it the model explains {percent(v.explained)} of what was unexpected."
+        return f"{about[:1].upper()}{about[1:]}. With it the model {v.told()}."
     if v.answer == "CLASS":
-        return f"{sentence(v.reason)} The first explains {percent(v.explained)} of what was unexpected."
+        return f"{sentence(v.reason)} The first {v.told()}."
     if v.answer == "UNEXPLAINED":
         tentative = f" Do not add {' and '.join(title(e.name) for e in v.effects)} yet." if v.effects else ""
         return f"{sentence(v.reason)}{tentative}"
@@ -108,7 +80,8 @@ def next_step(m: Material) -> str:
         return "Ask fishmj gap next for the experiment that tells them apart."
     if v.answer == "UNEXPLAINED" and v.terms and v.terms[0]["firm"]:
         first = v.terms[0]
-        return f"Look for what makes a force like this: {first['name']} (below). It would close {percent(first['closure'])}."
+        share = f"it takes {percent(first['closure'])} of the excess of |z|² off them"
+        return f"Look for what makes a force like this: {first['name']} (below). Fitted to these records {share}."
     if v.answer == "UNEXPLAINED":
         return "Look at where the residual lies (below), and repeat the most telling record to make sure that it repeats."
     if v.answer == "NOT_REPEATABLE":
@@ -136,24 +109,24 @@ def gates(m: Material) -> list[Gate]:
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
     rows = (
         ("gap", "Is there more than null runs reach?")
-        + (f"{had('adequacy'):.2f}", f"> {g.adequacy:g}", had("adequacy") > g.adequacy or accepted),
-        ("gain", "Does the best effect help records that did not see it more than chance does?")
-        + (f"{first.gain if first else 0.0:.0f}", f"> {g.gain:g}", accepted),
-        ("closure", "Is most of what was unexpected gone?")
+        + (level(had("adequacy")), f"> {g.adequacy:g}", had("adequacy") > g.adequacy or accepted),
+        ("gain", "Does the best effect make records that did not see it likelier than chance does?")
+        + (number(first.gain if first else 0.0), f"> {g.gain:g}", accepted),
+        ("closure", f"Is most of {LIKELIHOOD} gone, unseen?")
         + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure),
         ("rest", "Is what is left within the error of any formula?")
-        + (f"{had('rest'):.2f}", f"≤ {rest_allowed(checks, g):.3g}", had("rest") <= rest_allowed(checks, g)),
+        + (level(had("rest")), f"≤ {rest_allowed(checks, g):.3g}", had("rest") <= rest_allowed(checks, g)),
         ("form", "Is it right to within what a formula may be wrong?")
         + (percent(had("form")), f"≤ {percent(g.form)}", not misformed(checks)),
         ("size", "And in its size, from record to record?")
         + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size),
-        ("transfer", "Do the records get better one by one, unseen?")
+        ("transfer", "Do the records get likelier one by one, unseen?")
         + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer),
         ("uniqueness", "Is no other effect nearly as good?")
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
         ("sanity", "Are the values believable?") + (f"{len(v.warnings)} warnings", "none", not v.warnings),
         ("force", "Does no free force that is right in its form explain more, unseen?")
-        + (f"{had('lead'):+.0f}" if "lead" in checks else "-", f"≤ {LEAD:+.0f}", not outdone(checks)),
+        + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(LEAD)}", not outdone(checks)),
     )
     out, asked = [], True
     if v.answer == "NOT_REPEATABLE":

@@ -1,0 +1,51 @@
+"""How names and numbers of an answer are said, the same in a terminal and on a page."""
+
+import math
+
+SCALES = {
+    "s": (1e3, "ms"),
+    "rad": (math.degrees(1.0), "deg"),
+    "rad/s": (math.degrees(1.0), "deg/s"),
+    "m": (1e3, "mm"),
+    "m/s": (1e3, "mm/s"),
+}
+PLAIN = 1e6  # from here on numbers are written with an exponent
+
+
+def title(name: str) -> str:
+    """An effect's id, or several with + between, as words."""
+    return " and ".join(part.strip().replace("_", " ") for part in name.split("+"))
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    shown = f"{value:.3g}"
+    return f"{float(shown):.0f}" if 100 <= abs(value) < PLAIN else shown
+
+
+def level(value: float) -> str:
+    """A mean square in units of the floor, three digits."""
+    return number(value) if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
+
+
+def percent(share: float) -> str:
+    """As one reads it; never all where a little is left."""
+    shown = f"{100 * share:.0f}"
+    return f"{shown} %" if shown != "100" or share >= 1.0 else f"{min(100 * share, 99.9):.1f} %"
+
+
+def quantity(value: float, unit: str, low: float | None = None, high: float | None = None) -> str:
+    """A value in the unit that a lab uses, with its interval."""
+    small = unit.startswith("rad") or max(abs(value), abs(high or 0.0)) < 1.0
+    factor, shown = SCALES[unit] if unit in SCALES and small else (1.0, "" if unit == "1" else unit)
+    text = number(factor * value)
+    if low is not None and high is not None:
+        text += f" ({number(factor * low)} to {number(factor * high)})"
+    return f"{text} {shown}".strip()
+
+
+def sizes(name: str, parameters: dict, alone: bool = False) -> str:
+    """What an effect came out at. parameters: of a `verdict.Named`. alone: without its name."""
+    many = len(parameters) > 1
+    values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in parameters.items()]
+    return f"{'' if alone else title(name) + ' '}{', '.join(values)}"

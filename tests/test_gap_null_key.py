@@ -1,0 +1,84 @@
+"""Null runs are kept under a key of all that decides them: the code of the simulator and of the model too."""
+
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fishmj.gap import null_runs, sources
+from fishmj.gap.null_runs import Null, repeated
+from fishmj.gap.null_sets import FEWEST, Sets
+from fishmj.gap.plants.fish import Fish
+from fishmj.gap.records import record_of
+from fishmj.virtual_robot import generate
+
+MODEL = {"hydro_fit.chain", "hydro_fit.model", "mjcf.geometry", "effects.active", "gap.kernel", "gap.plants.fish", "gap.features"}
+SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.compiled", "excitation", "mjcf.description"}
+NEITHER = {"lbm_oracle.domain", "tasks.own", "gap.decide", "gap.report.words", "train.networks"}
+
+
+@pytest.fixture
+def code(tmp_path, monkeypatch):
+    """A copy of the package's source, which keys are taken of."""
+    there = tmp_path / "fishmj"
+    shutil.copytree(sources.ROOT, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
+    monkeypatch.setattr(sources, "ROOT", there)
+    sources.digest.cache_clear()
+    yield there
+    sources.digest.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def record():
+    return record_of(generate({}, ["idle"], 0)[0], 0.004)
+
+
+CHANGES = [("hydro_fit/chain.py", True, True), ("virtual_robot/water.py", True, False), ("gap/decide.py", False, False)]
+
+
+@pytest.mark.parametrize(("file", "made", "elsewhere"), CHANGES)
+def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made, elsewhere, code, record, tmp_path):
+    for i in range(FEWEST):
+        np.savez(tmp_path / f"{i}.npz", a=i)
+    plant, nulls = Fish("fish"), (Null(runs=8), Sets(folder=tmp_path))
+    keys = lambda: [null._key(plant, record, repeated(record)) for null in nulls]  # noqa: E731
+    before = keys()
+    assert keys() == before
+    (code / file).write_text((code / file).read_text() + "\n# another formula\n")
+    sources.digest.cache_clear()
+    assert [a != b for a, b in zip(keys(), before, strict=True)] == [made, elsewhere]
+
+
+def test_what_decides_the_runs_is_found_by_its_imports():
+    swims, predicts = sources.reached(null_runs.SIMULATOR), sources.reached(Fish.__module__, "fishmj.gap.features")
+    assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)
+    assert {f"fishmj.{name}" for name in MODEL} <= set(predicts)
+    assert not {f"fishmj.{name}" for name in NEITHER} & {*swims, *predicts}
+
+
+def test_the_key_also_hangs_on_the_robot_the_draws_and_the_experiment(record):
+    plant, what = Fish("fish"), repeated(record)
+    links = tuple(replace(link, mass=1.01 * link.mass) for link in plant.robot.links)
+    other = SimpleNamespace(robot=replace(plant.robot, links=links), fingerprint=plant.fingerprint)
+    keys = [
+        Null(runs=8)._key(plant, record, what),
+        Null(runs=9)._key(plant, record, what),
+        Null(runs=8, seed=1)._key(plant, record, what),
+        Null(runs=8)._key(other, record, what),
+        Null(runs=8)._key(plant, record, replace(what, commands=what.commands + 0.1)),
+    ]
+    assert len(set(keys)) == len(keys)
+
+
+def test_imports_are_followed_through_packages_and_into_functions(code):
+    (code / "far").mkdir()
+    (code / "far" / "__init__.py").write_text("from fishmj.far.inner import thing\n")
+    (code / "far" / "inner.py").write_text("def thing():\n    import fishmj.near\n")
+    (code / "near.py").write_text("import numpy\n")
+    (code / "start.py").write_text("from fishmj import far\nimport fishmj_elsewhere.near\n")
+    found = sources.reached("fishmj.start")
+    assert {"fishmj", "fishmj.far", "fishmj.far.inner", "fishmj.near", "fishmj.start"} <= set(found)
+    assert not [name for name in found if "numpy" in name or "elsewhere" in name]
+    assert sources.reached("fishmj.far.inner.thing", "types", "os.path") == {}

@@ -1,0 +1,226 @@
+"""What `gap find` says: terminal, page and JSON never contradict each other, on small verdicts made by hand."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fishmj import effects
+from fishmj.gap import workflow
+from fishmj.gap.candidates import Candidate
+from fishmj.gap.decide import _answer, described
+from fishmj.gap.folds import Fitted
+from fishmj.gap.gates import frozen
+from fishmj.gap.report import sections, words
+from fishmj.gap.report.material import Part, Row, after, listed
+from fishmj.gap.rounds import Step
+from fishmj.gap.verdict import Named, Value, Verdict, said
+from fishmj.gap.wording import level, number, percent, quantity, title
+
+CURRENT = Named(
+    "steady_current", {"x": Value(0.1415, "m/s", 0.09918, 0.18391), "y": Value(-0.0159, "m/s", -0.028, -0.0036)}, 0.04, 0.99
+)
+SKIN = Named("skin_stiffness", {"stiffness": Value(0.91934, "N m/rad", 0.52911, 1.30956)}, 0.0, 0.99)
+RIVALS = (
+    {"name": "current_shear", "p_best": 0.45, "behind": 0.0, "instead_of": "steady_current"},
+    {"name": "swirl", "p_best": 0.48, "behind": 0.0, "instead_of": "steady_current"},
+    {"name": "command_gain_error", "p_best": 1.0, "behind": 0.0, "instead_of": "skin_stiffness"},
+)
+PASSED = {"adequacy": 6483.676, "gain": 3.4e7, "closure": 0.98, "rest": 1.53, "transfer": 1.0, "form": 0.5, "size": 0.2}
+
+
+def candidate(*names):
+    return Candidate(names, (0,), np.ones(1), 1.0, np.zeros(1))
+
+
+def step(accepted, gap, names=("steady_current",)):
+    return Step((candidate(*names),), None, 34561418.0, accepted, gap)
+
+
+def verdict(before, now, **more):
+    """A search that took a steady current, and what it made of the gap."""
+    found = {"answer": "UNEXPLAINED", "effects": (CURRENT,), "rivals": RIVALS[:2], "reason": "made up", "gates": PASSED}
+    found |= {"gap_before": before, "gap_after": now, "explained": 0.98, "steps": (described(step(True, (before, now))),)}
+    return Verdict(**found | more)
+
+
+GROWN, SHRUNK = verdict(7273.97, 42555.6), verdict(1521.138, 1316.749)
+
+
+def material(v, *, changed=None, steps=None, parts=()):
+    """As much of a page's material as words need."""
+    plant = SimpleNamespace(active=SimpleNamespace(effects=list(effects.catalogue().values())))
+    found = SimpleNamespace(steps=steps or (step(True, (v.gap_before, v.gap_after)),), best=candidate("steady_current"))
+    found.base = SimpleNamespace(row=np.zeros(1))
+    inquiry = SimpleNamespace(
+        verdict=v, found=found, evidence=SimpleNamespace(plant=plant), records=[], notes=(), unseen=np.zeros(1, bool)
+    )
+    changed = v.taken if changed is None else changed
+    comparison = SimpleNamespace(changed=changed)
+    return SimpleNamespace(inquiry=inquiry, gates=frozen(), comparison=comparison, parts=parts, blind=())
+
+
+# ------------------------------------------------------------------------------------------------------------------- rounds
+def test_a_round_is_called_accepted_only_where_it_lowers_the_gap_of_records_that_it_did_not_see():
+    assert "accepted: their gap falls from 7.27 to 1.10" in said(True, 300.0, (7.27, 1.1))
+    grown = said(True, 34561418.0, (7273.97, 42555.6))
+    assert "accepted" not in grown and "taken though" in grown and "7270 before, 42600 after" in grown
+    assert "accepted" not in said(True, 300.0, (5.0, 5.0))
+    assert said(False, 12.0, None).endswith("not enough")
+
+
+@pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])
+def test_terminal_page_and_json_call_the_same_rounds_accepted(gap, accepted):
+    one = step(True, gap)
+    v = replace(SHRUNK, steps=(described(one),))
+    told = v.plain()["steps"][0]
+    assert (told["accepted"], told["taken"]) == (accepted, True)
+    assert ("accepted" in workflow._round(one)) is accepted
+    assert ("accepted" in sections.rounds(material(v, steps=(one,)))) is accepted
+    assert v.steps[0]["accepted"]  # what the search decided stays
+
+
+def test_the_gap_of_unseen_records_is_that_of_the_fits_which_did_not_see_them():
+    blocks = [SimpleNamespace(channel="joint", where=slice(0, 2)), SimpleNamespace(channel="joint", where=slice(2, 4))]
+    layout = SimpleNamespace(record=np.array([0, 0, 1, 1]), blocks=blocks, residuals=lambda rows: np.array(rows))
+    plant = SimpleNamespace(predict=lambda records, rows: [[1.0 * r[0]] * 4 for r in rows])
+    near = SimpleNamespace(layout=layout, plant=plant, records=[0, 1], scale=np.ones(4))
+    fits = tuple(replace(candidate(), row=np.array([value])) for value in (2.0, 3.0))
+    assert Fitted(near, candidate(), fits).gap(np.array([[True, False], [False, True]])) == pytest.approx((4.0 + 9.0) / 2)
+
+
+# --------------------------------------------------------------------------------------------------------------- percentages
+def test_no_share_is_claimed_beside_a_gap_that_grows():
+    assert not GROWN.shrinks
+    for text in (GROWN.text(), " ".join(sections.figures(material(GROWN, parts=(Part("fitted", "", 2, 7273.97, 42555.6),))))):
+        assert "explain" not in text and "%" not in text
+    assert "gap 7270 -> 42600 on the records searched" in GROWN.text() and "it grows" in GROWN.text()
+    assert "does not shrink" in GROWN.text() and "does not shrink" in sections.warnings(material(GROWN))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"gap_unseen_before": 2.0, "gap_after_unseen": 2.5},
+        {"gap_after": 1521.2},
+        {"steps": (described(step(True, (5.0, 6.0))),)},
+    ],
+)
+def test_wherever_the_gap_was_measured_it_has_to_shrink(more):
+    v = replace(SHRUNK, **more)
+    assert SHRUNK.shrinks and not v.shrinks and "98" not in v.told()
+    assert "98" not in words.meaning(material(replace(v, answer="NAMED"))) + words.meaning(material(replace(v, answer="CLASS")))
+
+
+def test_a_share_names_what_it_is_of():
+    text = SHRUNK.text()
+    assert "explains 98 % of the excess log likelihood, on records that it was not fitted to" in text
+    assert "gap 1520 -> 1320 on the records searched (mean square in units of the floor, 1 = agreement)" in text
+    assert "13 % of what is above 1 is gone" in text
+    named = replace(SHRUNK, answer="NAMED")
+    assert "98 % of the excess log likelihood" in words.meaning(material(named))
+    force = {"name": "sway force ~ tail angle", "closure": 0.28, "firm": True, "alike": []}
+    v = replace(SHRUNK, terms=(force,))
+    assert "takes off 28 % of the excess of |z|^2 of the records that it was fitted to, firm" in v.text()
+    assert "28 %" in words.next_step(material(v)) and "Fitted to these records" in words.next_step(material(v))
+
+
+def test_a_reason_claims_a_share_only_beside_a_gap_that_shrinks():
+    gates, stand = frozen(), {}
+    for shrinks, claimed in ((True, True), (False, False)):
+        answer, reason = _answer(PASSED | {"rest": 5.8}, gates, (), stand, (), (), shrinks)
+        assert answer == "UNEXPLAINED" and ("98 % of the excess log likelihood" in reason) is claimed
+        assert ("does not lower the gap" in reason) is not claimed and "5.8 times" in reason
+    good = PASSED | {"rest": 1.0, "form": 0.02, "size": 0.0}
+    assert _answer(good, gates, (), stand, (), (), True) == (
+        "NAMED",
+        "explains records that it has not seen, and nothing else does",
+    )
+    assert "not their gap smaller" in _answer(good, gates, (), stand, (), (), False)[1]
+
+
+@pytest.mark.parametrize("answer", ["AGREES", "NOT_REPEATABLE", "UNEXPLAINED"])
+def test_where_nothing_was_taken_the_gap_is_told_as_it_is(answer):
+    refused = (described(step(False, None)),)
+    shown = (CURRENT,) if answer == "UNEXPLAINED" else ()
+    v = verdict(5.0, 5.0, answer=answer, effects=shown, rivals=(), gates={"adequacy": 3.0}, explained=0.0, steps=refused)
+    text = v.text()
+    assert "gap 5.00 on the records searched" in text and "->" not in text and "%" not in text and "P(best)" not in text
+    m = material(v)
+    np.testing.assert_array_equal(after(m.inquiry), m.inquiry.found.base.row)
+    assert sections.figures(material(v, parts=(Part("fitted", "", 2, 5.0, 5.0),)))[0].startswith("<div><b>5.00</b>")
+
+
+def test_what_is_not_repeatable_shows_no_explanation_though_one_was_taken():
+    v = replace(SHRUNK, answer="NOT_REPEATABLE", effects=(), rivals=())
+    assert not v.taken and "explain" not in v.text() and "->" not in v.text()
+
+
+def test_a_measured_study_that_has_no_rounds_says_where_its_gap_was_measured():
+    v = replace(SHRUNK, steps=(), gates={"closure": 0.7}, explained=0.7)
+    assert "explains 70 % of what lies above the floor, on records that it was not fitted to" in v.text()
+    assert "gap 1520 -> 1320 on records kept aside" in v.text()
+    none = replace(v, gap_after=v.gap_before, explained=0.0)
+    assert "does not lower the gap" in none.text() and "likelier" not in none.text()
+
+
+# --------------------------------------------------------------------------------------------------------------------- lists
+def test_explanations_are_listed_by_how_probable_they_are_and_only_with_their_own_rivals():
+    v = replace(GROWN, effects=(CURRENT, SKIN), rivals=RIVALS)
+    lists = [line for line in v.text().splitlines() if "P(best)" in line]
+    assert lists[0].endswith("largest first: swirl 0.48, current shear 0.45, steady current 0.04")
+    assert lists[1].endswith("largest first: command gain error 1.00, skin stiffness 0.00")
+
+
+def test_a_table_of_finalists_goes_by_p_best_and_ends_with_those_on_a_bound():
+    row = lambda p, tried=False: Row("x", {}, 0.0, p, False, tried)  # noqa: E731
+    assert listed([row(0.0, True), row(None), row(0.3), row(0.7)]) == [3, 2, 0, 1]
+    assert listed([row(0.4), row(0.4, True)])[0] == 1
+
+
+def test_the_table_marks_the_one_that_was_tried_and_never_calls_it_the_best():
+    rows = (Row("swirl", {"rate": (0.02, "rad/s")}, -0.031, 0.96, True), Row("steady_current", {}, 0.0, 0.04, False, True))
+    text = sections.ranked(SimpleNamespace(table=rows[:1], alike=np.eye(1)), 0, 1) + sections.ranked(
+        SimpleNamespace(table=rows[1:], alike=np.eye(1)), 0, 1
+    )
+    assert ">-3.1 %<" in text and ">tried<" in text and ">best<" not in text
+    assert ">-<" in sections.ranked(SimpleNamespace(table=(replace(rows[0], behind=None),), alike=np.eye(1)), 0, 1)
+
+
+# ----------------------------------------------------------------------------------------------------------- numbers and names
+def test_no_id_of_an_effect_and_no_number_without_end_is_said():
+    v = replace(GROWN, effects=(CURRENT, SKIN), rivals=RIVALS, tentative=(replace(SKIN, name="yaw_added_mass"),))
+    text = (
+        v.text() + sections.warnings(material(v)) + sections.rounds(material(v)) + workflow._round(step(True, (7273.97, 42555.6)))
+    )
+    assert not [name for name in effects.catalogue() if "_" in name and name in text]
+    assert "steady current x 142 (99.2 to 184) mm/s, y -15.9 (-28 to -3.6) mm/s" in text
+    digits = [
+        re.sub(r"e[+-]\d+$", "", d).replace(".", "").lstrip("0").rstrip("0") for d in re.findall(r"\d[\d.]*(?:e[+-]\d+)?", text)
+    ]
+    assert max(map(len, digits)) <= 3, digits
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [
+        (number(34561418.0), "3.46e+07"),
+        (number(42555.6), "42600"),
+        (number(-5865.2), "-5870"),
+        (number(0.066), "0.066"),
+        (level(0.972), "0.97"),
+        (level(12.34), "12.3"),
+        (level(7273.97), "7270"),
+        (percent(0.98), "98 %"),
+        (percent(0.9993), "99.9 %"),
+        (percent(0.99999), "99.9 %"),
+        (percent(1.0), "100 %"),
+        (quantity(0.04, "s", 0.0347, 0.0452), "40 (34.7 to 45.2) ms"),
+        (quantity(0.1, "1"), "0.1"),
+        (title("yaw_drag+swirl"), "yaw drag and swirl"),
+    ],
+)
+def test_numbers_have_two_or_three_digits(shown, expected):
+    assert shown == expected
