@@ -37,6 +37,7 @@ def finite(document):
     return [finite(v) for v in document if v is not None] if isinstance(document, list) else document
 
 
+@pytest.mark.slow
 def test_a_fitted_water_with_anything_in_it(water):
     def read(document):
         write_text(water, toml.dumps(finite(document)))
@@ -45,6 +46,7 @@ def test_a_fitted_water_with_anything_in_it(water):
     assert fuzz(read, tomllib.loads(water.read_text(encoding="utf-8")), FishmjError) > 5
 
 
+@pytest.mark.slow
 def test_a_manifest_with_anything_in_it(tmp_path):
     write_text(tmp_path / "a.txt", "a")
     Manifest.of(tmp_path, {"licence": "x"}).write(tmp_path)
@@ -57,6 +59,7 @@ def test_a_manifest_with_anything_in_it(tmp_path):
     assert fuzz(read, document, FishmjError, least=1) > 50
 
 
+@pytest.mark.slow
 def test_a_page_of_weighings_with_anything_in_it(tmp_path):
     text = """
     [scales]
@@ -78,6 +81,7 @@ def test_a_page_of_weighings_with_anything_in_it(tmp_path):
     assert fuzz(read, tomllib.loads(text), FishmjError, least=1) > 50
 
 
+@pytest.mark.slow
 def test_a_segment_of_a_campaign_with_anything_in_it(tmp_path):
     source = ROOT / "data" / "hydro" / "tendon_fish"
     some = sorted((source / "segments").glob("*.json"))[:2]

@@ -50,7 +50,11 @@ def test_rollouts_are_those_of_mujoco(plant):
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("command_latency", {"delay": 0.03}), ("steady_current", {"x": 0.03, "y": -0.01}), ("coulomb_friction", {"torque": 0.12})],
+    [
+        pytest.param("command_latency", {"delay": 0.03}, marks=pytest.mark.slow),
+        pytest.param("steady_current", {"x": 0.03, "y": -0.01}, marks=pytest.mark.slow),
+        pytest.param("coulomb_friction", {"torque": 0.12}, marks=pytest.mark.part("search")),
+    ],
 )
 def test_a_hidden_effect_is_named_with_its_size(plant, name, values):
     verdict = investigate(plant, hidden({name: values}, 11), null=NULL).verdict

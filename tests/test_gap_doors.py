@@ -51,6 +51,7 @@ def questioned():
     return Fish(stiffer(), [effects.get(n) for n in ("servo_gain", "command_latency", "viscous_friction")])
 
 
+@pytest.mark.slow
 def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     gains = []
 

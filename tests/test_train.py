@@ -122,6 +122,7 @@ def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume
     assert longer.done == 8192
 
 
+@pytest.mark.slow
 def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, monkeypatch):
     """Two iterations and an assessment of two seeds side by side, then each by itself."""
     settings, n = calm_run(assess_every=2 * 8192), 2 * 8192
@@ -148,6 +149,7 @@ def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, m
 # ---- what the policy sees ----
 
 
+@pytest.mark.slow
 def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
     """`--memory 4` with SAC: the exported policy keeps the window that the environment kept, from the first step on."""
     settings = sac_run(steps=384, assess_every=10**9, task={"memory": 4})
