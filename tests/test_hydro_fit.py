@@ -68,6 +68,7 @@ def replace_stall(c):
     return c._replace(stall_angle=float(np.radians(35.0)), stall_lag=3.0)
 
 
+@pytest.mark.part("fit")
 def test_swims_decide_what_forces_leave_open(fitted):
     """The factors found by free swims bring the validation swims closer; what the data cannot tell is said."""
     fit, model, _ = fitted
