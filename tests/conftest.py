@@ -21,7 +21,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s;
 settings.register_profile("fishmj", derandomize=True, deadline=None)
 settings.load_profile("fishmj")
 
-OF_A_TEST, OF_SHARED, OF_A_PART = 5.0, 30.0, 60.0  # s of CPU
+OF_A_TEST, OF_SHARED, OF_A_PART = 5.0, 60.0, 60.0  # s of CPU
 UNBOUNDED = ("slow", "gpu", "sb3", "ray")  # marks of what the default run leaves out
 
 _HOME = machine_code.cache_folder()
