@@ -1,6 +1,6 @@
 # make demo         train a fish, judge it, watch it
-# make test         style, types, import order, tests, and the wheel in a fresh environment
-# make test-extras  what needs the extras sb3, ray and bench
+# make test         style, types, and the tests of every run: all fast ones, and each part of the product once
+# make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, wheel
 # make bench        one JSON line a benchmark
 # make lint         style and types only
 # make manifest     state the sha256 of data/calib after a change there
@@ -10,11 +10,12 @@ VENV ?= .venv
 PY := $(VENV)/bin/python
 JOBS ?= 2
 STEP := .ci/step
+WORKERS := -n $(JOBS) --dist worksteal
 INSTALLED := $(VENV)/.fishmj-installed
 EXTRAS := $(VENV)/.fishmj-extras
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-extras bench lint install manifest wheel clean
+.PHONY: demo test verify bench lint install manifest wheel clean
 .DEFAULT_GOAL := test
 
 install: $(INSTALLED)
@@ -40,19 +41,18 @@ lint: $(INSTALLED)
 	@$(STEP) "types" $(PY) -m mypy
 
 test: lint
-	@$(STEP) "import order" $(PY) -m pytest -q tests/test_architecture.py
-	@$(STEP) "tests" $(PY) -m pytest -q -n $(JOBS) --dist loadfile --durations 15 --ignore tests/test_architecture.py
+	@$(STEP) "tests" $(PY) -m pytest -q $(WORKERS) --durations 10
+
+verify: $(EXTRAS)
+	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray"
+	@$(STEP) "sb3" $(PY) -m pytest -q --durations 5 -m "sb3 and not gpu"
+	@$(STEP) "ray" $(PY) -m pytest -q --durations 5 -m "ray and not gpu"
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick
 	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 20 --seed 1 --jobs $(JOBS)
 	@$(MAKE) --no-print-directory wheel
 
 wheel: $(INSTALLED)
 	@$(STEP) "wheel" $(PY) .ci/wheel.py
-
-test-extras: $(EXTRAS)
-	@$(STEP) "sb3" $(PY) -m pytest -q -m sb3 --durations 5
-	@$(STEP) "ray" $(PY) -m pytest -q -m ray --durations 5
-	@$(STEP) "baselines" $(PY) -m pytest -q tests/test_gap_baselines.py
 
 manifest: $(INSTALLED)
 	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"

@@ -3,9 +3,10 @@
 `import fishmj` loads NumPy only; everything heavier is imported where it is used.
 """
 
-from fishmj import gym_ids, interrupt
+from fishmj import gym_ids, interrupt, machine_code
 
 __version__ = "0.1.0"
 
 interrupt.arm()  # before anything heavier is imported; does nothing but in a command
+machine_code.keep()  # before JAX is imported: it reads its environment then
 gym_ids.announce()  # gymnasium.make("fishmj/StationHold-v0") works once both are imported

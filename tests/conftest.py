@@ -1,6 +1,64 @@
-"""The same draws on every run, and no time limit that a busy machine could break."""
+"""The same draws on every run, no time limit that a busy machine could break, and a bound on the CPU time of quick tests.
 
+A test without the mark `slow` fails where it takes more than `OF_A_TEST` seconds of CPU, its child processes included: CPU time,
+because wall time is also that of the other work on the machine. What its setup makes may be shared by a file or by all files and
+has `OF_SHARED`; one part of the product from end to end (mark `part`) has `OF_A_PART`. A test during which something was compiled
+that is kept between runs (`fishmj.machine_code`, numba, Warp, null runs of the search) is not judged: the next run does so.
+"""
+
+import os
+import resource
+import time
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
+
+from fishmj import machine_code
+
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s; JAX's own default is for longer programs
 
 settings.register_profile("fishmj", derandomize=True, deadline=None)
 settings.load_profile("fishmj")
+
+OF_A_TEST, OF_SHARED, OF_A_PART = 5.0, 60.0, 60.0  # s of CPU
+UNBOUNDED = ("slow", "gpu", "sb3", "ray")  # marks of what the default run leaves out
+
+_HOME = machine_code.cache_folder()
+_WARP = Path(os.environ.get("WARP_CACHE_PATH") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "warp")
+_KEPT = (_HOME, _HOME / "__pycache__", Path(os.environ.get(machine_code.JAX) or _HOME / "jax"), _HOME / "null")
+_SOURCES = Path(machine_code.__file__).parent
+
+
+def spent() -> float:
+    """CPU seconds of this process and of its children that have ended."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def kept() -> dict[Path, int]:
+    """The folders of what is compiled once, each with the time of its last change."""
+    folders = (*_KEPT, *_WARP.glob("*"), *_SOURCES.rglob("__pycache__"))
+    return {folder: folder.stat().st_mtime_ns for folder in folders if folder.is_dir()}
+
+
+def bounded(item: pytest.Item, bound: float, what: str):
+    """Runs a phase of a test; fails it where it took more CPU than `bound`, in s, and nothing was compiled in it."""
+    if any(item.get_closest_marker(mark) for mark in UNBOUNDED):
+        return (yield)
+    before, began = kept(), spent()
+    result = yield
+    took = spent() - began
+    if took > bound and kept() == before:
+        pytest.fail(f"{what} took {took:.1f} s of CPU, at most {bound:g} s: make it cheaper, or mark it slow", pytrace=False)
+    return result
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item):
+    return (yield from bounded(item, OF_SHARED, "the setup"))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_call(item):
+    return (yield from bounded(item, OF_A_PART if item.get_closest_marker("part") else OF_A_TEST, "the test"))

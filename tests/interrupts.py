@@ -149,7 +149,8 @@ class Shot:
 
 def environment(cache: Path) -> dict[str, str]:
     """Of a started verb: this checkout, and a cache of machine code of its own."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), "FISHMJ_CACHE": str(cache), "PYTHONFAULTHANDLER": "1"}
+    empty = {"FISHMJ_CACHE": str(cache), "JAX_COMPILATION_CACHE_DIR": str(cache / "jax")}
+    return {**os.environ, **empty, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}
 
 
 def started(words: list[str], folder: Path, cache: Path, said) -> subprocess.Popen:

@@ -220,6 +220,7 @@ def test_shipped_trials_are_whole_synthetic_and_sealed():
     assert {m["grid"]["domain"] for m in wet} == {"window_coarse"} and len(wet) == 18, "all water is the flow solver's"
 
 
+@pytest.mark.slow
 def test_another_robot_takes_the_place_of_the_first(tmp_path: Path):
     make = ["--out", str(tmp_path / "t"), "--water", "second", "--seconds", "6", "--seed"]
     assert hidden_trials.main([*make, "3"]) == 0

@@ -9,6 +9,7 @@ import re
 import sys
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -22,31 +23,17 @@ from fishmj.engines import FishParams, compiled, native, planar  # noqa: E402
 from fishmj.errors import ConfigError, MissingExtra  # noqa: E402
 from fishmj.flow import draw, table_of  # noqa: E402
 from fishmj.hydro_fit import chain  # noqa: E402
+from fishmj.machine_code import cache_folder  # noqa: E402
 from fishmj.mjcf.description import load_robot  # noqa: E402
 
 ROBOT = load_robot("fish")
 RAMPED = replace(ROBOT, timing=replace(ROBOT.timing, command_path="move_time"))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def folder(tmp_path_factory):
-    """Generated modules of this test run."""
-    with pytest.MonkeyPatch.context() as patch:
-        path = tmp_path_factory.mktemp("cache")
-        patch.setenv("FISHMJ_CACHE", str(path))
-        yield path
-
-
 @pytest.fixture(scope="module")
 def engine():
-    """float32, two threads; kept in memory because its cache folder is a file, so that its assembly can be read."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FISHMJ_CACHE", __file__)
-        for name in [n for n in sys.modules if n.startswith("fishmj_")]:  # another test file may have loaded a cached one
-            patch.delitem(sys.modules, name)
-        made = compiled.Engine(ROBOT, threads=2)
-        made._advance  # noqa: B018  compile now
-    return made
+    """float32, two threads."""
+    return compiled.Engine(ROBOT, threads=2)
 
 
 @pytest.fixture(scope="module")
@@ -194,9 +181,14 @@ def test_a_lost_fish_harms_no_other(engine):
     assert np.isnan(lost[3]).any() and worst(np.delete(lost, 3, 0), np.delete(sound, 3, 0)) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 assembly")
-def test_the_physics_runs_in_vector_registers(engine):
-    text = next(iter(engine._advance.inspect_asm().values()))
+def test_the_physics_runs_in_vector_registers(monkeypatch):
+    """Compiled here: machine code that comes from the cache has no assembly to read, and a folder that is a file holds none."""
+    monkeypatch.setenv("FISHMJ_CACHE", __file__)
+    for name in [n for n in sys.modules if n.startswith("fishmj_")]:
+        monkeypatch.delitem(sys.modules, name)
+    text = next(iter(compiled.Engine(ROBOT)._advance.inspect_asm().values()))
     physics = re.search(r"^(\w*7physics\w*):(.*?)\.size\s+\1", text, re.S | re.M)[2]
     vector, scalar = (len(re.findall(rf"\sv?(?:mul|f[n]?m(?:add|sub)\d+){kind}\s", physics)) for kind in ("ps", "ss"))
     assert vector > 400 and scalar == 0 and "sqrtps" in physics
@@ -226,10 +218,14 @@ def test_without_numba_the_error_has_the_install_line(monkeypatch):
         engines.make("compiled")
 
 
-def test_cached_module_is_found_again_and_a_torn_one_is_rewritten(double, folder):
-    double._advance  # noqa: B018  writes its module
-    (path,) = [p for p in folder.glob("*.py") if "ADVANCE, cache" in p.read_text() and "float64" in p.read_text()]
+def test_what_was_compiled_is_kept(double):
+    name = double._advance.py_func.__module__
+    assert (cache_folder() / f"{name}.py").is_file() and list(cache_folder().rglob(f"{name}.advance*.nbc"))
+
+
+def test_a_torn_module_is_rewritten(tmp_path, monkeypatch):
+    monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
+    path = Path(native.compiled("from numba import njit\n\n\n@njit(cache=CACHE)\ndef one():\n    return 1\n").__file__)
     whole = path.read_text()
-    assert list(folder.rglob(f"{path.stem}.advance*.nbc"))
-    path.write_text(whole[:1000])
+    path.write_text(whole[:20])
     assert native.keep(path, whole) == path and path.read_text() == whole

@@ -9,6 +9,7 @@ pytest.importorskip("numba", reason='the demo trains on the compiled engine: pip
 from fishmj import console, demo  # noqa: E402
 
 
+@pytest.mark.part("training")
 def test_the_demo_trains_judges_reports_and_replays(tmp_path, capsys):
     assert console.run(demo.main, ["--smoke", "--out", str(tmp_path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])

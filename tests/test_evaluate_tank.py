@@ -17,6 +17,7 @@ def plan(**changes):
     return trials(**{"speeds": [0.2], "los_deg": [0], "repeats": 1, "duration": 1.0, **changes})
 
 
+@pytest.mark.slow
 def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
     judge = lambda: tank.judge(controllers.make("drift", ROBOT), ROBOT, plan(), tmp_path, domain="laptop", device="cpu")  # noqa: E731
     first = judge()
@@ -51,6 +52,7 @@ def test_as_many_fish_as_flows():
         engine.advance(state, np.zeros((2, 10, 3)), params, None, np.zeros(2, int))
 
 
+@pytest.mark.slow
 def test_a_trial_in_a_stream_begins_at_rest_in_water_that_flows_past():
     """Let go in water that was never stopped by it, a fish has the stream's speed after two ticks."""
     engine = tanks.Engine(ROBOT, [Flow(speed=0.2)], domain="laptop", device="cpu")

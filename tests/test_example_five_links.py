@@ -3,6 +3,8 @@
 import importlib.util
 from pathlib import Path
 
+import pytest
+
 from fishmj.policy import Policy
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "five_links.py"
@@ -15,6 +17,7 @@ def load():
     return module
 
 
+@pytest.mark.slow
 def test_every_part_of_the_example_runs_with_five_links(tmp_path):
     example = load()
     found = example.story(tmp_path, smoke=True)

@@ -20,11 +20,13 @@ def example():
     return module
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["agrees", "named", "not_repeatable"])
 def test_the_example_gets_the_answer_it_is_called_by(example, name, tmp_path):
     assert example.tell(name, tmp_path, QUICK) == [name.upper()]
 
 
+@pytest.mark.slow
 def test_the_proposed_experiment_turns_a_class_into_a_name(example, tmp_path, capsys):
     assert example.tell("class", tmp_path, QUICK) == ["CLASS", "NAMED"]
     before, after = capsys.readouterr().out.split("The proposed experiment is done")
@@ -49,6 +51,7 @@ def test_what_is_weighed_where_that_is_proposed_is_searched_with(example, tmp_pa
     assert ["--weigh" in arguments for arguments in asked] == [False, False, True, False]
 
 
+@pytest.mark.slow
 def test_what_no_effect_explains_is_described_as_a_force(example, tmp_path, capsys):
     assert example.tell("unexplained", tmp_path, QUICK) == ["UNEXPLAINED"]
     assert "as a force: sway force ~" in capsys.readouterr().out

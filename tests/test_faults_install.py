@@ -6,6 +6,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 import fishmj
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,6 +35,7 @@ def test_fault_12_a_missing_extra_is_one_line_with_its_install_line():
     assert done.returncode == 0 and 'pip install "fishmj[fast]"' in found["skipped"]
 
 
+@pytest.mark.slow
 def test_fault_12_the_other_verbs_work_without_the_extra():
     assert fishmj_without({"numba"}, "--help").returncode == 0
     done = fishmj_without({"numba"}, "bench", "engine_planar", "--quick", "--json")

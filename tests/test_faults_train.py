@@ -65,6 +65,7 @@ def poisoned(fish, tick=0):
     return StationHold(robot, Poisoned(robot, fish, tick), Options(intensity=(0.0, 0.1)))
 
 
+@pytest.mark.slow
 def test_fault_01_a_fish_that_diverges_is_dropped_counted_and_replaced():
     env = poisoned([2], tick=10)
     state = env.reset(jax.random.key(0), 4)
@@ -79,6 +80,7 @@ def test_fault_01_a_fish_that_diverges_is_dropped_counted_and_replaced():
     np.testing.assert_array_equal(state.count, [4, 4, 0, 4])
 
 
+@pytest.mark.slow
 def test_fault_02_above_one_in_a_thousand_the_run_stops_and_its_checkpoint_is_intact(learner, tmp_path, monkeypatch):
     """Sound until the checkpoint; then three fish are lost in one iteration."""
     settings = calm_run(checkpoint_every=0.0)
@@ -101,6 +103,7 @@ def test_fault_02_above_one_in_a_thousand_the_run_stops_and_its_checkpoint_is_in
     assert after.done == 2 * STEP and [line["step"] for line in figures_of(again) if "reward" in line][-1] == 2 * STEP
 
 
+@pytest.mark.slow
 def test_fault_02_the_learner_counts_what_the_physics_lost():
     env = poisoned([1, 3], tick=0)  # two of eight diverge in the first step of each of their episodes
     ppo = PPO(env, Config(envs=8, horizon=4, minibatches=2, epochs=1, hidden=(8,)), 100)

@@ -68,6 +68,7 @@ def test_a_description_of_damaged_bytes(tmp_path):
     assert number - first_seed() > 5
 
 
+@pytest.mark.slow
 def test_a_fitted_water_with_anything_in_it(water):
     def read(document):
         write_text(water, toml.dumps(finite(document)))
@@ -76,6 +77,7 @@ def test_a_fitted_water_with_anything_in_it(water):
     assert fuzz(read, tomllib.loads(water.read_text(encoding="utf-8")), FishmjError) > 5
 
 
+@pytest.mark.slow
 def test_a_manifest_with_anything_in_it(tmp_path):
     write_text(tmp_path / "a.txt", "a")
     Manifest.of(tmp_path, {"licence": "x"}).write(tmp_path)
@@ -88,6 +90,7 @@ def test_a_manifest_with_anything_in_it(tmp_path):
     assert fuzz(read, document, FishmjError, least=1) > 50
 
 
+@pytest.mark.slow
 def test_a_page_of_weighings_with_anything_in_it(tmp_path):
     text = """
     [scales]
@@ -109,6 +112,7 @@ def test_a_page_of_weighings_with_anything_in_it(tmp_path):
     assert fuzz(read, tomllib.loads(text), FishmjError, least=1) > 50
 
 
+@pytest.mark.slow
 def test_a_segment_of_a_campaign_with_anything_in_it(tmp_path):
     source = ROOT / "data" / "hydro" / "tendon_fish"
     some = sorted((source / "segments").glob("*.json"))[:2]

@@ -50,7 +50,11 @@ def test_rollouts_are_those_of_mujoco(plant):
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("command_latency", {"delay": 0.03}), ("steady_current", {"x": 0.03, "y": -0.01}), ("coulomb_friction", {"torque": 0.12})],
+    [
+        pytest.param("command_latency", {"delay": 0.03}, marks=pytest.mark.slow),
+        pytest.param("steady_current", {"x": 0.03, "y": -0.01}, marks=pytest.mark.slow),
+        pytest.param("coulomb_friction", {"torque": 0.12}, marks=pytest.mark.part("search")),
+    ],
 )
 def test_a_hidden_effect_is_named_with_its_size(plant, name, values):
     verdict = investigate(plant, hidden({name: values}, 11), null=NULL).verdict
@@ -72,6 +76,7 @@ def test_an_effect_outside_the_catalogue_is_not_named(plant):
     assert verdict.answer in ("UNEXPLAINED", "CLASS"), verdict.text()
 
 
+@pytest.mark.slow
 def test_replicates_that_differ_as_much_as_the_model_are_not_repeatable(plant):
     trials = hidden({"turbulence": {"sigma": 0.06, "time": 1.0}}, 41, ("drift_north",) * 3 + ("gait_fast",) * 3)
     assert investigate(plant, trials, null=NULL).verdict.answer == "NOT_REPEATABLE"
@@ -167,6 +172,7 @@ def test_what_makes_the_fish_fickle_is_charged_for_it(plant):
     assert there.loss(weak) > e.part(everything).loss(plant.null) + 100
 
 
+@pytest.mark.slow
 def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
     folds = np.arange(len(SHORT)) % 2 == np.arange(2)[:, None]
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 53)
@@ -189,6 +195,7 @@ def test_what_the_records_leave_open_stays_near_its_null(plant):
     assert search.refine([start])[0].row[place] < 0.05
 
 
+@pytest.mark.slow
 def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     right, wrong = row_of(plant, "command_latency", delay=0.04), row_of(plant, "servo_gain", gain=-0.4)

@@ -44,6 +44,7 @@ def test_a_late_command_goes_with_the_rate_of_the_command(plant):
     assert np.isnan(found.effects["command_latency"]["delay"])
 
 
+@pytest.mark.slow
 def test_sparse_regression_finds_the_term_that_is_there():
     pytest.importorskip("pysindy", reason="the baseline e_sindy needs the extra bench")
     rng = np.random.default_rng(0)

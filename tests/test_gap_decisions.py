@@ -97,6 +97,7 @@ def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
     assert known.given(folds) == pytest.approx(len(folds) * e.part(e.everything).loss(plant.null) - others)
 
 
+@pytest.mark.slow
 def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_others(plant):  # noqa: F811
     e = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73)
     folds, gates = split(e.records), frozen()

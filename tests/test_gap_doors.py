@@ -62,8 +62,8 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
     what = null_runs.repeated(record_of(trial, robot.timing.physics_dt))
-    SMALL._run(robot, what, record_of(trial, robot.timing.physics_dt))
-    assert len(gains) == SMALL.runs
+    Null(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
+    assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
 
 

@@ -40,6 +40,7 @@ def best(e) -> tuple[Found, Verdict]:
     return Found(base, fitted, folds, (), whole.whiten.logdet), Verdict("NAMED", gates={"gain": gain})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "values"),
     [("command_latency", {"delay": 0.03}), ("steady_current", {"x": 0.03, "y": -0.01}), ("yaw_drag", {"coefficient": 0.01})],
@@ -52,6 +53,7 @@ def test_a_right_name_is_led_by_no_free_force(plant, free, name, values):  # noq
     assert said.answer == "NAMED" and said.gates["lead"] < outdone.LEAD / 2
 
 
+@pytest.mark.slow
 def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F811
     e = evidence_on(plant, {"tail_yaw_cross_force": {"coefficient": 0.006}}, 82)
     found, verdict = best(e)
@@ -60,6 +62,7 @@ def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F8
     assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planted", "answer"),
     [({"command_gain_error": {"gain": 0.03}}, "NAMED"), ({"encoder_harmonic": {"angle": 0.015}}, "UNEXPLAINED")],
@@ -73,6 +76,7 @@ def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, pla
     assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"
 
 
+@pytest.mark.slow
 def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):  # noqa: F811
     mine = lambda name: {t.formula for t in library() if own(effects.get(name), t)}  # noqa: E731
     assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
@@ -93,6 +97,7 @@ def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free)
     assert there.part(there.everything).base().cost == pytest.approx(e.part(e.everything).base().cost)
 
 
+@pytest.mark.slow
 def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
     trials = hidden({"steady_current": {"x": 0.03, "y": -0.01}}, 11)
     verdict = investigate(plant, trials, null=NULL).verdict

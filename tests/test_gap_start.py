@@ -42,6 +42,7 @@ def test_a_heading_that_passes_half_a_turn_is_where_it_was_put(turning):
     assert np.isclose(placed[2], record_of(trial, turning.dt).placed.values[0, 2] + 2 * np.pi)
 
 
+@pytest.mark.slow
 def test_a_turned_camera_is_named(turning):
     verdict = investigate(turning, hidden({"camera_yaw": {"angle": 0.04}}, 12, RUNS), null=NULL).verdict
     assert verdict.answer == "NAMED" and [e.name for e in verdict.effects] == ["camera_yaw"], verdict.text()

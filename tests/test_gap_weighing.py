@@ -73,6 +73,7 @@ def test_null_runs_weigh_what_they_should_to_within_the_instruments(plant):
     np.testing.assert_allclose(around.d[some], e.d[some])  # no form error on what mass means
 
 
+@pytest.mark.slow
 def test_a_pendulum_tells_which_of_two_twins_it_is(plant):
     trials = hidden(WATER, 12, RUNS)
     blind = investigate(plant, trials, null=NULL, further=True).verdict
@@ -99,6 +100,7 @@ def test_what_was_weighed_is_said_in_words(plant):
     assert "yaw inertia is 0.01897 kg m2" in said(TURNS) and "the model's 0.013" in said(TURNS) and "mass" not in said(TURNS)
 
 
+@pytest.mark.slow
 def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(plant):
     from html import unescape
 

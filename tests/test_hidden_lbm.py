@@ -116,6 +116,7 @@ def test_a_planted_latency_is_in_the_joints(swum):
     assert middle[1] - middle[0] == pytest.approx(0.04, abs=0.004)
 
 
+@pytest.mark.slow
 def test_without_effects_the_joints_move_as_the_solvers_own_servo_moves_them():
     """Same numbers, two servos: 200 Hz firmware that counts, and MuJoCo's actuator."""
     own = Stage(domain=TINY).run()

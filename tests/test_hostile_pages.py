@@ -207,7 +207,7 @@ def test_a_browser_runs_it_where_it_is_not_escaped(tmp_path):
 
 @pytest.mark.browser
 @needs_browser
-@pytest.mark.parametrize("kind", ["replay", "judgement", "calibration", "water"])
+@pytest.mark.parametrize("kind", [pytest.param("replay", marks=pytest.mark.slow), "judgement", "calibration", "water"])
 def test_a_browser_runs_nothing_of_it(kind, trial, judged, tmp_path, monkeypatch):
     made = {
         "replay": lambda: replay_of(trial, tmp_path),

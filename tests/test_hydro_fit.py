@@ -68,6 +68,7 @@ def replace_stall(c):
     return c._replace(stall_angle=float(np.radians(35.0)), stall_lag=3.0)
 
 
+@pytest.mark.part("fit")
 def test_swims_decide_what_forces_leave_open(fitted):
     """The factors found by free swims bring the validation swims closer; what the data cannot tell is said."""
     fit, model, _ = fitted
@@ -79,6 +80,7 @@ def test_swims_decide_what_forces_leave_open(fitted):
     assert statuses <= {"identified", "not identified", "on bound"} and "identified" in statuses
 
 
+@pytest.mark.slow
 def test_the_residual_learns_what_strips_cannot():
     """Normal forces on head and tail, from 170 s of water: wash and overshoot are found on episodes that were not trained on."""
     parts = {split: hidden.campaign(seed=seed, split=split, seconds=5.0) for seed, split in enumerate(("train", "test"))}
@@ -117,6 +119,7 @@ def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path)
     np.testing.assert_array_equal(again.losses, whole.losses)
 
 
+@pytest.mark.slow
 def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
     """From the net that knows the forces: pieces of swims that were not trained on come closer."""
     fit, _, _ = fitted
@@ -160,6 +163,7 @@ def test_an_interrupted_fit_goes_on_where_it_was(fitted, records):
     assert other._read("linear") is None  # another seed is another fit
 
 
+@pytest.mark.slow
 def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records, tmp_path, monkeypatch):
     """A water with half the thrust, fitted again: the swims of both parts of the validation come closer."""
     model = fitted[1].base_only
@@ -192,6 +196,7 @@ def test_a_better_model_is_never_overwritten(fitted, tmp_path):
     assert rejected.parent.name.startswith("rejected-") and HydroModel.load(rejected).notes == "worse"
 
 
+@pytest.mark.slow
 def test_the_verbs_fit_check_and_report_a_data_set(fitted, records, tmp_path, capsys):
     _, model, stages = fitted
     data = hidden.write_dataset(tmp_path / "set", [r for part in records.values() for r in part])
@@ -209,6 +214,7 @@ def test_the_verbs_fit_check_and_report_a_data_set(fitted, records, tmp_path, ca
     assert json.loads((tmp_path / "swift-report" / "report.json").read_text())["forces"]
 
 
+@pytest.mark.slow
 def test_a_miss_is_exit_1(fitted, records, monkeypatch):
     """The tolerance is max(stated, twice the solver's own); a worse water misses it."""
     _, model, _ = fitted
@@ -243,6 +249,7 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
     assert all(0.87 < value < 0.93 for value in band.covered(*drawn(4000), made).values())
 
 
+@pytest.mark.slow
 def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, monkeypatch):
     _, model, _ = fitted
     narrow = replace(model, band={name: [0.1 * part for part in parts] for name, parts in model.band.items()})

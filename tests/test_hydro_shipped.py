@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from fishmj import console
 from fishmj.campaign import plan
 from fishmj.campaign.segment import Segment
@@ -15,6 +17,7 @@ FRESH = DATA.with_name(DATA.name + verb.FRESH)
 SEED, SCALE = 26, 4.0  # of the fresh episodes
 
 
+@pytest.mark.slow
 def test_the_shipped_water_is_within_every_tolerance_on_what_no_fit_has_seen(capsys):
     assert console.run(verb.main, ["check", "--json"]) == console.OK
     found = json.loads(capsys.readouterr().out.splitlines()[-1])

@@ -35,6 +35,7 @@ def files_of(path):
     return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_damaged_recording_is_read_or_refused_in_one_line(tmp_path, monkeypatch, name):
     monkeypatch.setattr(os, "fsync", lambda handle: None)  # durability is tested elsewhere

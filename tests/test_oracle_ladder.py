@@ -83,6 +83,7 @@ def test_a_sphere_sinks_from_rest_with_its_added_mass():
     assert 0.3 * free < start.speed[0] / start.dt < 1.1 * free
 
 
+@pytest.mark.slow
 def test_a_sphere_in_a_duct_carries_its_weight_at_the_noted_speed():
     """By bounce-back at six cells, 1 % from what 18 cells give; the speed measured in the thickest oil would take 4 % more."""
     assert duct.carried("E1", 6) == pytest.approx(1.0, abs=0.02)

@@ -60,6 +60,7 @@ def test_a_segment_can_start_from_any_fish_in_developed_water():
     assert np.abs(velocity[:2] - speed[:2]).max() < 0.15  # the water gives way, but no blow: it was not accelerated at once
 
 
+@pytest.mark.part("swim")
 def test_a_run_writes_the_trial_folder_with_both_wrenches(tmp_path):
     run, gait = Run(pond("cpu"), latency=0.0), Gait()
     for _ in range(15):

@@ -42,6 +42,7 @@ def fastest(fish: Coupled, steps: int, limit: float) -> float:
     return worst
 
 
+@pytest.mark.slow
 def test_a_fish_held_across_a_stream_that_slides_along_it_is_stable():
     assert fastest(broadside(), 500, 1.2) < 1.2
 

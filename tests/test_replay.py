@@ -220,6 +220,7 @@ def visit(page: Path, profile: Path, *options: str, wish: str = "", budget: int 
     return done.stdout, [line for line in done.stderr.splitlines() if "ERROR:CONSOLE" in line or "Uncaught" in line]
 
 
+@pytest.mark.part("page")
 @pytest.mark.browser
 @needs_browser
 def test_a_browser_draws_the_fish_and_it_moves(trial, tmp_path):
@@ -241,6 +242,7 @@ def test_a_browser_draws_the_fish_and_it_moves(trial, tmp_path):
     assert np.mean(np.abs(shots[0] - shots[1]).max(-1) > 40) > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @needs_browser
 def test_the_page_bends_the_skin_as_python_does_and_plays(robot, tmp_path):

@@ -122,6 +122,7 @@ def test_the_command_takes_the_fields(trial, folder, tmp_path, capsys):
     assert len(data_of(out.read_text())["wake"]["images"]) == 10 and (tmp_path / "r.png").stat().st_size > 1e4
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @needs_browser
 def test_a_browser_draws_the_vorticity_north_up_and_hides_it_when_asked(trial, folder, tmp_path):

@@ -148,6 +148,7 @@ class TestDmEnv(test_utils.EnvironmentTestMixin, unittest.TestCase):
         return load()
 
 
+@pytest.mark.slow
 def test_dm_controls_own_suite_passes_over_our_tasks(monkeypatch):
     """Its test module, run over the registered tasks only."""
     suite.register()

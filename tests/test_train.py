@@ -167,6 +167,7 @@ def test_a_training_of_one_iteration_shows_its_rate_at_its_end():
     assert "  1k steps/s  took 4.0 s" in out.getvalue().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, monkeypatch):
     """Two iterations and an assessment of two seeds side by side, then each by itself."""
     settings, n = calm_run(assess_every=2 * 8192), 2 * 8192
@@ -193,6 +194,7 @@ def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, m
 # ---- what the policy sees ----
 
 
+@pytest.mark.slow
 def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
     """`--memory 4` with SAC: the exported policy keeps the window that the environment kept, from the first step on."""
     settings = sac_run(steps=384, assess_every=10**9, task={"memory": 4})

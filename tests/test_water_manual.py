@@ -19,6 +19,7 @@ CHAIN, FISH = chain.chain_of(ROBOT), chain.nominal(ROBOT)
 STILL = [(0.0, 0.0)] * CHAIN.n
 
 
+@pytest.mark.slow
 def test_the_example_prints_the_figures_of_the_manual(tmp_path):
     """Every line of `examples/gait_map.py` stands in the page, and its picture is drawn."""
     picture = tmp_path / "map.png"

@@ -13,7 +13,7 @@ from math import prod
 from pathlib import Path
 
 from fishmj.bench import NotHere, Work, benchmark
-from fishmj.engines.native import cache_folder
+from fishmj.machine_code import cache_folder
 
 MEGA = 1e6
 

@@ -5,9 +5,8 @@ The text holds numbers of the description and never a word of it: a name that ca
 The text of a module holds its numbers, the elementary functions (approx.py), the physics (codegen.py, from
 `hydro_fit.chain.step`) and the loops (kernels.py). Its file name is the hash of that text and of the numba version, and it
 is written by renaming a complete temporary file, so several processes may start at once and a stale or torn file is never
-run. Where the cache folder cannot be written the module lives in memory and is compiled again in the next process.
-
-    FISHMJ_CACHE    folder of generated modules; default $XDG_CACHE_HOME/fishmj or ~/.cache/fishmj
+run. Where the cache folder (`machine_code`) cannot be written the module lives in memory and is compiled in every
+process.
 """
 
 import hashlib
@@ -23,6 +22,7 @@ from fishmj.engines.added import Added
 from fishmj.errors import MissingExtra
 from fishmj.flow import TICK
 from fishmj.hydro_fit import chain, terms
+from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
 
 LANES = 16  # fish a workspace row: one 512-bit or two 256-bit vectors of float32
@@ -206,12 +206,6 @@ def require_numba() -> ModuleType:
     except ImportError as error:
         raise MissingExtra("numba", "fast", 'the "compiled" engine') from error
     return numba
-
-
-def cache_folder() -> Path:
-    """Where generated modules live."""
-    chosen = os.environ.get("FISHMJ_CACHE")
-    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fishmj"
 
 
 def keep(path: Path, text: str) -> Path | None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from fishmj import console, interrupt
 from fishmj.engines import in_water, own_effects
-from fishmj.engines.native import cache_folder
 from fishmj.gap import data, doors, judge, options, unlike, version, watch
 from fishmj.gap.apply import settle
 from fishmj.gap.gates import frozen
@@ -18,6 +17,7 @@ from fishmj.gap.quiet import Shortage, everything, shortage
 from fishmj.gap.records import record_of
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
+from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import write_json
 

@@ -20,13 +20,13 @@ from zlib import crc32
 import numpy as np
 
 from fishmj.calib import resolve
-from fishmj.engines.native import cache_folder
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap import sources, weighing
 from fishmj.gap.features import WINDOW, Layout
 from fishmj.gap.records import Record, record_of
 from fishmj.gap.watch import Bar, Bars, silent
+from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, sha256, write_npz
 

@@ -1,0 +1,34 @@
+"""Where machine code is kept between runs, so that a second run does not compile it again.
+
+    FISHMJ_CACHE                  folder of what fishmj keeps; default $XDG_CACHE_HOME/fishmj or ~/.cache/fishmj
+    JAX_COMPILATION_CACHE_DIR     folder of what JAX keeps; default the folder `jax` in it; set to nothing: JAX keeps nothing
+
+JAX keeps programs that took it a second or more to compile, by everything that their machine code depends on, its own version and
+the processor included. It keeps none that calls back into Python, as those over the engine `compiled` do. All of it may be
+deleted at any time.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+JAX = "JAX_COMPILATION_CACHE_DIR"
+
+
+def cache_folder() -> Path:
+    """Where fishmj keeps machine code, and what else is long to make and may be lost."""
+    chosen = os.environ.get("FISHMJ_CACHE")
+    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fishmj"
+
+
+def keep() -> None:
+    """Have JAX keep its machine code, unless the environment says where, JAX is imported already, or nothing can be written."""
+    if JAX in os.environ or "jax" in sys.modules:
+        return
+    try:
+        folder = cache_folder() / "jax"
+    except RuntimeError:  # no home
+        return
+    there = next((parent for parent in (folder, *folder.parents) if parent.exists()), None)
+    if there is not None and there.is_dir() and os.access(there, os.W_OK):
+        os.environ[JAX] = str(folder)

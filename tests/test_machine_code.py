@@ -1,0 +1,60 @@
+"""Machine code is kept between runs: a second process compiles nothing again, and what the environment says goes."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fishmj import machine_code
+
+PROGRAM = """
+import fishmj, jax
+events = []
+jax.monitoring.register_event_listener(lambda event, **_: events.append(event.rpartition("/")[2]))
+jax.jit(lambda x: x * x + 1)(2.0).block_until_ready()
+print(events.count("cache_hits"), events.count("cache_misses"))
+"""
+
+
+@pytest.fixture
+def bare(monkeypatch, tmp_path):
+    """A process that has neither imported JAX nor been told where to keep its programs."""
+    monkeypatch.delitem(sys.modules, "jax", raising=False)
+    monkeypatch.delenv(machine_code.JAX, raising=False)
+    monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path / "made" / "later"))
+    yield monkeypatch
+    os.environ.pop(machine_code.JAX, None)  # what `keep` has set; monkeypatch puts the one before back
+
+
+def test_jax_keeps_its_programs_below_the_folder_of_fishmj(bare, tmp_path):
+    machine_code.keep()
+    assert os.environ[machine_code.JAX] == str(tmp_path / "made" / "later" / "jax")
+    assert not (tmp_path / "made").exists(), "an import makes no folder"
+
+
+@pytest.mark.parametrize("chosen", ("/elsewhere", ""))
+def test_a_folder_that_the_user_chose_stays(bare, chosen):
+    bare.setenv(machine_code.JAX, chosen)
+    machine_code.keep()
+    assert os.environ[machine_code.JAX] == chosen
+
+
+def test_jax_that_is_there_already_is_left_alone(bare):
+    bare.setitem(sys.modules, "jax", object())
+    machine_code.keep()
+    assert machine_code.JAX not in os.environ
+
+
+def test_nothing_is_kept_where_nothing_can_be_written(bare):
+    bare.setenv("FISHMJ_CACHE", __file__)
+    machine_code.keep()
+    assert machine_code.JAX not in os.environ
+
+
+def test_a_second_process_compiles_nothing_again(tmp_path):
+    env = {key: value for key, value in os.environ.items() if key != machine_code.JAX}
+    env |= {"FISHMJ_CACHE": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    begin = lambda: subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)  # noqa: E731
+    (hits, misses), (hits_again, misses_again) = (map(int, begin().stdout.split()) for _ in range(2))
+    assert hits == 0 and misses > 0 and (hits_again, misses_again) == (misses, 0)
