@@ -113,6 +113,7 @@ def test_fault_02_the_learner_counts_what_the_physics_lost():
     assert all(np.isfinite(leaf).all() for leaf in leaves)
 
 
+@pytest.mark.slow
 def test_weights_that_are_not_finite_are_never_saved(learner, tmp_path):
     run = StopAt(calm_run(), tmp_path, STEP, learner=learner)
     run.go()

@@ -71,6 +71,7 @@ def test_nothing_hidden_is_agreement(plant):
         assert verdict.answer == "AGREES", verdict.text()
 
 
+@pytest.mark.slow
 def test_an_effect_outside_the_catalogue_is_not_named(plant):
     verdict = investigate(plant, hidden({"tail_yaw_cross_force": {"coefficient": -0.02}}, 31), null=NULL).verdict
     assert verdict.answer in ("UNEXPLAINED", "CLASS"), verdict.text()

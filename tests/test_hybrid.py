@@ -209,6 +209,7 @@ def test_the_trial_places_its_stretch_where_it_is_told(monkeypatch):
     assert row["after_m"] < 0.5 * row["before_m"] and row["before_m"] > 0.05
 
 
+@pytest.mark.slow
 def test_rounds_end_when_the_returns_agree(tmp_path):
     """Ten times the friction: the first round disagrees, the refit is used, the second agrees; the data grow by both."""
     pool, asked = Tanks(), []

@@ -194,6 +194,7 @@ def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - check.SHORTEST)
 
 
+@pytest.mark.slow
 def test_the_verb_makes_the_table_and_goes_on_where_it_was(records, tmp_path, capsys, monkeypatch):
     data = hidden.write_dataset(tmp_path / "set", [r for part in records.values() for r in part])
     line = ["ablation", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "ellipsoid-default,forces", "--json"]

@@ -34,6 +34,7 @@ def sweep(points, make=held, **options):
 # force maps ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_mirrored_fish_feels_mirrored_forces_and_drag_points_downstream():
     """F_x, F_y, M (-a, -theta) = F_x, -F_y, -M within 2 % of the peak; a current from the left pushes to the right."""
     one, two, straight = Point("aoa", 30.0, 60.0, 0.3), Point("aoa", -30.0, -60.0, 0.3), Point("joint", 0.0, 0.0, 0.3)

@@ -22,10 +22,13 @@ MARKS = "[pytest]\nmarkers =\n  slow: x\n  part: x\n"
 
 
 @pytest.fixture
-def run(pytester):
-    """run(tests) -> outcomes, under our conftest with bounds of 0.1, 0.4 and 0.8 s of CPU."""
+def run(pytester, monkeypatch):
+    """run(tests) -> outcomes, under our conftest with bounds of 0.1, 0.4 and 0.8 s of CPU, in folders of its own."""
+    monkeypatch.setenv("FISHMJ_CACHE", str(pytester.path / "kept"))
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(pytester.path / "kept" / "jax"))
     bounds = "OF_A_TEST, OF_SHARED, OF_A_PART = 0.1, 0.4, 0.8\n"
     text = (HERE / "conftest.py").read_text(encoding="utf-8")
+    text = text.replace(', *_WARP.glob("*"), *_SOURCES.rglob("__pycache__")', ",")
     pytester.makeconftest(re.sub(r"^OF_A_TEST, .*\n", bounds, text, flags=re.MULTILINE))
     pytester.makeini(MARKS)
 
@@ -54,8 +57,7 @@ def test_cpu_time_is_bounded_where_a_test_is_not_marked_slow(run, test, outcome)
 
 
 @pytest.mark.parametrize("folder, outcome", (("kept", "passed"), ("kept/null", "passed"), ("elsewhere", "failed")))
-def test_a_test_that_compiles_what_is_kept_is_judged_by_the_next_run(run, pytester, monkeypatch, folder, outcome):
-    monkeypatch.setenv("FISHMJ_CACHE", str(pytester.path / "kept"))
+def test_a_test_that_compiles_what_is_kept_is_judged_by_the_next_run(run, pytester, folder, outcome):
     (pytester.path / folder).mkdir(parents=True)
     assert run(f"def test():\n    burn(0.2)\n    open({str(pytester.path / folder / 'code')!r}, 'w').close()") == {outcome: 1}
 

@@ -65,6 +65,7 @@ def test_ppo_learns_to_reach_the_target_in_a_million_steps(learner, tmp_path):
     assert from_dict(json.loads((run.folder / "settings.json").read_text())) == calm_run()
 
 
+@pytest.mark.slow
 def test_an_assessment_is_finite_and_the_same_each_time(learner):
     actor = learner[1].init(jax.random.key(3)).actor
     first, again = (learner[2](actor, jax.random.key(7)) for _ in range(2))
