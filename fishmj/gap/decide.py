@@ -90,7 +90,9 @@ def _rival(name: str, rival: Rival) -> dict:
     return {"name": rival.name, "p_best": rival.p_best, "behind": rival.behind, "instead_of": name}
 
 
-def _answer(checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings, shrinks: bool) -> tuple[str, str]:
+def _answer(
+    checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings, shrinks: bool = True
+) -> tuple[str, str]:
     """(answer, reason) once something was found. shrinks: the gap gets smaller with it."""
     told = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the gap"
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
