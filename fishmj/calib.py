@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.store.plain_file import ABSENT, trouble
+from fishmj.plain_file import ABSENT, trouble
 from fishmj.toml_errors import explained
 
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB

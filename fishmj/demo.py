@@ -113,7 +113,7 @@ def main(argv: list[str]) -> int:
 
     args = options().parse_args(argv)
     training = learn(args)
-    more = f"{args.out / 'training'} holds the training; go on with the same command"
+    more = f"{args.out / 'training'} holds the training; {interrupt.again()}"
     if training["stopped"]:
         console.warn(f"interrupted; {more}")
         return console.INTERRUPTED

@@ -16,9 +16,9 @@ import numpy as np
 
 from fishmj import policy_header
 from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.plain_file import trouble
 from fishmj.policy_header import MOST, is_number, shown
 from fishmj.store import read_tensors, write_tensors
-from fishmj.store.plain_file import trouble
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"

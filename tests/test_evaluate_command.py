@@ -132,14 +132,14 @@ def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, en
 
 
 def test_the_headline_says_when_trials_do_not_tell_and_when_they_are_too_short(engine):
-    trials = evaluate.trials(speeds=[0.2], los_deg=[0, 180], repeats=1, duration=30)
+    trials = evaluate.trials(speeds=[0.2], los_deg=[0, 60, 120, 180, 240, 300], repeats=1, duration=30)
     pd = evaluate.run("pd", ROBOT, trials, engine)
     assert "these trials do not tell it from twin" in report.headline([pd, pd._replace(controller="twin")])
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
     assert "m nearer to the target than far" in report.headline([pd, far])
     assert "m farther from the target than pd" in report.headline(
         [far, pd]
-    ) and "of 2 trials and holds station in 0 (" in report.headline([far])
+    ) and "of 6 trials and holds station in 0 (" in report.headline([far])
     short = evaluate.run("pd", ROBOT, evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=2), engine)
     assert "too short to judge" in report.headline([short])
 

@@ -101,6 +101,7 @@ def test_fault_10_a_fish_that_reaches_the_edge_ends_its_run_which_is_kept_and_fl
     assert guard.CLEARANCE - 1 < room < guard.CLEARANCE  # it stopped there, not at the wall and not before
 
 
+@pytest.mark.slow
 def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_water_fails_is_not_scored(
     tmp_path, monkeypatch, capsys
 ):

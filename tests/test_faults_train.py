@@ -210,6 +210,7 @@ class FullDisk:
         return self.real(path, arrays, meta)
 
 
+@pytest.mark.slow
 def test_fault_14_a_full_disk_pauses_the_run_and_it_goes_on_when_there_is_room(learner, tmp_path, monkeypatch, capfd):
     settings = calm_run(checkpoint_every=0.0, assess_every=10**9)
     StopAt(settings, tmp_path, STEP, learner=learner).go()

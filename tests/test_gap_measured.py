@@ -32,6 +32,7 @@ def test_a_set_that_is_not_there_or_not_known_is_one_clear_error(monkeypatch, tm
     assert "Did you mean 'tail_fish'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @measured
 def test_body_lift_is_named_on_the_tail_fish_in_every_fold():
     study = tail_fish.study()
@@ -91,6 +92,7 @@ def test_deleted_terms_come_up_in_turn_with_other_records_kept_aside():
     assert len({(c.set, c.term) for c in drawn[:5]}) == 5
 
 
+@pytest.mark.slow
 @measured
 def test_a_term_deleted_from_the_fitted_model_is_looked_for():
     row = logs.run(logs.Deletion("log-tail_fish-body_lift-0", "single", "tail_fish", "body_lift", 0))

@@ -250,6 +250,7 @@ def test_free_fish_rights_itself(axis):
     assert np.degrees(np.arccos(min(late))) < 5
 
 
+@pytest.mark.slow
 def test_free_fish_conserves_energy_without_drag_to_first_order():
     """Kirchhoff's terms in three dimensions do no work: the energy error of 0.5 s falls with the step."""
     robot, errors = mjcf.load_robot("fish"), []

@@ -9,6 +9,7 @@ from fishmj.lbm_oracle import speeds
 CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, monkeypatch, capsys):
     swum, real = [], speeds.swum
     monkeypatch.setattr(speeds, "swum", lambda box, *key: swum.append((box.shape[2], *key[:2])) or real(box, *key))

@@ -19,7 +19,7 @@ from fishmj.virtual_robot.dataset import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOM = ROOT / "fishmj" / "virtual_robot"
-ALLOWED = {"virtual_robot", "errors", "names", "units", "store", "calib", "log", "console", "mjcf", "excitation"}
+ALLOWED = {"virtual_robot", "errors", "names", "units", "store", "calib", "log", "console", "source", "mjcf", "excitation"}
 STRANGERS = ("hydro_fit", "effects", "engines", "gap", "lbm_oracle", "sim", "flow", "tasks", "controllers", "calibrate")
 
 

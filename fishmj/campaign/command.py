@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
                 {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows(), "split_sha256": plan.split_sha256}
             )
         return console.OK
-    more = f"{out} holds every segment that was finished; go on with the same command"
+    more = f"{out} holds every segment that was finished; {interrupt.again()}"
     with interrupt.keeping(lambda: more):
         found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
     report(found)

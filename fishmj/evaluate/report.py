@@ -124,7 +124,7 @@ def headline(results: list[Result]) -> str:
     words += f", at {after.mean():.3f} m RMS on average"
     for other in results[1:]:
         d = next(d for d in compare(first, other) if d.key == "rmse_after_arrival")
-        if not (d.low > 0 or d.high < 0):
+        if not d.apart:
             words += f"; these trials do not tell it from {other.controller}"
             continue
         side = "nearer to the target than" if d.value > 0 else "farther from the target than"

@@ -2,7 +2,7 @@
 
 REPORT is the folder (or verdict.json) of gap find --out. Written: <fish>.v<N>.toml with the effects, their intervals, the data's
 hash, gates and rivals; its parent's text beside it; a .diff of the MJCF where MuJoCo holds an effect itself. Nothing is written
-over. Only a NAMED effect that closes the gap on records it was not fitted to becomes a version; any other candidate is kept as
+over. Only a NAMED effect that closes the gap on the records that judge it becomes a version; any other candidate is kept as
 model.rejected-<hash>.toml with its scores, and the exit code is 1.
 
     fishmj gap apply report --out my_fish.v2.toml
@@ -23,6 +23,9 @@ from fishmj.gap.data import digest, judged, null_of
 from fishmj.gap.wording import level, title
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import write_text
+
+UNSEEN = "records that nothing was fitted to"
+HELD_OUT = "the held-out fold, which the last fit saw: there were too few records to set some aside"
 
 
 class Written(NamedTuple):
@@ -106,12 +109,13 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
     """Write the version to `out`, or the rejected candidate into `folder`.
 
     Args:
-        measure: [parent, candidate] -> their gaps on records that nothing was fitted to.
+        measure: [parent, candidate] -> their gaps on the records that the report judges by.
     """
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
         return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
-    provenance = f"{answer}: {len(context['judged'])} unseen records of {context['data']}"
+    which = UNSEEN if verdict.get("gap_after_unseen") is not None else HELD_OUT
+    provenance = f"{answer}: {len(context['judged'])} {which} of {context['data']}"
     effects = version.found(verdict, provenance, context["data_sha256"])
     with tempfile.TemporaryDirectory() as scratch:
         table = {"effects": [e.name for e in effects], "answer": answer} | {
@@ -123,7 +127,7 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
         candidate = load_robot(draft)
         before, after = measure([parent, candidate])
         table |= {"gap_before": float(before), "gap_after": float(after)}
-        good, reason = verdict_on(answer, before, after)
+        good, reason = verdict_on(answer, before, after, which)
         if good or force:
             version.write(context["model"], out, effects, table)
             diff, hooks = native(parent, candidate)
@@ -138,9 +142,9 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
     return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
 
 
-def verdict_on(answer: str, before: float, after: float) -> tuple[bool, str]:
-    """Whether a candidate becomes a version, and why."""
-    moved = f"gap {level(before)} -> {level(after)} on records that nothing was fitted to"
+def verdict_on(answer: str, before: float, after: float, which: str = UNSEEN) -> tuple[bool, str]:
+    """Whether a candidate becomes a version, and why. which: the records that the gaps are of, in words."""
+    moved = f"gap {level(before)} -> {level(after)} on {which}"
     if answer != "NAMED":
         return False, f"{answer}: no effect explains the gap for certain ({moved})"
     return (True, moved) if after < before else (False, f"the patch hurts: {moved}")

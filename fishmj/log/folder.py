@@ -20,8 +20,8 @@ from fishmj.log.plausible import of_meta
 from fishmj.log.schema import SCHEMA, TABLES
 from fishmj.log.text import read_csv, read_text, write_csv
 from fishmj.log.trial import Table, Trial
+from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
-from fishmj.store.plain_file import trouble
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
 FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fishmj.errors import ConfigError, LogError
-from fishmj.store.plain_file import trouble
+from fishmj.plain_file import trouble
 
 VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
 DEFAULT_GB = 2.0

@@ -7,7 +7,7 @@ from typing import Any
 
 from fishmj import calib, names
 from fishmj.mjcf.findings import Finding, shown
-from fishmj.store.plain_file import trouble
+from fishmj.plain_file import trouble
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units

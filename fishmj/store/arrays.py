@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import StoreError
+from fishmj.plain_file import trouble
 from fishmj.store.atomic import plain, write_bytes
-from fishmj.store.plain_file import trouble
 
 UNPACKED = 2**28  # bytes that one archive may hold; more where FISHMJ_MAX_UNPACKED says so
 MEMBERS = 10_000

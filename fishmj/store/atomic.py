@@ -18,7 +18,7 @@ import numpy as np
 
 from fishmj import interrupt
 from fishmj.errors import StoreError
-from fishmj.store.plain_file import trouble
+from fishmj.plain_file import trouble
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 

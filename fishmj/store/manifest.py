@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from fishmj.errors import StoreError
+from fishmj.plain_file import trouble
 from fishmj.store.atomic import read_json, write_json
-from fishmj.store.plain_file import trouble
 
 MANIFEST = "manifest.json"
 

@@ -141,7 +141,7 @@ def words(out: Path | None, done: int, of: int) -> str:
     """What an interrupted benchmark says."""
     if out is None:
         return "nothing was kept: with --out DIR every finished case is"
-    return f"{out} holds {done} of {of} cases; go on with the same command"
+    return f"{out} holds {done} of {of} cases; {interrupt.again()}"
 
 
 def told(result: dict) -> list[str]:
