@@ -1,10 +1,15 @@
 """Text that wants to run, and a look at pages that it reached. For tests of whatever shows text of files."""
 
 import os
+import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
+
+import pytest
+
+from fishmj import pages
 
 PAYLOADS = (
     "<script>window.pwned=1</script>",
@@ -82,3 +87,21 @@ def visited(page: Path, profile: Path) -> tuple[str, list[str]]:
     command = [browser(), *quiet.split(), *drawing.split(), f"--user-data-dir={profile}", "--virtual-time-budget=2000"]
     done = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=300, check=True)
     return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+WATCH = "document.addEventListener('DOMContentLoaded',()=>setTimeout(()=>document.body.dataset.pwned=String(window.pwned),500))"
+needs_browser = pytest.mark.skipif(browser() is None, reason="no chromium or chrome found; set FISHMJ_BROWSER to one")
+
+
+def runs_nothing(text: str, folder: Path, guards: tuple[bool, ...] = (True, False)) -> str:
+    """Open a page in a browser, with the page's policy and without it, where escaping alone must do; the last document."""
+    dom = ""
+    for guarded in guards:
+        allowed = pages.policy([WATCH, *re.findall(r"<script>(.*?)</script>", text, re.DOTALL)]) if guarded else ""
+        seen = re.sub(r"<meta http-equiv=[^>]*>", lambda _, allowed=allowed: allowed, text)
+        page = folder / f"seen{guarded}.html"
+        page.write_text(seen.replace("<title>", f"<script>{WATCH}</script><title>", 1), encoding="utf-8")
+        dom, errors = visited(page, folder / f"profile{guarded}")
+        assert 'data-pwned="undefined"' in dom, errors
+        assert not [line for line in errors if "Security" in line or "Uncaught" in line], errors
+    return dom

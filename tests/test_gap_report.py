@@ -229,7 +229,8 @@ def test_each_of_the_five_answers_has_its_page(inquiry, material, answer):
     assert answer != "UNEXPLAINED" or states[2:4] == ["failed", "not asked"]
 
 
-def test_text_of_a_hostile_data_set_is_shown_and_runs_nothing(material):
+def hostile_page(material) -> str:
+    """The page of a search whose records, answer and terms have hostile words."""
     i = material.inquiry
     evil = {r.name: r._replace(name=f"{hostile.EVIL} {k}", excitation=hostile.EVIL) for k, r in enumerate(i.records)}
     terms = [{"name": hostile.EVIL, "unit": hostile.EVIL, "coefficient": 1.0, "closure": 0.5, "stability": 0.5, "firm": True}]
@@ -243,8 +244,18 @@ def test_text_of_a_hostile_data_set_is_shown_and_runs_nothing(material):
     )
     inquiry = _with(i, records=[evil[r.name] for r in i.records], verdict=verdict)
     comparison = _with(material.comparison, records=[evil[r.name] for r in material.comparison.records])
-    page = html(dataclasses.replace(material, inquiry=inquiry, comparison=comparison, weighed=hostile.EVIL))
-    hostile.check(page)
+    return html(dataclasses.replace(material, inquiry=inquiry, comparison=comparison, weighed=hostile.EVIL))
+
+
+def test_text_of_a_hostile_data_set_is_shown_and_runs_nothing(material):
+    hostile.check(hostile_page(material))
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@hostile.needs_browser
+def test_a_browser_runs_nothing_of_a_hostile_data_set(material, tmp_path):
+    hostile.runs_nothing(hostile_page(material), tmp_path)
 
 
 def _with(made, **changed):

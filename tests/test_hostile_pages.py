@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import hostile
 import numpy as np
 import pytest
-from hostile import EVIL, PAYLOADS
+from hostile import EVIL, PAYLOADS, WATCH, needs_browser
 from synthetic import swim
 
 from fishmj import console, engines, evaluate, log, pages
@@ -22,7 +22,6 @@ from fishmj.replay import write_html, write_png
 from fishmj.replay.scene import robot_of
 
 ROBOT = load_robot("fish")
-needs_browser = pytest.mark.skipif(hostile.browser() is None, reason="no chromium or chrome found; set FISHMJ_BROWSER to one")
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +192,6 @@ def test_a_hostile_trial_can_be_exported_and_read_again(trial, tmp_path):
 
 
 # ---------------------------------------------------------------------------------------------------------------- browser
-WATCH = "document.addEventListener('DOMContentLoaded',()=>setTimeout(()=>document.body.dataset.pwned=String(window.pwned),500))"
 
 
 @pytest.mark.browser
@@ -215,14 +213,6 @@ def test_a_browser_runs_nothing_of_it(kind, trial, judged, tmp_path, monkeypatch
         "calibration": lambda: calibration_of(tmp_path),
         "water": lambda: water_of(tmp_path, monkeypatch),
     }
-    page = made[kind]()
-    text = page.read_text(encoding="utf-8")
-    for guarded in (False,) if kind == "replay" else (True, False):  # without the page's policy escaping alone must do; a replay
-        # is opened with it in test_replay.py
-        allowed = pages.policy([WATCH, *re.findall(r"<script>(.*?)</script>", text, re.DOTALL)]) if guarded else ""
-        seen = re.sub(r"<meta http-equiv=[^>]*>", lambda _, allowed=allowed: allowed, text)
-        page.write_text(seen.replace("<title>", f"<script>{WATCH}</script><title>", 1), encoding="utf-8")
-        dom, errors = hostile.visited(page, tmp_path / f"profile{guarded}")
-        assert 'data-pwned="undefined"' in dom, errors
-        assert not [line for line in errors if "Security" in line or "Uncaught" in line], errors
-        assert kind != "replay" or 'data-ready="ready' in dom
+    guards = (False,) if kind == "replay" else (True, False)  # a replay is opened with its policy in test_replay.py
+    dom = hostile.runs_nothing(made[kind]().read_text(encoding="utf-8"), tmp_path, guards)
+    assert kind != "replay" or 'data-ready="ready' in dom
