@@ -7,6 +7,7 @@ Killed at any point it goes on from the newest complete checkpoint, on the CPU t
 import shlex
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
 
@@ -86,17 +87,9 @@ class Run:
             self.bar.stage("compiling the first iteration")
         with stop_on_signal(self._last_words) as asked, self.bar as bar:
             write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)  # noqa: E731
-            while not asked:
-                if self._assessment_is_due():
-                    if not (self.quiet or self._looked):
-                        bar.stage("compiling the assessment")
-                    figures, better = self._look()
-                    write(board.write, self.done, figures)
-                    if better:
-                        write(self._export, "best", self.best)
-                    self.assessed = self.done
-                if self.done >= s.steps:
-                    break
+            if self._assessment_is_due():
+                self._judge(board, write)
+            while self.done < s.steps and not asked:
                 figures = self._iterate()
                 self.done += step
                 self.seconds = time.monotonic() - start
@@ -105,6 +98,8 @@ class Run:
                 write(board.write, self.done, {**figures, "seconds": round(self.seconds, 3)})
                 if not self.quiet:
                     bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
+                if self._assessment_is_due():
+                    self._judge(board, write)
                 if time.monotonic() - saved > s.checkpoint_every:
                     write(self._save)
                     saved = time.monotonic()
@@ -116,6 +111,16 @@ class Run:
         """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
         every = self.settings.assess_every
         return self.done > self.assessed and (self.done // every > self.assessed // every or self.done >= self.settings.steps)
+
+    def _judge(self, board: Board, write: Callable) -> None:
+        """Assess, note it, keep the best policy; only then the run has it behind it."""
+        if not (self.quiet or self._looked):
+            self.bar.stage("compiling the assessment")
+        figures, better = self._look()
+        write(board.write, self.done, figures)
+        if better:
+            write(self._export, "best", self.best)
+        self.assessed = self.done
 
     def _iterate(self) -> dict[str, float]:
         """One iteration; it takes the state apart, so a slow one has a copy held of where it began."""
