@@ -175,11 +175,11 @@ def test_a_stopped_run_exports_what_sb3_predicts_keeps_tensors_only_and_goes_on_
 @pytest.mark.sb3
 def test_the_command_trains_and_wrong_settings_are_named(tmp_path, capfd):
     argv = ["--preset", "paper-sac", "--algo", "sb3-sac", "--engine", "batch", "--hidden", "8", "--envs", "4"]
-    argv += ["--out", str(tmp_path / "run"), "--json"]
-    assert console.run(main, [*argv, "--steps", "64"]) == console.OK  # MuJoCo's own engine trains here, too
+    here = ["--out", str(tmp_path / "run"), "--json"]
+    assert console.run(main, [*argv, *here, "--steps", "64"]) == console.OK  # MuJoCo's own engine trains here, too
     made = json.loads(capfd.readouterr().out.splitlines()[-1])["runs"][0]
     assert (made["engine"], made["steps"]) == ("batch", 64) and Policy.load(made["policy"]).meta["algorithm"] == "sb3-sac"
-    assert console.run(main, [*argv, "--steps", "64"]) == console.BAD_INPUT
+    assert console.run(main, [*argv, *here, "--steps", "64"]) == console.BAD_INPUT
     assert "already holds a run" in capfd.readouterr().err
     elsewhere = ["--out", str(tmp_path / "other")]
     assert console.run(main, [*argv, *elsewhere, "--critic", "privileged"]) == console.BAD_INPUT
