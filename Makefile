@@ -48,7 +48,7 @@ verify: $(EXTRAS)
 	@$(STEP) "sb3" $(PY) -m pytest -q --durations 5 -m "sb3 and not gpu"
 	@$(STEP) "ray" $(PY) -m pytest -q --durations 5 -m "ray and not gpu"
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick
-	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 20 --seed 1 --jobs $(JOBS)
+	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 10 --seed 1 --jobs $(JOBS)
 	@$(MAKE) --no-print-directory wheel
 
 wheel: $(INSTALLED)
