@@ -228,6 +228,7 @@ def test_fault_14_a_full_disk_pauses_the_run_and_it_goes_on_when_there_is_room(l
     assert figures_of(run) == figures_of(reference)  # the pause changed nothing
 
 
+@pytest.mark.slow
 def test_fault_14_asked_to_stop_on_a_full_disk_it_stops_with_the_old_checkpoint_untouched(learner, tmp_path, monkeypatch, capfd):
     settings = calm_run(checkpoint_every=0.0, assess_every=10**9)
     run = StopAt(settings, tmp_path, STEP, learner=learner)

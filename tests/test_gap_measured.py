@@ -76,6 +76,7 @@ def test_the_boats_runs_do_not_tell_linear_from_quadratic_drag():
     assert figures["answer"].startswith("CLASS") and max(figures["p_better"].values()) < 0.95, said
 
 
+@pytest.mark.slow
 @measured
 def test_a_left_out_frequency_of_the_tendon_fish_is_predicted_within_15_per_cent():
     beats = [tendon_fish.beat(name, trial) for name, trial in trials("tendon_fish_markers").items()]

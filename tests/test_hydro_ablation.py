@@ -222,6 +222,7 @@ def test_the_verb_makes_the_table_and_goes_on_where_it_was(records, tmp_path, ca
         ablation.table(ROBOT, *records.values(), seeds=[], **about)
 
 
+@pytest.mark.slow
 def test_an_interrupted_table_says_what_it_holds_and_uses_it(records, tmp_path, monkeypatch):
     """Broken off in the second row's fit, behind its first stage: the first row and that stage are not done again."""
     given = {"settings": replace(QUICK, swims=0), "dataset": {"sha256": "x"}, "folder": tmp_path, "names": ["prior", "forces"]}

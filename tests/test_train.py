@@ -108,6 +108,7 @@ def test_a_stopped_and_resumed_run_is_the_uninterrupted_one_to_the_bit(learner, 
     assert figures_of(due) == figures_of(whole)
 
 
+@pytest.mark.slow
 def test_a_run_killed_after_its_last_checkpoint_writes_its_lines_once(learner, tmp_path):
     settings, n = calm_run(assess_every=10**9), 8192
     run = StopAt(settings, tmp_path, n, learner=learner)

@@ -211,6 +211,7 @@ def test_time_stepping_is_first_order():
     assert gaps[0] < 0.05
 
 
+@pytest.mark.slow
 @given(SEEDS)
 def test_energy_never_grows_without_servos(seed):
     """A limp fish thrown into still water only slows down (0.25 ms steps: explicit terms err by O(dt))."""

@@ -33,6 +33,7 @@ def test_the_second_data_set_is_whole_and_of_the_second_fish(data):
     assert {meta["grid"]["domain"] for meta in data.about.values()} == {"window_coarse"}
 
 
+@pytest.mark.slow
 def test_the_second_water_swims_as_the_page_says(data):
     """The figures in bold of the page's table of the check, to the digits that it gives."""
     water = HydroModel.load("tendon_fish")
