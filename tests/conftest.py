@@ -1,9 +1,9 @@
 """The same draws on every run, no time limit that a busy machine could break, and a bound on the CPU time of quick tests.
 
 A test without the mark `slow` takes at most 5 s of CPU, its child processes included: CPU time, because wall time is also that
-of the other work on the machine. It fails above `OF_A_TEST`, twice that: a machine may be half as fast. What its setup makes may
-be shared by a file or by all files and has `OF_SHARED`; one part of the product from end to end (mark `part`) has `OF_A_PART`. A
-test during which something was compiled that is kept between runs (`fishmj.machine_code`, numba, Warp, null runs of the search)
+of the other work on the machine. It fails above `OF_A_TEST`, twice that: a machine may be half as fast. Where the speed of the
+machine is not known, `FISHMJ_SLOWNESS` multiplies all bounds (`.ci/run` sets 3). What a setup makes may be shared by a file or by
+all files and has `OF_SHARED`; one part of the product from end to end (mark `part`) has `OF_A_PART`. A test during which something was compiled that is kept between runs (`fishmj.machine_code`, numba, Warp, null runs of the search)
 is not judged: the next run does so.
 """
 
@@ -22,7 +22,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s;
 settings.register_profile("fishmj", derandomize=True, deadline=None)
 settings.load_profile("fishmj")
 
-OF_A_TEST, OF_SHARED, OF_A_PART = 10.0, 120.0, 120.0  # s of CPU
+SLOWNESS = float(os.environ.get("FISHMJ_SLOWNESS", "1"))
+OF_A_TEST, OF_SHARED, OF_A_PART = 10.0 * SLOWNESS, 120.0 * SLOWNESS, 120.0 * SLOWNESS  # s of CPU
 UNBOUNDED = ("slow", "gpu", "sb3", "ray")  # marks of what the default run leaves out
 
 _HOME = machine_code.cache_folder()

@@ -287,6 +287,7 @@ def test_another_failure_of_the_disk_is_an_error_and_no_pause():
 # ---- 15: a damaged checkpoint ----
 
 
+@pytest.mark.slow
 def test_fault_15_a_damaged_checkpoint_falls_back_to_the_one_before_and_says_so(learner, tmp_path, capfd):
     settings = calm_run(checkpoint_every=0.0, assess_every=10**9)
     whole = StopAt(settings, tmp_path, 3 * STEP, learner=learner)
