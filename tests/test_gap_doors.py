@@ -1,7 +1,4 @@
-"""The doors of `fishmj gap`: whose null runs, which robots, which logs, which options; what is refused, and in one line.
-
-All data here are synthetic.
-"""
+"""The doors of `fishmj gap`, on synthetic data: whose null runs, which robots, logs and options; what is refused, and in one line."""
 
 import json
 import shutil
