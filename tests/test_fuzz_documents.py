@@ -42,6 +42,7 @@ def finite(document):
     return [finite(v) for v in document if v is not None] if isinstance(document, list) else document
 
 
+@pytest.mark.slow
 def test_a_description_with_anything_in_it(tmp_path):
     path = tmp_path / "fish.toml"
 
@@ -52,6 +53,7 @@ def test_a_description_with_anything_in_it(tmp_path):
     assert fuzz(read, whole(), FishmjError) > 5
 
 
+@pytest.mark.slow
 def test_a_description_of_damaged_bytes(tmp_path):
     path, raw = tmp_path / "fish.toml", toml.dumps(whole()).encode()
     number, until = first_seed(), time.monotonic() + seconds(2.0)

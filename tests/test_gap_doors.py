@@ -1,4 +1,4 @@
-"""The doors of `fishmj gap`, on synthetic data: whose null runs, which robots, logs and options; what is refused, and in one line."""
+"""The doors of `fishmj gap`, on synthetic data: whose null runs, robots, logs and options; what is refused, in one line."""
 
 import json
 import shutil

@@ -99,6 +99,10 @@ def test_a_stopped_and_resumed_run_is_the_uninterrupted_one_to_the_bit(learner, 
     other = StopAt(change(settings, seed=1), tmp_path / "other", 4 * n, learner=learner)
     other.go()
     assert figures_of(other) != figures_of(whole)
+    StopAt(settings, tmp_path / "due", 3 * n, learner=learner).go()  # with the assessment due, and not made
+    due = StopAt(settings, tmp_path / "due", 4 * n, learner=learner, resume=True)
+    assert (due.done, due.assessed) == (3 * n, 0) and due.go()["tune_return"] == whole.best["return"]
+    assert figures_of(due) == figures_of(whole)
 
 
 def test_a_run_killed_after_its_last_checkpoint_writes_its_lines_once(learner, tmp_path):

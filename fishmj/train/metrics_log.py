@@ -9,13 +9,16 @@ from fishmj import store
 
 
 class Board:
-    """Figures of one run. A run that goes on from step `after` drops the lines beyond it: it will write them again."""
+    """Figures of one run. A run that goes on from step `after` drops the lines beyond it: it will write them again.
 
-    def __init__(self, folder: Path, after: int = 0):
+    assessed: the step of the last assessment that the run goes on from; lines of later ones are dropped, too.
+    """
+
+    def __init__(self, folder: Path, after: int = 0, assessed: int = 0):
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / "metrics.jsonl"
         if self.path.exists():
-            store.write_text(self.path, "".join(_until(after, self.path.read_text(encoding="utf-8"))))
+            store.write_text(self.path, "".join(_until(after, assessed, self.path.read_text(encoding="utf-8"))))
         try:
             from tensorboardX import SummaryWriter
         except ImportError:
@@ -39,7 +42,9 @@ class Board:
                 self.events.add_scalar(name, value, step)
 
 
-def _until(step: int, text: str) -> list[str]:
-    """The lines up to `step`; a last line that a kill cut short is none."""
+def _until(step: int, assessed: int, text: str) -> list[str]:
+    """The lines up to `step`, those of assessments up to `assessed`; a last line that a kill cut short is none."""
     whole = [line + "\n" for line in text.split("\n")[:-1]]
-    return [line for line in whole if json.loads(line)["step"] <= step]
+    rows = [json.loads(line) for line in whole]
+    last = [assessed if any(key.startswith("tune_") for key in row) else step for row in rows]
+    return [line for line, row, end in zip(whole, rows, last, strict=True) if row["step"] <= end]

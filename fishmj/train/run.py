@@ -21,7 +21,7 @@ from fishmj.train.interruptions import stop_on_signal, when_there_is_room
 from fishmj.train.metrics_log import Board
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
-PROGRESS = ("done", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
+PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 
@@ -60,6 +60,7 @@ class Run:
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
         self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
         self.done, self.seconds = 0, 0.0
+        self.assessed = 0  # the step of the newest assessment
         self.best: dict | None = None
         self.episodes, self.dropped = 0, 0
         self._saving, self._under_way = Lock(), False
@@ -80,13 +81,22 @@ class Run:
         """Train to the end, or to Ctrl-C; the summary says which."""
         s, step = self.settings, self.algorithm.steps_per_iteration
         start, saved = time.monotonic() - self.seconds, time.monotonic()
-        next_look = (self.done // s.assess_every + 1) * s.assess_every
-        board = Board(self.folder, after=self.done)
+        board = Board(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
         with stop_on_signal(self._last_words) as asked, self.bar as bar:
             write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)
-            while self.done < s.steps and not asked:
+            while not asked:
+                if self._assessment_is_due():
+                    if not (self.quiet or self._looked):
+                        bar.stage("compiling the assessment")
+                    figures, better = self._look()
+                    write(board.write, self.done, figures)
+                    if better:
+                        write(self._export, "best", self.best)
+                    self.assessed = self.done
+                if self.done >= s.steps:
+                    break
                 figures = self._iterate()
                 self.done += step
                 self.seconds = time.monotonic() - start
@@ -95,20 +105,17 @@ class Run:
                 write(board.write, self.done, {**figures, "seconds": round(self.seconds, 3)})
                 if not self.quiet:
                     bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
-                if self.done >= next_look or self.done >= s.steps:
-                    next_look += s.assess_every
-                    if not (self.quiet or self._looked):
-                        bar.stage("compiling the assessment")
-                    figures, better = self._look()
-                    write(board.write, self.done, figures)
-                    if better:
-                        write(self._export, "best", self.best)
                 if time.monotonic() - saved > s.checkpoint_every:
                     write(self._save)
                     saved = time.monotonic()
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
         return self.summary(stopped=bool(asked))
+
+    def _assessment_is_due(self) -> bool:
+        """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
+        every = self.settings.assess_every
+        return self.done > self.assessed and (self.done // every > self.assessed // every or self.done >= self.settings.steps)
 
     def _iterate(self) -> dict[str, float]:
         """One iteration; it takes the state apart, so a slow one has a copy held of where it began."""
@@ -205,6 +212,7 @@ class Run:
         self.training = tree_of(found.arrays, self.training)
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
+        self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
         if found.note:
             console.warn(found.note)
             for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
