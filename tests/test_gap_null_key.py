@@ -14,9 +14,12 @@ from fishmj.gap.null.simulated import Null, repeated
 from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
-MODEL = {"hydro_fit.chain", "hydro_fit.model", "mjcf.geometry", "effects.active", "gap.kernel", "gap.plants.fish", "gap.features"}
+MODEL = {
+    *("dynamics.planar_chain", "water.model", "mjcf.geometry", "effects.active"),
+    *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.residual"),
+}
 SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.compiled", "excitation", "mjcf.description"}
-NEITHER = {"lbm_oracle.domain", "tasks.own", "gap.decide", "gap.report.words", "train.networks"}
+NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.words", "train.networks"}
 
 
 @pytest.fixture
