@@ -10,9 +10,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fishmj import mjcf
-from fishmj.hydro_fit import chain, passive
+from fishmj.dynamics import planar_chain
+from fishmj.water import planar
 
-CHAIN, FISH, DEG = chain.chain_of(mjcf.load_robot("fish")), chain.nominal(mjcf.load_robot("fish")), np.pi / 180
+CHAIN, FISH, DEG = planar_chain.chain_of(mjcf.load_robot("fish")), planar_chain.nominal(mjcf.load_robot("fish")), np.pi / 180
 STILL = [(0.0, 0.0)] * CHAIN.n
 
 
@@ -23,7 +24,7 @@ def swim(hertz, degrees, lag, bias=0.0, dt=CHAIN.dt, seconds=12.0, tail=4.0):
     q, v, attached = [rest] * 6, [rest] * 6, rest + 0.5
     for t in np.arange(round(seconds / dt)) * dt:
         wave = [bias + degrees * np.sin(2 * np.pi * hertz * t - j * lag * DEG) for j in range(3)]
-        step = chain.step(np, ch, FISH, q, v, attached, [min(t, 1.0) * DEG * w for w in wave], STILL, (0.0, 0.0))
+        step = planar_chain.step(np, ch, FISH, q, v, attached, [min(t, 1.0) * DEG * w for w in wave], STILL, (0.0, 0.0))
         q, v, attached = step.q, step.v, step.attached
         rows.append([*q[:3], step.power])
     x, y, yaw, power = np.moveaxis(rows[-round(tail / dt) - 1 :], 1, 0)
@@ -42,11 +43,11 @@ for f, a, p, b, r in list(zip(hertz, wave, watts, phase, watts_phase, strict=Tru
 around, turn, _ = swim(1.0, 30, 60, bias)
 for degrees, speed, rate in zip(bias, around, turn, strict=True):
     print(f"bias {degrees:.0f} deg, 1 Hz: {rate:.1f} deg/s at {speed:.3f} m/s, radius {speed / abs(rate * DEG):.2f} m")
-towed = chain.kinematics(np, CHAIN, [0.0] * 6, [0.3, 0.0, 0.0, 0.0, 0.0, 0.0], STILL)  # straight, 0.3 m/s ahead
-drag = -sum(f[0] for f in chain.water_forces(np, CHAIN, FISH, towed, 0.0, (0.0, 0.0), 0.5))
+towed = planar_chain.kinematics(np, CHAIN, [0.0] * 6, [0.3, 0.0, 0.0, 0.0, 0.0, 0.0], STILL)  # straight, 0.3 m/s ahead
+drag = -sum(f[0] for f in planar_chain.water_forces(np, CHAIN, FISH, towed, 0.0, (0.0, 0.0), 0.5))
 heave = [k * mu[0] for k, mu in zip(FISH.water.k, CHAIN.strips.mu, strict=True)]
-own, added = (chain.mass_matrix(CHAIN, FISH, towed, rigid=r, water=not r) for r in (True, False))
-ratio = np.linalg.eigvals(np.linalg.solve(*(passive.world_matrix(CHAIN, 0.0, m) for m in (own, added)))).real
+own, added = (planar_chain.mass_matrix(CHAIN, FISH, towed, rigid=r, water=not r) for r in (True, False))
+ratio = np.linalg.eigvals(np.linalg.solve(*(planar.world_matrix(CHAIN, 0.0, m) for m in (own, added)))).real
 print(f"tow drag at 0.3 m/s: {drag:.3f} N; added mass sideways {sum(heave):.2f} kg, links {np.round(heave, 2).tolist()}")
 print(f"added over own inertia, straight fish: {np.round(np.sort(ratio)[::-1], 2).tolist()}")
 assert (np.diff(wave[:6]) > 0).all() and 0.1 < phase[3] < wave[3] < 0.5, "faster beats swim faster; a wave beats in phase"

@@ -31,10 +31,10 @@ class Chase:
 
 
 # task
-from dataclasses import dataclass  # noqa: E402
+from dataclasses import dataclass
 
-from fishmj.tasks.course import Launch  # noqa: E402
-from fishmj.tasks.station_hold import draw_start  # noqa: E402
+from fishmj.tasks.course import Launch
+from fishmj.tasks.station_hold import draw_start
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class LineFollow:
 
 
 # effect
-from fishmj.effects import Effect, Parameter  # noqa: E402
+from fishmj.effects import Effect, Parameter
 
 
 def dragged(xp, p, body, memory, h):
@@ -78,14 +78,14 @@ WEED = Effect(
 )
 
 # algorithm
-from functools import partial  # noqa: E402
-from typing import Any, NamedTuple  # noqa: E402
+from functools import partial
+from typing import Any, NamedTuple
 
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-from jax.flatten_util import ravel_pytree  # noqa: E402
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
-from fishmj.train.networks import forward, input_scale, mlp  # noqa: E402
+from fishmj.train.networks import forward, input_scale, mlp
 
 
 class Training(NamedTuple):
@@ -152,8 +152,8 @@ class Evolution:
 
 
 # importer
-from fishmj.errors import LogError  # noqa: E402
-from fishmj.log import Trial  # noqa: E402
+from fishmj.errors import LogError
+from fishmj.log import Trial
 
 
 def read(path):

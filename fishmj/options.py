@@ -73,7 +73,7 @@ class Listed:
     item: Callable[[str], Any]
     most: int = 100
     distinct: bool = True
-    same: Callable[[Any], Any] = lambda value: value  # noqa: E731
+    same: Callable[[Any], Any] = lambda value: value
 
     def __call__(self, text: str) -> list:
         parts = [part.strip() for part in text.split(",")]

@@ -66,6 +66,6 @@ def picture(png: bytes, caption: str) -> str:
 def as_html(table: str) -> str:
     """A Markdown table of `console.table` as HTML."""
     rows = [[c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1]] for line in table.splitlines()]
-    cells = lambda row, tag: "".join(f"<{tag}>{escaped(c.replace(chr(92) + '|', '|'))}</{tag}>" for c in row)  # noqa: E731
+    cells = lambda row, tag: "".join(f"<{tag}>{escaped(c.replace(chr(92) + '|', '|'))}</{tag}>" for c in row)
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows[2:])
     return f"<table><thead><tr>{cells(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"

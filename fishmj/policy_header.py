@@ -159,7 +159,7 @@ def _check_structure(table: Any, where: str) -> None:
 def _check_observation(rows: Any, count: int, where: str) -> None:
     if isinstance(rows, str) and len(rows) <= 1000:
         return  # an older file: a sentence, for people
-    row = lambda x: isinstance(x, dict) and set(x) == {"name", "unit"} and is_name(x["name"]) and _is_unit(x["unit"])  # noqa: E731
+    row = lambda x: isinstance(x, dict) and set(x) == {"name", "unit"} and is_name(x["name"]) and _is_unit(x["unit"])
     if not _list_of(rows, row) or len(rows) != count:
         raise ConfigError(
             f"{where}: observation {shown(rows)}; expected {count} rows {{name, unit}}, one for each divisor of scale"

@@ -18,19 +18,19 @@ import mujoco
 import numpy as np
 
 from fishmj import mjcf
-from fishmj.engines.added import SURROGATE, Added, in_water
+from fishmj.dynamics import planar_chain
+from fishmj.engines.extensions import SURROGATE, Added, in_water
 from fishmj.engines.record import Recorder, rescue
-from fishmj.engines.solo import Solo
+from fishmj.engines.single import Solo
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.inject import checked_step, inject
-from fishmj.hydro_fit.passive import PlanarWater
-from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.log import Trial
-from fishmj.mjcf.bus import arrived, on_the_bus
+from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
+from fishmj.water.injection import checked_step, inject
+from fishmj.water.planar import PlanarWater
+from fishmj.water.spatial import FreeWater
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)
@@ -64,7 +64,7 @@ class Sim:
         engine: str = "mujoco",
         root: str = "planar",
         pose=(0.0, 0.0, 0.0),
-        swimmer: chain.Swimmer | None = None,
+        swimmer: planar_chain.Swimmer | None = None,
         latency: float | None = None,
         rescue_folder: Path | None = None,
     ):
@@ -83,7 +83,7 @@ class Sim:
         self.added = Added.of(self.robot)
         late = float(self.added.late(np, self.added.row, "command"))
         self.delay = round(((timing.command_latency if latency is None else latency) + late) / timing.physics_dt)
-        self.swimmer = swimmer or chain.nominal(self.robot)
+        self.swimmer = swimmer or planar_chain.nominal(self.robot)
         self.model = mjcf.build(self.robot, root, ellipsoid=water == "ellipsoid")
         s = self.swimmer
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
@@ -168,7 +168,7 @@ class Sim:
     def _electrical(self, qvel) -> float:
         """Servo power of the step just taken, W, from the drive torque that MuJoCo applied."""
         v = [0.0, 0.0, 0.0, *qvel[-self.model.nu :]]
-        return float(chain.electrical_power(np, self.swimmer, v, self.data.actuator_force))
+        return float(planar_chain.electrical_power(np, self.swimmer, v, self.data.actuator_force))
 
     @property
     def pose(self) -> np.ndarray:

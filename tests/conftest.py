@@ -1,11 +1,11 @@
 """The same draws on every run, no time limit that a busy machine could break, and a bound on the CPU time of quick tests.
 
-A test without the mark `slow` takes at most 5 s of CPU, its child processes included: CPU time, because wall time is also that
-of the other work on the machine. It fails above `OF_A_TEST`, twice that: a machine may be half as fast. Where the speed of the
-machine is not known, `FISHMJ_SLOWNESS` multiplies all bounds (`.ci/run` sets 3). What a setup makes may be shared by a file or by
-all files and has `OF_SHARED`; one part of the product from end to end (mark `part`) has `OF_A_PART`. A test during which something
-was compiled that is kept between runs (`fishmj.machine_code`, numba, Warp, null runs of the search) is not judged: the next run
-does so.
+A test without the mark `slow` takes at most 5 s of CPU, its child processes included: CPU time, because wall time is
+also that of the other work on the machine. It fails above `OF_A_TEST`, twice that: a machine may be half as fast.
+Where the speed of the machine is not known, `FISHMJ_SLOWNESS` multiplies all bounds (`.ci/run` sets 3). What a setup
+makes may be shared by a file or by all files and has `OF_SHARED`; one part of the product from end to end (mark
+`part`) has `OF_A_PART`. A test during which something was compiled that is kept between runs (`fishmj.machine_code`,
+numba, Warp, null runs of the search) is not judged: the next run does so.
 """
 
 import os

@@ -2,15 +2,15 @@
 
 import numpy as np
 
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Active
 from fishmj.effects.commands import delivered
 from fishmj.effects.sites import Seen
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.hooks import Effects
 from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")
-CHAIN, SWIMMER = chain.chain_of(ROBOT), chain.nominal(ROBOT)
+CHAIN, SWIMMER = planar_chain.chain_of(ROBOT), planar_chain.nominal(ROBOT)
 H, JOINTS = CHAIN.dt, CHAIN.n - 1
 BUS = 5  # physics steps between commands
 
@@ -35,7 +35,7 @@ def swim(active: Active, rows, sent, start=(0.0,) * 6, push=(0.0,) * 6, flow=(0.
     for k in range(len(sent)):
         target = told[np.arange(b), np.maximum(k - late, 0)].T
         hooks = Effects(np, active, list(rows.T), memory, wet)
-        s = chain.step(np, ch, swimmer, q, v, attached, list(target), water, (0.0, 0.0), hooks)
+        s = planar_chain.step(np, ch, swimmer, q, v, attached, list(target), water, (0.0, 0.0), hooks)
         q, v, attached, memory = s.q, s.v, s.attached, s.memory
         out.append(np.array([*q, *v, s.power]))
     out = np.array(out).transpose(2, 0, 1)
@@ -45,8 +45,8 @@ def swim(active: Active, rows, sent, start=(0.0,) * 6, push=(0.0,) * 6, flow=(0.
 def sense(active: Active, rows, q, power) -> Seen:
     """What the sensors report of a swim, every physics step."""
     rows, t = np.asarray(rows, float), (1 + np.arange(q.shape[1])) * H
-    late = lambda clock: np.asarray(active.delay(np, list(rows.T[:, :, None]), clock, t)) * np.ones((len(rows), len(t)))  # noqa: E731
-    at = lambda values, delay: np.array([np.interp(t - d, t, x) for x, d in zip(values, delay, strict=True)])  # noqa: E731
+    late = lambda clock: np.asarray(active.delay(np, list(rows.T[:, :, None]), clock, t)) * np.ones((len(rows), len(t)))
+    at = lambda values, delay: np.array([np.interp(t - d, t, x) for x, d in zip(values, delay, strict=True)])
     x, y, yaw = (at(q[..., i], late("pose")) for i in range(3))
     joint = np.stack([at(q[..., 3 + j], late("joint")) for j in range(JOINTS)], -1)
     return active.measure(np, list(rows.T[:, :, None]), Seen(t, x, y, yaw, joint, at(power, late("power"))))

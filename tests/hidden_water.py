@@ -13,18 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from fishmj.hydro_fit import chain, dataset, record, terms
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.hydro_fit import dataset, record
 from fishmj.mjcf import load_robot
-from fishmj.mjcf.bus import on_the_bus
+from fishmj.mjcf.command_bus import on_the_bus
 from fishmj.store import Manifest, write_json
 
 ROBOT = load_robot("fish")
-CHAIN = chain.chain_of(ROBOT)
+CHAIN = planar_chain.chain_of(ROBOT)
 N, J, TICK = CHAIN.n, CHAIN.n - 1, ROBOT.timing.bus_dt
 STEPS = round(TICK / CHAIN.dt)
 WASH, GAIN, OVERSHOOT, LAG = 0.10, 0.35, 1.2, 0.12  # m, share, coefficient, m
 NOISE = 0.01  # of a channel's rms
-TRUE = chain.nominal(ROBOT).water._replace(
+TRUE = planar_chain.nominal(ROBOT).water._replace(
     k=[0.82, 0.95, 1.0, 0.70],
     cn=[1.5, 1.0, 1.4, 2.6],
     cf=0.018,
@@ -49,7 +50,7 @@ class Hidden:
         return flow
 
     def servos(self, ch, sw, q, v, target):
-        return chain.servo_drive(jnp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
+        return planar_chain.servo_drive(jnp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
 
     def body(self, ch, sw, q, k, rhs, m):
         pass
@@ -79,7 +80,7 @@ class Hidden:
 
 
 def swimmer(water=TRUE):
-    return chain.nominal(ROBOT)._replace(water=water)
+    return planar_chain.nominal(ROBOT)._replace(water=water)
 
 
 def wave(frequency, amplitude, lag, bias, seconds):
@@ -166,7 +167,7 @@ def _swim(start, targets, flow, water, hidden):
 
     def one(state, target):
         q, v, attached, memory = state
-        s = chain.step(jnp, CHAIN, sw, q, v, attached, list(target), stream, (0.0, 0.0), Hidden(memory, hidden))
+        s = planar_chain.step(jnp, CHAIN, sw, q, v, attached, list(target), stream, (0.0, 0.0), Hidden(memory, hidden))
         wrench = _wrench(sw, q, v, attached, memory, stream, s.accel, hidden)
         return (s.q, s.v, s.attached, list(s.memory)), (jnp.stack(s.q), jnp.stack(s.v), wrench, s.power)
 
@@ -183,9 +184,9 @@ def _hold(q, v, flow, water, hidden):
         turn = (new - v)[2:] / CHAIN.dt
         accel = [0 * turn[0], 0 * turn[0], *jnp.cumsum(turn, 0)]
         wrench = _wrench(sw, q, v, attached, memory, stream, accel, hidden)
-        k, hooks = chain.kinematics(jnp, CHAIN, q, v, stream), Hidden(memory, hidden)
+        k, hooks = planar_chain.kinematics(jnp, CHAIN, q, v, stream), Hidden(memory, hidden)
         hooks.water(CHAIN, sw, q, k, [(0.0, 0.0, 0.0)] * N)
-        attached = terms.attachment(jnp, CHAIN.strips, water, k.u[-1], k.w[-1], k.omega[-1], attached, CHAIN.dt)
+        attached = strip_forces.attachment(jnp, CHAIN.strips, water, k.u[-1], k.w[-1], k.omega[-1], attached, CHAIN.dt)
         return (attached, hooks.memory), wrench
 
     return lax.scan(one, (jnp.full(batch, 0.5), _nothing(batch)), (q[:-1], v[:-1], v[1:]))[1]
@@ -193,8 +194,8 @@ def _hold(q, v, flow, water, hidden):
 
 def _wrench(sw, q, v, attached, memory, stream, accel, hidden):
     """Force and moment of the water on every link, tank frame, (N, 3, B)."""
-    k = chain.kinematics(jnp, CHAIN, q, v, stream)
-    hydro = chain.water_forces(jnp, CHAIN, sw, k, q[2], (0.0, 0.0), attached)
+    k = planar_chain.kinematics(jnp, CHAIN, q, v, stream)
+    hydro = planar_chain.water_forces(jnp, CHAIN, sw, k, q[2], (0.0, 0.0), attached)
     hydro = Hidden(memory, hidden).water(CHAIN, sw, q, k, hydro)
     ax, ay, *alpha = accel
     cp, sp, out = jnp.cos(q[2]), jnp.sin(q[2]), []
@@ -215,7 +216,7 @@ def _wrench(sw, q, v, attached, memory, stream, accel, hidden):
 def _records(out, commands, flow, start, block, split, noise, seed, prescribed):
     ends = slice(STEPS - 1, None, STEPS)
     q, v = (out[i][ends].transpose(2, 0, 1) for i in (0, 1))
-    tick_mean = lambda a: a.reshape(-1, STEPS, *a.shape[1:]).mean(1)  # noqa: E731
+    tick_mean = lambda a: a.reshape(-1, STEPS, *a.shape[1:]).mean(1)
     wrench = tick_mean(out[2]).transpose(3, 0, 1, 2)
     power = tick_mean(out[3]).T + ROBOT.servo.idle_power
     rng = np.random.default_rng([8, seed])
@@ -235,7 +236,7 @@ def _records(out, commands, flow, start, block, split, noise, seed, prescribed):
 
 def campaign(size=1.0, seed=0, split="train", seconds=8.0, **world):
     """A small campaign of every kind; 34 records at size 1. world: water, hidden, noise."""
-    count = lambda n: max(2, round(n * size))  # noqa: E731
+    count = lambda n: max(2, round(n * size))
     few, n, rest = count(6), count(12), count(4)
     rng = np.random.default_rng([9, seed])
     angle, yaw = rng.uniform(0, 2 * np.pi, few), rng.uniform(0, 2 * np.pi, few)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.campaign.tank import Finished
+from fishmj.campaign.data.run_segments import Finished
 
 
 def run(waiting, setup, *, tanks=1):
@@ -24,7 +24,7 @@ def toy(segment, setup):
     """A record that depends on the segment only."""
     joints, ticks = setup.robot.n_joints, round(segment.seconds / 0.02)
     wave = np.sin(np.arange(ticks) / 7 + len(segment.id))
-    wide = lambda *shape: wave.reshape(-1, *[1] * len(shape)) * np.ones(shape)  # noqa: E731
+    wide = lambda *shape: wave.reshape(-1, *[1] * len(shape)) * np.ones(shape)
     arrays = {"q": wide(3 + joints), "v": wide(3 + joints), "command": wide(joints), "power": 2 + wave}
     arrays |= {"wrench": wide(joints + 1, 3), "raw": wide(joints + 1, 3), "flow": np.zeros((ticks, joints + 1, 2))}
     names = ("id", "block", "episode", "split", "replicate_of")

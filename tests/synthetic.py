@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from fishmj import log
-from fishmj.hydro_fit import chain
+from fishmj.dynamics import planar_chain
 from fishmj.mjcf import load_robot
 
 
@@ -57,13 +57,13 @@ LAG = math.radians(60)  # between neighbouring joints
 def swim(seconds=4.0, amplitude=0.5, lag=LAG, current=(-0.15, 0.0), start=(-0.7, 0.1, 0.0)):
     """The nominal fish in the strip water, open loop at 1 Hz, integrated by the closed-form chain."""
     robot = load_robot()
-    ch, swimmer = chain.chain_of(robot), chain.nominal(robot)
+    ch, swimmer = planar_chain.chain_of(robot), planar_chain.nominal(robot)
     q, v, attached = [*start, 0.0, 0.0, 0.0], [0.0] * 6, 1.0
     rows = []
     for k in range(round(seconds / ch.dt)):
         t = k * ch.dt
         command = [amplitude * math.sin(2 * math.pi * t - j * lag) * min(1.0, t) for j in range(3)]
-        step = chain.step(np, ch, swimmer, q, v, attached, command, [current] * ch.n, (0.0, 0.0))
+        step = planar_chain.step(np, ch, swimmer, q, v, attached, command, [current] * ch.n, (0.0, 0.0))
         if k % 5 == 0:
             rows.append([t, *q, *v, step.power + robot.servo.idle_power, *command])
         q, v, attached = step.q, step.v, step.attached

@@ -4,9 +4,10 @@ import json
 
 import pytest
 
-from fishmj import bench, console
-from fishmj.bench import Benchmark, NotHere, Work, measure
-from fishmj.bench import __main__ as command
+from fishmj import console
+from fishmj.studies import bench
+from fishmj.studies.bench import Benchmark, NotHere, Work, measure
+from fishmj.studies.bench import __main__ as command
 
 
 class Clock:

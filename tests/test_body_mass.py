@@ -8,11 +8,11 @@ import pytest
 from effect_swim import CHAIN, JOINTS, SWIMMER
 
 from fishmj import effects
+from fishmj.dynamics.hooks import Effects
+from fishmj.dynamics.planar_chain import chain_of
 from fishmj.effects import Active
 from fishmj.effects.calibration import Fitted, Interval
-from fishmj.gap.mjcf_patch import mjcf
-from fishmj.hydro_fit.chain import chain_of
-from fishmj.hydro_fit.hooks import Effects
+from fishmj.gap.commands.mjcf_patch import mjcf
 from fishmj.mjcf.description import load_robot
 
 

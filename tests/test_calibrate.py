@@ -15,18 +15,18 @@ from fishmj import console, interrupt
 from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
 from fishmj.calibrate import check, latency, mass, model, servo
+from fishmj.calibrate.bias import widened
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, correlation_length, fit
 from fishmj.calibrate.logs import Logs
-from fishmj.calibrate.systematic import widened
-from fishmj.campaign import hidden_score, hidden_trials
+from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
-from fishmj.gap.plants.bench import Bench
-from fishmj.gap.records import Sensor
-from fishmj.hydro_fit import chain
+from fishmj.gap.models.test_stand import Bench
+from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json, write_text
+from fishmj.studies.hidden_lbm import calibration_trials, score
 from fishmj.virtual_robot import draws
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -54,7 +54,7 @@ def test_intervals_hold_under_autocorrelated_residuals():
     """A slope and an offset in red noise: the 90 % interval covers about as often as it says; a naive one does not."""
     rng, t, inside, naive = np.random.default_rng(1), np.linspace(0, 1, 300), 0, 0
     blocks = [Block(f"t{i}", f"g{i % 3}", slice(300 * i, 300 * (i + 1))) for i in range(6)]
-    line = lambda thetas: (thetas[:, :1] + thetas[:, 1:] * np.tile(t, 6)[None]) * 1.0  # noqa: E731
+    line = lambda thetas: (thetas[:, :1] + thetas[:, 1:] * np.tile(t, 6)[None]) * 1.0
     start = [Parameter("a", "1", 0.5, 0.1), Parameter("b", "1", 0.0, 0.1)]
     for _ in range(60):
         data = 1.0 + 2.0 * np.tile(t, 6) + 0.3 * np.concatenate([red_noise(rng, 300, 0.95) for _ in blocks])
@@ -79,7 +79,9 @@ def test_a_bound_and_a_prior_are_kept():
 @pytest.fixture(scope="module")
 def robot() -> tuple[dict, Logs]:
     """Truth and bench trials of one robot, one repeat."""
-    return hidden_trials.truth(hidden_trials.hidden(SEED)), Logs(Path("drawn"), hidden_trials.trials(SEED, repeats=1))
+    return calibration_trials.truth(calibration_trials.hidden(SEED)), Logs(
+        Path("drawn"), calibration_trials.trials(SEED, repeats=1)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +155,7 @@ def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
     angles = [q[3:]]
     for k in range(n):
         target = list(record.commands[max(k - late, 0)])
-        s = chain.step(np, plant.chain, plant.nominal, q, v, attached, target, [(0.0, 0.0)] * 4, (0.0, 0.0))
+        s = planar_chain.step(np, plant.chain, plant.nominal, q, v, attached, target, [(0.0, 0.0)] * 4, (0.0, 0.0))
         q, v, attached = s.q, s.v, s.attached
         angles.append(q[3:])
     t = np.arange(0, n + 1, 5) * plant.dt
@@ -167,15 +169,15 @@ def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
 def test_a_hull_pushed_beyond_its_tolerance_is_told():
     """Constants of the water that the fit needs far from what is described mean another water."""
     at = {c.name: Estimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo.CONSTANTS[2:]}
-    fit_with = lambda mass: Fit(np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1)  # noqa: E731
-    found = lambda mass: servo.Found(None, [], np.zeros(1), fit_with(mass), {})  # noqa: E731
+    fit_with = lambda mass: Fit(np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1)
+    found = lambda mass: servo.Found(None, [], np.zeros(1), fit_with(mass), {})
     assert found(1.05).words == "" and "mass 1.38" in found(1.38).words
 
 
 def test_masses_come_back_from_the_weighings(tmp_path: Path):
-    made = hidden_trials.hidden(SEED)
-    truth = hidden_trials.truth(made)
-    page = hidden_trials.weighings(made, draws.stream(SEED, "weighing"))
+    made = calibration_trials.hidden(SEED)
+    truth = calibration_trials.truth(made)
+    page = calibration_trials.weighings(made, draws.stream(SEED, "weighing"))
     write_text(tmp_path / measurements.FILE, dumps(page))
     found = mass.calibrate(tmp_path, load_robot()).estimates
     for name in ("mass", "com", "inertia"):
@@ -187,8 +189,8 @@ def test_masses_come_back_from_the_weighings(tmp_path: Path):
 
 
 def test_the_nominal_robot_weighs_what_it_is_described_to():
-    made = hidden_trials.plant({}, 0, nuisance=0.0)
-    truth, described = hidden_trials.truth(made), load_robot()
+    made = calibration_trials.plant({}, 0, nuisance=0.0)
+    truth, described = calibration_trials.truth(made), load_robot()
     assert truth["mass"] == pytest.approx(described.mass)
     assert mass._yaw_inertia(described) == pytest.approx(truth["inertia"], rel=1e-6)
 
@@ -211,8 +213,8 @@ def test_a_calibrated_fish_is_a_fish_and_remembers_where_from(tmp_path: Path):
 def test_shipped_trials_are_whole_synthetic_and_sealed():
     manifest = Manifest.read(SHIPPED)
     manifest.verify(SHIPPED)
-    assert hidden_trials.SEALED not in manifest.files
-    assert manifest.meta["sealed"]["sha256"] == sha256(SHIPPED / hidden_trials.SEALED)
+    assert calibration_trials.SEALED not in manifest.files
+    assert manifest.meta["sealed"]["sha256"] == sha256(SHIPPED / calibration_trials.SEALED)
     metas = [read_toml(SHIPPED / name) for name in manifest.files if name.endswith("meta.toml")]
     assert len(metas) == 27 and {m["origin"] for m in metas} == {"synthetic"}
     assert all("seed" not in m and m["source"] in manifest.meta["generators"].values() for m in metas)
@@ -223,20 +225,20 @@ def test_shipped_trials_are_whole_synthetic_and_sealed():
 @pytest.mark.slow
 def test_another_robot_takes_the_place_of_the_first(tmp_path: Path):
     make = ["--out", str(tmp_path / "t"), "--water", "second", "--seconds", "6", "--seed"]
-    assert hidden_trials.main([*make, "3"]) == 0
-    first = hidden_score.opened(tmp_path / "t")
+    assert calibration_trials.main([*make, "3"]) == 0
+    first = score.opened(tmp_path / "t")
     assert len(list((tmp_path / "t").glob("*/meta.toml"))) == 27 and "slip" not in first
-    assert hidden_trials.main([*make, "4", "--repeats-swims", "1", "--overwrite"]) == 0
+    assert calibration_trials.main([*make, "4", "--repeats-swims", "1", "--overwrite"]) == 0
     assert len(list((tmp_path / "t").glob("*/meta.toml"))) == 21
-    assert hidden_score.opened(tmp_path / "t")["kp"] != first["kp"]
+    assert score.opened(tmp_path / "t")["kp"] != first["kp"]
     Manifest.read(tmp_path / "t").verify(tmp_path / "t")
 
 
 def test_a_broken_seal_is_noticed(tmp_path: Path):
-    write_json(tmp_path / hidden_trials.SEALED, {"values": {"kp": 8.0}})
-    Manifest({}, {"sealed": {"file": hidden_trials.SEALED, "sha256": "0" * 64}}).write(tmp_path)
+    write_json(tmp_path / calibration_trials.SEALED, {"values": {"kp": 8.0}})
+    Manifest({}, {"sealed": {"file": calibration_trials.SEALED, "sha256": "0" * 64}}).write(tmp_path)
     with pytest.raises(StoreError, match="seal"):
-        hidden_score.opened(tmp_path)
+        score.opened(tmp_path)
 
 
 def test_what_fits_never_names_the_seal():
@@ -273,11 +275,11 @@ def test_calibration_does_not_open_the_sealed_file(tmp_path: Path):
 def test_score_compares_fitted_with_sealed(tmp_path: Path):
     folder = tmp_path / "trials"
     folder.mkdir()
-    hidden_trials.seal(folder, SEED, {"kp": 8.0, "kd": 0.3}, {})
+    calibration_trials.seal(folder, SEED, {"kp": 8.0, "kd": 0.3}, {})
     out = tmp_path / "fish.toml"
     e = Estimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
     model.write(out, model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
-    (row,) = hidden_score.score(folder, str(out))
+    (row,) = score.score(folder, str(out))
     assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"
     assert read_json(folder / "sealed.json")["values"]["kp"] == 8.0
 
@@ -294,7 +296,7 @@ def test_robots_that_were_checked_are_not_checked_again(tmp_path, monkeypatch, c
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(check, "one", one)
-    monkeypatch.setattr(hidden_trials, "trials", lambda seed: {})
+    monkeypatch.setattr(calibration_trials, "trials", lambda seed: {})
     with pytest.raises(KeyboardInterrupt):
         command.drawn(["--robots", "3"])
     assert said == [f"{command.CHECKED} holds 2 of 3 robots; go on with the same command"]

@@ -9,19 +9,19 @@ import pytest
 from ray_toys import toy
 
 from fishmj import console
-from fishmj.campaign import command, drives, plan, tank
-from fishmj.campaign.collect import Collected, collect
-from fishmj.campaign.command import main
-from fishmj.campaign.segment import Segment
-from fishmj.campaign.solver import code_of, solver_sha256
+from fishmj.campaign.data import actuation, command, plan, run_segments
+from fishmj.campaign.data.collect import Collected, collect
+from fishmj.campaign.data.command import main
+from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.dataset import SEGMENTS, open_dataset
 from fishmj.hydro_fit.record import HALF, narrow, read_record
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 
 FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
-SETUP = tank.Setup(domain=preset("laptop"), device="cpu")
+SETUP = run_segments.Setup(domain=preset("laptop"), device="cpu")
 SMALL = replace(SETUP, domain=replace(SETUP.domain, shape=(60, 36, 16)))
 FULL = plan.full(FISH)
 SHIPPED = Path(__file__).parent.parent / "data" / "hydro" / "swift"
@@ -51,10 +51,10 @@ def some(number=6):
 
 def test_a_policy_that_has_changed_since_is_refused():
     segment = next(s for s in FULL.segments if s.drive.get("controller") == "paper")
-    drives.drive(segment, FISH)
+    actuation.drive(segment, FISH)
     other = replace(segment, drive=segment.drive | {"sha256": "0" * 64})
     with pytest.raises(ConfigError, match="policy paper: expected sha256 0000"):
-        drives.drive(other, FISH)
+        actuation.drive(other, FISH)
 
 
 def test_a_segment_survives_json():
@@ -69,7 +69,12 @@ def test_the_fish_of_a_data_set_is_its_body_not_its_paint_or_its_fitted_water():
     water = replace(FISH, title="another", water=FISH.water | {"cf": 0.5})
     painted = replace(FISH, links=(replace(FISH.links[0], colour=(0.0, 0.0, 0.0)), *FISH.links[1:]))
     heavier = replace(FISH, links=(replace(FISH.links[0], mass=0.8), *FISH.links[1:]))
-    assert tank.fingerprint(FISH) == tank.fingerprint(water) == tank.fingerprint(painted) != tank.fingerprint(heavier)
+    assert (
+        run_segments.fingerprint(FISH)
+        == run_segments.fingerprint(water)
+        == run_segments.fingerprint(painted)
+        != run_segments.fingerprint(heavier)
+    )
 
 
 # on disk
@@ -157,7 +162,7 @@ def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_pat
 
 def test_segments_of_another_solver_are_not_added_and_a_complete_data_set_stays(tmp_path, monkeypatch):
     collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
-    monkeypatch.setattr(tank, "solver_sha256", lambda: "0" * 64)
+    monkeypatch.setattr(run_segments, "solver_sha256", lambda: "0" * 64)
     assert collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True).complete
     assert open_dataset(tmp_path).meta["solver"] == {"sha256": solver_sha256()}
     with pytest.raises(ConfigError, match="another solver"):

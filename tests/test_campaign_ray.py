@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from ray_toys import toy
 
-from fishmj.campaign.collect import Local, collect
-from fishmj.campaign.plan import Plan
-from fishmj.campaign.ray_pool import ATTEMPTS, RayPool
-from fishmj.campaign.segment import Segment
-from fishmj.campaign.tank import Setup
+from fishmj.campaign.data.collect import Local, collect
+from fishmj.campaign.data.plan import Plan
+from fishmj.campaign.data.ray_pool import ATTEMPTS, RayPool
+from fishmj.campaign.data.run_segments import Setup
+from fishmj.campaign.data.segment import Segment
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 
 SETUP = Setup(domain=preset("laptop"), device="cpu")

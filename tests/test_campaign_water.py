@@ -8,18 +8,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from fishmj.campaign import plan, tank
-from fishmj.campaign.export import trial_of
-from fishmj.campaign.segment import Segment
+from fishmj.campaign.data import plan, run_segments
+from fishmj.campaign.data.export import trial_of
+from fishmj.campaign.data.segment import Segment
 from fishmj.errors import SimDiverged
 from fishmj.flow import Flow
 from fishmj.hydro_fit.record import Record
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.run.domain import preset
 from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import build, load_robot
 
 FISH = load_robot("fish")
-SMALL = tank.Setup(domain=replace(preset("laptop"), shape=(60, 36, 16)), device="cpu")
+SMALL = run_segments.Setup(domain=replace(preset("laptop"), shape=(60, 36, 16)), device="cpu")
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def water():
     steer = {"kind": "policy", "controller": "dob", "target": (1.0, 0.0)}
     gusty = Flow(speed=0.2, direction=np.pi, turbulence="default", intensity=0.1, seed=3)
     steered = Segment(id="steered", episode="steered", seconds=0.2, drive=steer, flow=gusty, **plain)
-    done = tank.side_by_side(deque([swim, held, steered]), SMALL, tanks=2)
+    done = run_segments.side_by_side(deque([swim, held, steered]), SMALL, tanks=2)
     return {item.segment.id: (item, Record(item.meta, **{"power": np.nan, **item.arrays})) for item in done}
 
 
@@ -106,7 +106,7 @@ def test_a_record_is_a_trial_of_the_log(water, tmp_path):
 @pytest.mark.oracle
 def test_what_stops_is_kept_as_far_as_it_was_sound(monkeypatch):
     """Fish that diverge after 0.4 s (that is nothing sound) and after 1.9 s (0.4 s are)."""
-    monkeypatch.setattr(tank, "DOUBT", 0.3)
+    monkeypatch.setattr(run_segments, "DOUBT", 0.3)
     ticks = {"early": 12, "late": 30}
 
     def ticking(run, command):
@@ -117,31 +117,33 @@ def test_what_stops_is_kept_as_far_as_it_was_sound(monkeypatch):
         run.ticks += 1
         yield
 
-    monkeypatch.setattr(tank.Driven, "ticking", ticking)
-    made = tank._run
-    named = lambda segment, *rest: (run := made(segment, *rest), setattr(run, "name", segment.id))[0]  # noqa: E731
-    monkeypatch.setattr(tank, "_run", named)
+    monkeypatch.setattr(run_segments.Driven, "ticking", ticking)
+    made = run_segments._run
+    named = lambda segment, *rest: (run := made(segment, *rest), setattr(run, "name", segment.id))[0]
+    monkeypatch.setattr(run_segments, "_run", named)
     gait = {"kind": "gait", "frequency": 1.0, "amplitude": 0.1, "lag": 1.0, "bias": 0.0}
     both = [Segment(id=n, episode=n, block="gait", split="train", seconds=9.0, drive=gait) for n in ticks]
-    early, late = sorted(tank.side_by_side(deque(both), SMALL, tanks=2), key=lambda item: item.segment.id)
+    early, late = sorted(run_segments.side_by_side(deque(both), SMALL, tanks=2), key=lambda item: item.segment.id)
     assert early.arrays == {} and early.meta["stopped"] == "the water ran away"
     assert len(late.arrays["q"]) == late.meta["rows"] == 15 and late.meta["stopped"] == "the water ran away"
 
 
 def test_a_fish_at_the_edge_keeps_all_and_an_insane_one_nothing_after():
-    row = lambda speed: (0, 0, np.zeros(3), np.full(6, speed), np.zeros(3), np.zeros(3), 1.0, np.zeros(1), np.zeros(1))  # noqa: E731
+    row = lambda speed: (0, 0, np.zeros(3), np.full(6, speed), np.zeros(3), np.zeros(3), 1.0, np.zeros(1), np.zeros(1))
     run = SimpleNamespace(rows=[row(0.1)] * 200, stopped="left_domain at t = 4 s", robot=FISH)
-    assert len(tank._sound(run, 50)) == 150
+    assert len(run_segments._sound(run, 50)) == 150
     run.stopped = "lost"
-    assert len(tank._sound(run, 50)) == 150 - round(tank.DOUBT / 0.02)
+    assert len(run_segments._sound(run, 50)) == 150 - round(run_segments.DOUBT / 0.02)
     run.stopped, run.rows = "", [row(0.1)] * 20 + [row(np.nan)] + [row(0.1)] * 5
-    assert len(tank._sound(run, 5)) == 15
+    assert len(run_segments._sound(run, 5)) == 15
 
 
 def test_a_segment_may_begin_in_any_state():
     gait = {"kind": "gait", "frequency": 1.0, "amplitude": 0.1, "lag": 1.0, "bias": 0.0}
     state = {"pose": (0.0, 0.1, 0.4), "joints": (0.1, 0.2, -0.1), "velocity": (0.2, 0.0, 0.3, 1.0, -1.0, 0.5)}
-    started = tank.Tank(Segment(id="a", episode="a", block="gait", split="train", seconds=1.0, drive=gait, **state), SMALL).start
+    started = run_segments.Tank(
+        Segment(id="a", episode="a", block="gait", split="train", seconds=1.0, drive=gait, **state), SMALL
+    ).start
     np.testing.assert_allclose(started["q"], [*state["pose"], *state["joints"]])
     np.testing.assert_allclose(started["v"], state["velocity"])
 
@@ -151,7 +153,7 @@ def test_the_second_fish_swims_through_the_same_plan():
     second = load_robot("tendon_fish")
     segments = {segment.block: segment for segment in plan.full(second).segments}
     turning = replace(segments["turning"], seconds=0.2, pose=(0.0, 0.0, 0.0))
-    (done,) = tank.side_by_side(deque([turning]), replace(SMALL, robot=second))
+    (done,) = run_segments.side_by_side(deque([turning]), replace(SMALL, robot=second))
     assert done.meta["stopped"] == "" and done.meta["robot"]["name"] == "tendon_fish"
     assert done.arrays["q"].shape == (10, 5) and done.arrays["wrench"].shape == (10, 3, 3)
     assert np.isfinite(done.arrays["wrench"]).all() and np.abs(done.arrays["wrench"]).max() > 0

@@ -8,27 +8,27 @@ import pytest
 
 numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
 
-from fishmj import engines  # noqa: E402
-from fishmj.engines import approx, codegen, native  # noqa: E402
-from fishmj.errors import ConfigError  # noqa: E402
-from fishmj.hydro_fit import chain  # noqa: E402
-from fishmj.mjcf.description import load_robot  # noqa: E402
+from fishmj import engines
+from fishmj.dynamics import planar_chain
+from fishmj.engines import codegen, fast_math, numba_build
+from fishmj.errors import ConfigError
+from fishmj.mjcf.description import load_robot
 
 
 @pytest.mark.parametrize("name", ["fish", "tendon_fish"])
 def test_generated_text_is_chain_step_in_numpy(name):
     robot = load_robot(name)
-    program, rows = native.generate(robot, "physics")
-    ch, sw = chain.chain_of(robot), chain.nominal(robot)
+    program, rows = numba_build.generate(robot, "physics")
+    ch, sw = planar_chain.chain_of(robot), planar_chain.nominal(robot)
     n, rng = ch.n, np.random.default_rng(3)
     q, v, flow = rng.normal(size=(n + 2, 50)), rng.normal(size=(n + 2, 50)), rng.normal(size=(n, 2, 50))
     target, ambient, attached = rng.normal(size=(n - 1, 50)), rng.normal(size=(2, 50)), rng.uniform(size=50)
-    expected = chain.step(np, ch, sw, list(q), list(v), attached, list(target), list(flow), ambient)
+    expected = planar_chain.step(np, ch, sw, list(q), list(v), attached, list(target), list(flow), ambient)
     values = [*q, *v, attached, *target, *flow.reshape(2 * n, 50), *ambient]
     values += [*sw.mass, *sw.kp, *sw.kv, *sw.kb, *sw.zero, *engines.flat_water(sw.water), 0.0]
     scope = {key: getattr(np, key) for key in ("sqrt", "sin", "cos", "exp", "absolute", "maximum", "minimum", "where")}
     scope |= {"atan2": np.arctan2, "real": np.float64}
-    order = [row for row in native.flat(list(native.names_of(n).values())) if row in program.inputs]
+    order = [row for row in numba_build.flat(list(numba_build.names_of(n).values())) if row in program.inputs]
     scope |= dict(zip(order, values, strict=True))
     exec(program.numbers() + program.assignments(), scope)  # noqa: S102  the text under test
     got = np.array([np.broadcast_to(scope[name], 50) for name in program.outputs])
@@ -46,12 +46,12 @@ def test_generator_names_an_operation_that_it_cannot_write():
         codegen.trace(lambda a: [jnp.tanh(a[0])], ["x"])
 
 
-@pytest.mark.parametrize("precision,bounds", [(approx.SINGLE, (2e-7, 4e-7, 4e-7)), (approx.DOUBLE, (4e-15, 4e-15, 4e-15))])
+@pytest.mark.parametrize("precision,bounds", [(fast_math.SINGLE, (2e-7, 4e-7, 4e-7)), (fast_math.DOUBLE, (4e-15, 4e-15, 4e-15))])
 def test_elementary_functions_are_accurate_to_their_precision(precision, bounds):
     real = np.dtype(precision.name).type
     scope = {"np": np, "njit": numba.njit, "MATH": {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}}
     scope |= {"real": real, "whole": np.dtype(precision.integer).type, "floor": np.floor, "absolute": np.absolute}
-    exec(approx.source(precision), scope)  # noqa: S102  the text under test
+    exec(fast_math.source(precision), scope)  # noqa: S102  the text under test
     rng = np.random.default_rng(5)
     turns = np.concatenate([np.linspace(-10, 10, 2001), rng.uniform(-1e4, 1e4, 2000)]).astype(real)
     powers = np.linspace(-80, 80, 4001).astype(real)
@@ -71,7 +71,7 @@ def test_racing_writers_leave_a_whole_file(tmp_path):
     seen = []
 
     def write():
-        native.keep(path, text)
+        numba_build.keep(path, text)
         seen.append(path.read_text() == text)
 
     racers = [threading.Thread(target=write) for _ in range(16)]

@@ -19,7 +19,7 @@ from fishmj import cli, console
 from fishmj.calibrate import model
 from fishmj.calibrate.least_squares import Estimate
 from fishmj.errors import ConfigError, StoreError
-from fishmj.log.lag import lag_between
+from fishmj.log.delay import lag_between
 from fishmj.store import read_npz, write_npz
 
 CASES = {**BAD, **HOSTILE}
@@ -122,7 +122,7 @@ def test_a_replay_of_a_log_with_a_long_pause_names_its_row(seconds, tmp_path, mo
 def test_a_lag_is_the_same_with_a_day_between_the_halves():
     """What the logger slept is cut from both clocks by the same amount."""
     t = np.arange(0, 30, 0.02)
-    wave = lambda s: np.sin(2 * np.pi * (0.5 + 0.03 * s) * s)[:, None]  # noqa: E731
+    wave = lambda s: np.sin(2 * np.pi * (0.5 + 0.03 * s) * s)[:, None]
     late = t + 86400.0 * (t >= 15)
     whole = lag_between(("cmd", t, wave(t)), ("joint", t, wave(t - 0.06)))
     slept = lag_between(("cmd", late, wave(t)), ("joint", late, wave(t - 0.06)))

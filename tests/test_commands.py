@@ -80,8 +80,8 @@ def refused(argv: list[str], parser: console.Parser | None = None) -> str:
     With its parser, at hand already, the command itself is not called.
     """
     before = sorted(os.listdir())
-    whole = lambda: cli.main(argv)  # noqa: E731
-    parsed = lambda: console.run(lambda given: parser.parse_args(given) and 0, argv[len(parser.prog.split()) - 1 :])  # noqa: E731
+    whole = lambda: cli.main(argv)
+    parsed = lambda: console.run(lambda given: parser.parse_args(given) and 0, argv[len(parser.prog.split()) - 1 :])
     code, out, err = told(parsed if parser else whole)
     assert (code, out) == (console.BAD_INPUT, ""), (argv, code, out, err)
     assert err.startswith("fishmj: ") and err.count("\n") == 1 and len(err) < 1100 and "Traceback" not in err, err

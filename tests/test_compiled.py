@@ -18,13 +18,13 @@ import pytest
 
 numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
 
-from fishmj import engines  # noqa: E402
-from fishmj.engines import FishParams, compiled, native, planar  # noqa: E402
-from fishmj.errors import ConfigError, MissingExtra  # noqa: E402
-from fishmj.flow import draw, table_of  # noqa: E402
-from fishmj.hydro_fit import chain  # noqa: E402
-from fishmj.machine_code import cache_folder  # noqa: E402
-from fishmj.mjcf.description import load_robot  # noqa: E402
+from fishmj import engines
+from fishmj.dynamics import planar_chain
+from fishmj.engines import FishParams, compiled, numba_build, planar
+from fishmj.errors import ConfigError, MissingExtra
+from fishmj.flow import draw, table_of
+from fishmj.machine_code import cache_folder
+from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")
 RAMPED = replace(ROBOT, timing=replace(ROBOT.timing, command_path="move_time"))
@@ -49,7 +49,7 @@ def varied(batch, turbulence="default", seed=0, dtype=np.float64):
     state = engines.at_rest(ROBOT, pose)
     state = state._replace(v=0.2 * rng.normal(size=state.v.shape), buffer=rng.uniform(-0.5, 0.5, state.buffer.shape))
     params = engines.nominal_params(ROBOT, batch)
-    vary = lambda a, share: a * rng.uniform(1 - share, 1 + share, a.shape)  # noqa: E731
+    vary = lambda a, share: a * rng.uniform(1 - share, 1 + share, a.shape)
     params = FishParams(
         *(vary(a, 0.2) for a in params[:4]), rng.uniform(-0.09, 0.09, (batch, 3)), vary(params.water, 0.2), None, params.effects
     )
@@ -57,7 +57,7 @@ def varied(batch, turbulence="default", seed=0, dtype=np.float64):
     table, cell = table_of(turbulence)
     speed, direction, uniforms = rng.uniform(0.1, 0.3, batch), rng.uniform(-3, 3, batch), rng.random((batch, 4))
     current = draw(np, turbulence, table, cell, speed, direction, 0.1, uniforms)
-    cast = lambda tree: type(tree)(*(np.asarray(a, dtype) if np.asarray(a).dtype == float else a for a in tree))  # noqa: E731
+    cast = lambda tree: type(tree)(*(np.asarray(a, dtype) if np.asarray(a).dtype == float else a for a in tree))
     return cast(state), cast(params), cast(current)
 
 
@@ -105,11 +105,11 @@ def test_applied_force_attachment_and_power_are_those_of_chain_step(engine):
     q, target = state.q + 0.3 * rng.normal(size=state.q.shape), rng.normal(size=(batch, 3))
     flow, ambient = 0.3 * rng.normal(size=(batch, 4, 2)), rng.normal(size=(batch, 2))
     got = engine.forces(q, state.v, state.attached, params, target, flow, ambient)
-    columns = lambda a: list(np.moveaxis(a, -1, 0))  # noqa: E731
+    columns = lambda a: list(np.moveaxis(a, -1, 0))
     links = [(flow[:, i, 0], flow[:, i, 1]) for i in range(4)]
     swimmer = engines.swimmer(params)
     fish = (columns(q), columns(state.v), state.attached, columns(target), links, columns(ambient))
-    want = chain.step(np, chain.chain_of(ROBOT), swimmer, *fish)
+    want = planar_chain.step(np, planar_chain.chain_of(ROBOT), swimmer, *fish)
     for mine, theirs in ((got.force, np.stack(want.applied, -1)), (got.attached, want.attached), (got.power, want.power)):
         np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-12 * max(1.0, np.abs(theirs).max()))
 
@@ -121,7 +121,7 @@ def test_a_fish_swims_the_same_in_any_batch_and_with_any_threads(engine):
     single = compiled.Engine(ROBOT, threads=1)
     single.__dict__["_advance"] = engine._advance
     assert worst(whole, single.advance(state, commands, params, current, tick)) == 0.0
-    pick = lambda tree: jax.tree_util.tree_map(lambda a: a[401:404] if np.ndim(a) and len(a) == 600 else a, tree)  # noqa: E731
+    pick = lambda tree: jax.tree_util.tree_map(lambda a: a[401:404] if np.ndim(a) and len(a) == 600 else a, tree)
     assert worst(pick(whole), engine.advance(*(pick(part) for part in (state, commands, params, current, tick)))) == 0.0
 
 
@@ -163,7 +163,7 @@ def test_many_programs_in_flight_do_not_deadlock(engine):
     state, params, current = jax.tree_util.tree_map(jnp.asarray, varied(512, dtype=np.float32))
     tick, commands = jnp.zeros(512, int), jnp.asarray(commands_of(512, 0))
     swim = jax.jit(lambda s: engine.advance(s, commands, params, current, tick)[0])
-    again = lambda: [jax.block_until_ready(swim(state)) for _ in range(10)]  # noqa: E731
+    again = lambda: [jax.block_until_ready(swim(state)) for _ in range(10)]
     workers = [threading.Thread(target=again, daemon=True) for _ in range(4)]
     for worker in workers:
         worker.start()
@@ -225,7 +225,7 @@ def test_what_was_compiled_is_kept(double):
 
 def test_a_torn_module_is_rewritten(tmp_path, monkeypatch):
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
-    path = Path(native.compiled("from numba import njit\n\n\n@njit(cache=CACHE)\ndef one():\n    return 1\n").__file__)
+    path = Path(numba_build.compiled("from numba import njit\n\n\n@njit(cache=CACHE)\ndef one():\n    return 1\n").__file__)
     whole = path.read_text()
     path.write_text(whole[:20])
-    assert native.keep(path, whole) == path and path.read_text() == whole
+    assert numba_build.keep(path, whole) == path and path.read_text() == whole

@@ -9,13 +9,13 @@ import pytest
 from fishmj import console, engines, evaluate, log
 from fishmj.calib import constant
 from fishmj.calibrate import logs as calibrate_logs
-from fishmj.engines.added import with_effects
+from fishmj.engines.extensions import with_effects
 from fishmj.errors import LogError
 from fishmj.evaluate import logs
 from fishmj.flow import Flow
-from fishmj.gap import find
-from fishmj.gap.data import taken
-from fishmj.gap.records import record_of
+from fishmj.gap.commands import find
+from fishmj.gap.records.datasets import taken
+from fishmj.gap.records.records import record_of
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.centres import link_centres
@@ -246,7 +246,7 @@ def test_a_run_of_the_flow_solver_says_the_flow_and_where_it_began():
     wp = pytest.importorskip("warp")
     wp.config.quiet = True
     from fishmj.lbm_oracle.cases.coupled_fish import pond
-    from fishmj.lbm_oracle.run import Run
+    from fishmj.lbm_oracle.run.run import Run
 
     run = Run(pond("cpu"))
     for _ in range(3):

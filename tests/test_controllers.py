@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from fishmj import controllers, engines, evaluate
-from fishmj.controllers import gait
+from fishmj.controllers import gait_table
 from fishmj.controllers.adrc import Observer
 from fishmj.controllers.cpg import Cpg, Rates
+from fishmj.controllers.estimator import Navigator, hermite, turned
 from fishmj.controllers.gains import gains_of
-from fishmj.controllers.sense import Navigator, hermite, turned
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.description import load_robot
 from fishmj.policy import FOLDER, Policy
@@ -103,7 +103,7 @@ def test_cubic_interpolation_is_exact_for_a_cubic():
 def test_the_beat_does_not_show_in_the_heading():
     """A fish swimming straight yaws its head by tens of degrees; the navigator's heading hardly moves."""
     navigator, n = Navigator(ROBOT, gains_of("gait")["wobble"], gains_of("gait")["sway"]), 3
-    pose, joint, _ = gait.swim(
+    pose, joint, _ = gait_table.swim(
         ROBOT, LAG, np.full(n, 1.0), np.radians([15.0, 20.0, 25.0]), np.zeros(n), seconds=12.0, engine="compiled"
     )
     dt = ROBOT.timing.bus_dt
@@ -120,7 +120,7 @@ def test_the_beat_does_not_show_in_the_heading():
 
 
 def test_a_positive_bias_turns_to_the_right():
-    pose, _, _ = gait.swim(ROBOT, LAG, np.ones(2), np.full(2, 0.35), np.array([0.5, -0.5]), seconds=6.0, engine="compiled")
+    pose, _, _ = gait_table.swim(ROBOT, LAG, np.ones(2), np.full(2, 0.35), np.array([0.5, -0.5]), seconds=6.0, engine="compiled")
     assert pose[0, -1, 2] < -0.7 and pose[1, -1, 2] > 0.7
     assert gains_of("gait")["turn"] < 0
 
@@ -130,7 +130,7 @@ def test_the_gait_map_is_what_the_water_gives():
     known = gains_of("gait")
     for i, j in ((1, 2), (5, 4)):
         f, a = known["frequency"][i], np.radians(known["amplitude_deg"][j])
-        pose, _, _ = gait.swim(ROBOT, LAG, np.array([f]), np.array([a]), np.zeros(1), engine="compiled")
+        pose, _, _ = gait_table.swim(ROBOT, LAG, np.array([f]), np.array([a]), np.zeros(1), engine="compiled")
         speed = np.linalg.norm(pose[0, -1, :2] - pose[0, 500, :2]) / ((pose.shape[1] - 501) * 0.02)
         assert speed == pytest.approx(known["speed"][i][j], rel=0.02)
 
@@ -138,7 +138,7 @@ def test_the_gait_map_is_what_the_water_gives():
 def test_the_throttle_gives_the_speed_that_was_asked():
     k = gains_of("dob")
     low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
-    throttle = gait.Throttle(gains_of("gait"), low, high)
+    throttle = gait_table.Throttle(gains_of("gait"), low, high)
     wanted = np.linspace(throttle.speeds[0], 0.98 * throttle.top, 20)
     assert throttle.speed(*throttle(wanted)) == pytest.approx(wanted, abs=0.004)
 

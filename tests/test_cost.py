@@ -11,9 +11,9 @@ from bad_commands import HOPELESS, prepare
 
 from fishmj import cli, console, cost
 from fishmj.errors import TooMuch
-from fishmj.gap.bench import command as bench
-from fishmj.lbm_oracle import cost as solver
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.run import cost as solver
+from fishmj.lbm_oracle.run.domain import preset
+from fishmj.studies.gap_benchmark import command as bench
 from fishmj.train import cost as training
 from fishmj.train.settings import PRESETS, change
 
@@ -59,7 +59,7 @@ def test_on_a_terminal_it_is_a_question(answer, goes_on, monkeypatch):
     asked = Terminal()
     monkeypatch.setattr("sys.stdin", Terminal(answer))
     monkeypatch.setattr("sys.stderr", asked)
-    ask = lambda: cost.time("train", 10 * cost.LONG, "much", instead="take less", flag="--yes")  # noqa: E731
+    ask = lambda: cost.time("train", 10 * cost.LONG, "much", instead="take less", flag="--yes")
     if goes_on:
         ask()
     else:

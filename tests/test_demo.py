@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("numba", reason='the demo trains on the compiled engine: pip install "fishmj[fast]"')
 
-from fishmj import console, demo  # noqa: E402
+from fishmj import console, demo
 
 
 @pytest.mark.part("training")

@@ -18,11 +18,11 @@ from description_table import written as table_on_the_page
 from fishmj import console, mjcf
 from fishmj.calib import read_toml, resolve
 from fishmj.errors import DescriptionError
-from fishmj.hydro_fit.model import HydroModel, robot_hash
 from fishmj.log.toml import dumps
 from fishmj.mjcf import description, load_robot, schema
 from fishmj.mjcf.description import robot_from_dict
 from fishmj.sim import Sim
+from fishmj.water.model import HydroModel, robot_hash
 
 ROOT = Path(__file__).resolve().parent.parent
 NAN, INF = math.nan, math.inf

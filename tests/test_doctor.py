@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from fishmj import console
-from fishmj.doctor import Finding, devices, packages, traps, verdicts
+from fishmj.doctor import Finding, devices, known_issues, packages, verdicts
 from fishmj.doctor import __main__ as doctor
 from fishmj.doctor.machine import browser
 from fishmj.doctor.packages import requirements, version
@@ -112,14 +112,14 @@ def test_a_browser_can_be_named(tmp_path, monkeypatch):
 
 def test_a_misspelt_renderer_is_found(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "elg")
-    assert one(traps.findings(), "MUJOCO_GL").state == "bad"
+    assert one(known_issues.findings(), "MUJOCO_GL").state == "bad"
     monkeypatch.setenv("MUJOCO_GL", "egl")
-    assert "MUJOCO_GL" not in {f.name for f in traps.findings()}
+    assert "MUJOCO_GL" not in {f.name for f in known_issues.findings()}
 
 
 def test_a_later_mujoco_is_named_as_a_trap(monkeypatch):
-    monkeypatch.setattr(traps, "version", lambda name: "4.0.1" if name == "mujoco" else None)
-    assert one(traps.findings(), "mujoco 4").state == "bad"
+    monkeypatch.setattr(known_issues, "version", lambda name: "4.0.1" if name == "mujoco" else None)
+    assert one(known_issues.findings(), "mujoco 4").state == "bad"
 
 
 def test_a_broken_core_means_that_nothing_works():

@@ -11,6 +11,8 @@ import pytest
 
 from fishmj import console, effects, excitation
 from fishmj.calib import calib_folder
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Active, calibration, classes, describe
 from fishmj.effects.calibration import Fitted, Interval
 from fishmj.effects.commands import delivered
@@ -19,8 +21,6 @@ from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.scatter import arrivals, gusts, noise
 from fishmj.effects.sites import Body, Gear, Place, Seen, Servo, Water
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.hooks import Effects
 from fishmj.mjcf.description import load_robot
 
 CATALOGUE = effects.catalogue()
@@ -31,7 +31,7 @@ DOCS = calib_folder().parent.parent / "docs" / "effects.md"
 
 def states(robot, size: int, seed: int):
     """Chain, swimmer and the arguments of a step for `size` random fish."""
-    ch, sw, rng = chain.chain_of(robot), chain.nominal(robot), np.random.default_rng(seed)
+    ch, sw, rng = planar_chain.chain_of(robot), planar_chain.nominal(robot), np.random.default_rng(seed)
     q, v = rng.normal(size=(ch.n + 2, size)), 3 * rng.normal(size=(ch.n + 2, size))
     flow, ambient = 0.3 * rng.normal(size=(ch.n, 2, size)), 0.1 * rng.normal(size=(2, size))
     return ch, sw, (list(q), list(v), rng.uniform(size=size), list(rng.normal(size=(ch.n - 1, size))), list(flow), ambient)
@@ -48,9 +48,9 @@ def probe_row(active: Active, times: float = 1.0) -> np.ndarray:
 def test_an_effect_at_its_null_changes_no_bit_of_a_step(robot, name):
     ch, sw, given = states(load_robot(robot), 100, seed=1)
     active = Active(EVERY if name == "all together" else [CATALOGUE[name]], ch.n - 1)
-    plain = chain.step(np, ch, sw, *given)
+    plain = planar_chain.step(np, ch, sw, *given)
     for wet in (1.0, 0.0):
-        same = chain.step(np, ch, sw, *given, Effects(np, active, active.null, active.memory, wet))
+        same = planar_chain.step(np, ch, sw, *given, Effects(np, active, active.null, active.memory, wet))
         for field in ("q", "v", "attached", "power", "accel"):
             np.testing.assert_array_equal(np.array(getattr(same, field)), np.array(getattr(plain, field)), err_msg=field)
 
@@ -60,8 +60,8 @@ def test_memory_of_effects_at_their_null_changes_no_bit_of_the_next_steps():
     active = Active(EVERY, ch.n - 1)
     memory, plain = active.memory, given
     for _ in range(20):
-        step = chain.step(np, ch, sw, *plain)
-        same = chain.step(np, ch, sw, *plain, Effects(np, active, active.null, memory))
+        step = planar_chain.step(np, ch, sw, *plain)
+        same = planar_chain.step(np, ch, sw, *plain, Effects(np, active, active.null, memory))
         np.testing.assert_array_equal(np.array([*same.q, *same.v, same.power]), np.array([*step.q, *step.v, step.power]))
         plain, memory = (step.q, step.v, step.attached, *given[3:]), same.memory
 
@@ -90,8 +90,8 @@ def test_an_effect_of_typical_size_changes_a_step_and_keeps_it_finite(effect):
     active = Active([effect], ch.n - 1)
     row, memory = probe_row(active), list(active.memory)
     memory[:2] = 3.0, 600.0  # A that the servos draw; s, ten minutes into a session, for what takes its time
-    plain = chain.step(np, ch, sw, *given)
-    other = chain.step(np, ch, sw, *given, Effects(np, active, row, memory))
+    plain = planar_chain.step(np, ch, sw, *given)
+    other = planar_chain.step(np, ch, sw, *given, Effects(np, active, row, memory))
     assert np.isfinite([*other.q, *other.v, other.attached, other.power]).all()
     assert np.abs(np.array(other.v) - np.array(plain.v)).max() > 1e-5
 
@@ -110,10 +110,10 @@ def test_the_code_generator_writes_a_step_with_the_whole_catalogue():
         q, v, attached, target, parameters, memory = values
         hooks = Effects(xp, active, parameters, memory)
         target = [hooks.session.command(j, value, ch.dt) for j, value in enumerate(target)]
-        s = chain.step(xp, ch, sw, q, v, attached, target, [(0.1, 0.0)] * ch.n, (0.0, 0.0), hooks)
+        s = planar_chain.step(xp, ch, sw, q, v, attached, target, [(0.1, 0.0)] * ch.n, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, s.power, *s.memory]
 
-    several = lambda letter, n: [f"{letter}{i}" for i in range(n)]  # noqa: E731
+    several = lambda letter, n: [f"{letter}{i}" for i in range(n)]
     names = [
         several("q", 6),
         several("rate", 6),
@@ -183,7 +183,7 @@ def test_gradients_are_finite_at_the_null_at_rest(effect, site):
     jax = pytest.importorskip("jax")
     given = fields_of(site, lambda shape: 0.0) | ({"kb": 0.3} if site == "gear" else {})
     with jax.enable_x64(True):
-        total = lambda row, given: sum(at_site(jax.numpy, effect, site, row, given))  # noqa: E731
+        total = lambda row, given: sum(at_site(jax.numpy, effect, site, row, given))
         slopes = jax.grad(total, (0, 1))(list(effect.null), given)
         assert np.isfinite(jax.tree_util.tree_leaves(slopes)).all()
 
@@ -284,7 +284,7 @@ def test_the_documented_table_is_the_catalogue():
 
 
 def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
-    run = lambda *args: subprocess.run(  # noqa: E731
+    run = lambda *args: subprocess.run(
         [sys.executable, "-m", "fishmj.effects", *args], capture_output=True, text=True, check=False
     )
     entry = json.loads(run("gear_backlash", "--json").stdout)

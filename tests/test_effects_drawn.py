@@ -45,7 +45,7 @@ def school():
 def test_a_school_in_training_differs_in_its_drawn_effects_and_swims(school):
     robot, env, state = school
     active = env.sensors.added.active
-    column = lambda *key: np.asarray(state.params.effects)[:, active.index(*key)]  # noqa: E731
+    column = lambda *key: np.asarray(state.params.effects)[:, active.index(*key)]
     assert len(np.unique(column("servo_gain", "gain"))) == 4 and len(np.unique(column("camera_yaw", "angle"))) == 1
     assert len(np.unique(np.asarray(state.params.delay))) > 1
     for _ in range(2):

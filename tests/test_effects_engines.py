@@ -11,8 +11,8 @@ import pytest
 from fishmj import effects, engines
 from fishmj.effects.calibration import Fitted, Interval, write
 from fishmj.effects.sites import Seen
-from fishmj.engines import added, batch, mjx, planar
-from fishmj.engines.solo import cubic
+from fishmj.engines import batch, extensions, mjx, planar
+from fishmj.engines.single import cubic
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow, stack
 from fishmj.log import stacked
@@ -108,7 +108,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
     robot, (_, trace) = swim
     trial = Sim(robot, flow=FLOW, pose=POSE).run(beat(), TICKS / 50)
     truth, pose, joint, power = (trial.table(name) for name in ("truth", "pose", "joint", "power"))
-    late = lambda name: effects.get(name).parameter("delay").probe  # noqa: E731
+    late = lambda name: effects.get(name).parameter("delay").probe
     at = truth["t"][20:] - late("camera_latency")
     scale = 1 + effects.get("camera_scale").parameter("scale").probe
     np.testing.assert_allclose(pose["x"][20:], scale * np.interp(at, truth["t"], truth["x"]), rtol=0, atol=5e-4)
@@ -124,7 +124,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
 def test_a_fish_without_effects_has_no_columns_and_no_hooks():
     state, params = engines.at_rest(PLAIN, np.zeros((5, 3))), engines.nominal_params(PLAIN, 5)
     assert state.memory.shape == (5, 0) and params.effects.shape == (5, 0) and state.buffer.shape == (5, engines.BUFFER, 3)
-    assert added.Added.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN).solo is None
+    assert extensions.Added.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN).solo is None
     sensors, history = Sensors(PLAIN), np.random.default_rng(0).normal(size=(2, 11, 3))
     assert sensors.poses(np, params.effects, history) is history and sensors.behind == sensors.frames == 0
 
@@ -216,14 +216,15 @@ def test_on_a_dry_bench_friction_acts_and_water_does_not():
 @pytest.fixture(scope="module")
 def fitted_water(tmp_path_factory):
     """File of a fitted water with a learnt residual of small random weights."""
-    from fishmj.hydro_fit import chain, learned, residual
-    from fishmj.hydro_fit.fit.prior import flat
-    from fishmj.hydro_fit.model import HydroModel, robot_hash
+    from fishmj.dynamics import planar_chain
+    from fishmj.water import residual_hooks, residual_network
+    from fishmj.water.model import HydroModel, robot_hash
+    from fishmj.water.prior import flat
 
-    base, ch = chain.nominal(PLAIN).water, chain.chain_of(PLAIN)
-    net = residual.blank(ch.n, 2, 4, seed=3)
+    base, ch = planar_chain.nominal(PLAIN).water, planar_chain.chain_of(PLAIN)
+    net = residual_network.blank(ch.n, 2, 4, seed=3)
     net = net._replace(outer=0.3 * np.random.default_rng(3).normal(size=net.outer.shape))
-    learnt = learned.Residual(net, learned.unlimited(ch.n)._replace(spread=np.array(1.0)))
+    learnt = residual_hooks.Residual(net, residual_hooks.unlimited(ch.n)._replace(spread=np.array(1.0)))
     members = np.tile(flat(base), (2, 1))
     made = HydroModel(
         name="made", robot=PLAIN.name, robot_sha256=robot_hash(PLAIN), dt=ch.dt, slip=1.0, base=base._replace(ke=0.4),

@@ -4,9 +4,9 @@ import numpy as np
 from effect_swim import CHAIN, JOINTS, SWIMMER, H
 
 from fishmj import effects
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Active
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.hooks import Effects
 
 STILL = [(0.0, 0.0)] * CHAIN.n
 
@@ -22,7 +22,7 @@ def test_a_fish_that_turns_with_the_water_meets_none():
     rate, (x, y) = 0.3, (0.7, -0.4)
     q, v = [x, y, 0.9, 0.0, 0.0, 0.0], [-rate * y, rate * x, rate, 0.0, 0.0, 0.0]
     _, flow = met("swirl", q, rate=rate)
-    k = chain.kinematics(np, CHAIN, q, v, flow)
+    k = planar_chain.kinematics(np, CHAIN, q, v, flow)
     np.testing.assert_allclose([*k.u, *k.w, *k.omega], 0.0, atol=1e-12)
     assert k.own == [rate] * CHAIN.n
 
@@ -33,7 +33,7 @@ def test_the_pressure_that_turns_the_water_holds_the_fish_on_its_circle():
     v = [0.0, rate * q[0], rate, 0.0, 0.0, 0.0]
     hooks, _ = met("swirl", q, rate=rate)
     hooks.stream.clear()  # asked anew in the step
-    s = chain.step(np, CHAIN, SWIMMER, q, v, 0.5, [0.0] * JOINTS, STILL, (0.0, 0.0), hooks)
+    s = planar_chain.step(np, CHAIN, SWIMMER, q, v, 0.5, [0.0] * JOINTS, STILL, (0.0, 0.0), hooks)
     np.testing.assert_allclose((s.v[0] - v[0]) / H, -(rate**2) * q[0], rtol=0.02)
     assert abs(s.v[2] - rate) / H < 0.02 * rate
 

@@ -7,12 +7,12 @@ import pytest
 from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 
 from fishmj import effects
+from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Active
 from fishmj.effects.commands import delivered
 from fishmj.effects.dry_friction import AT_REST, GIVE
 from fishmj.effects.scatter import arrivals, gusts, noise
 from fishmj.effects.sites import Body, Gear, Place, Seen, Servo, Water
-from fishmj.hydro_fit.hooks import Effects
 
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
 
@@ -223,7 +223,7 @@ def test_mass_is_spread_by_weight_and_only_its_sum_with_added_mass_shows_in_a_st
 
 def test_sensors_turn_stretch_and_shift_what_they_see():
     seen = Seen(np.zeros(1), *(np.array([v]) for v in (1.0, 0.5, 0.2)), np.zeros((1, 3)), np.array([4.0]))
-    look = lambda name, **values: effects.get(name).measure(np, SimpleNamespace(**values), seen)  # noqa: E731
+    look = lambda name, **values: effects.get(name).measure(np, SimpleNamespace(**values), seen)
     turned = look("camera_yaw", angle=np.pi / 2)
     assert np.allclose((turned.x, turned.y, turned.yaw), ([-0.5], [1.0], [0.2 + np.pi / 2]))
     assert np.allclose(look("camera_scale", scale=0.02).x, 1.02) and np.allclose(look("power_offset", power=0.3).power, 4.3)

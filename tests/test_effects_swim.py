@@ -7,12 +7,12 @@ import pytest
 from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 
 from fishmj import effects
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Active
 from fishmj.effects.commands import delivered
 from fishmj.effects.dry_friction import GIVE
 from fishmj.effects.sites import Body, Gear, Seen
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.hooks import Effects
 
 LASTING = [e for e in effects.catalogue().values() if not e.stochastic]
 ACTIVE = Active(LASTING, JOINTS)
@@ -47,7 +47,7 @@ def swims():
     rows = [row(name or "nothing", TIMES.get(times, 1.0)) for name, times in keys]
     q, v, power = swim(ACTIVE, rows, gait(10, 2.0, 30, 5), start=(1.0, 0.5, 2.5, 0, 0, 0), push=(-0.2, 0.1, 0, 0, 0, 0))
     seen = sense(ACTIVE, rows, q, power)
-    one = lambda i: Seen(seen.t, *(part[i] for part in seen[1:]))  # noqa: E731
+    one = lambda i: Seen(seen.t, *(part[i] for part in seen[1:]))
     return {key: (one(i), q[i], v[i]) for i, key in enumerate(keys)}
 
 
@@ -101,8 +101,8 @@ FREE = SWIMMER._replace(water=DRY, kp=[0.0] * 3, kv=[0.0] * 3, kb=[1e-12] * 3)  
 
 def kinetic(q, v):
     """Kinetic energy of the fish in a void, J; q, v (6, ...)."""
-    k = chain.kinematics(np, CHAIN, list(q), list(v), [(0.0, 0.0)] * CHAIN.n)
-    m = chain.mass_matrix(CHAIN, FREE, k)
+    k = planar_chain.kinematics(np, CHAIN, list(q), list(v), [(0.0, 0.0)] * CHAIN.n)
+    m = planar_chain.mass_matrix(CHAIN, FREE, k)
     rates = [np.cos(q[2]) * v[0] + np.sin(q[2]) * v[1], np.cos(q[2]) * v[1] - np.sin(q[2]) * v[0], *k.omega]
     return sum(m[max(i, j)][min(i, j)] * rates[i] * rates[j] for i in range(6) for j in range(6)) / 2
 
@@ -116,7 +116,9 @@ def test_friction_takes_energy_in_every_step_at_any_speed(name):
     after = []
     for size in (0.0, first.probe):
         hooks = Effects(np, active, active.flat({name: {first.name: size}}), active.memory)
-        s = chain.step(np, CHAIN, FREE, list(q), list(v), np.full(400, 0.5), [0.0] * 3, [(0.0, 0.0)] * 4, (0.0, 0.0), hooks)
+        s = planar_chain.step(
+            np, CHAIN, FREE, list(q), list(v), np.full(400, 0.5), [0.0] * 3, [(0.0, 0.0)] * 4, (0.0, 0.0), hooks
+        )
         after.append(kinetic(q, np.array(s.v)))
     lost = after[0] - after[1]
     bent = (
@@ -152,8 +154,8 @@ def test_added_mass_keeps_energy_and_impulse():
 
     def kept(q, v):
         """Energy, and impulse along x and y of the world, (3, rows)."""
-        k = chain.kinematics(np, CHAIN, q, v, still)
-        m = chain.mass_matrix(CHAIN, FREE, k)
+        k = planar_chain.kinematics(np, CHAIN, q, v, still)
+        m = planar_chain.mass_matrix(CHAIN, FREE, k)
         along = [k.u[0], k.w[0], *k.omega]
         px, py = (sum(m[max(i, j)][min(i, j)] * along[j] for j in range(6)) + added[i] * along[i] for i in (0, 1))
         c, s = np.cos(q[2]), np.sin(q[2])
@@ -161,7 +163,7 @@ def test_added_mass_keeps_energy_and_impulse():
 
     begin, memory = kept(q, v), active.memory
     for _ in range(1000):
-        s = chain.step(np, ch, FREE, q, v, 0.5, [0.0] * 3, still, (0.0, 0.0), Effects(np, active, list(added), memory))
+        s = planar_chain.step(np, ch, FREE, q, v, 0.5, [0.0] * 3, still, (0.0, 0.0), Effects(np, active, list(added), memory))
         q, v, memory = s.q, s.v, s.memory
     np.testing.assert_allclose(kept(q, v), begin, rtol=1e-2)
     assert np.all(np.abs(q[2] - 0.3) > 0.1)  # and it did turn

@@ -117,7 +117,7 @@ def test_the_privileged_view_is_the_truth_of_this_moment():
     state = env.step(state, push(f0=(0.01, 0.02, 0.1)))
     q, v = np.asarray(state.fish.q, float), np.asarray(state.fish.v, float)
     c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
-    body = lambda a: np.stack([c * a[:, 0] + s * a[:, 1], c * a[:, 1] - s * a[:, 0]], -1)  # noqa: E731
+    body = lambda a: np.stack([c * a[:, 0] + s * a[:, 1], c * a[:, 1] - s * a[:, 0]], -1)
     goal = body(np.asarray(state.target) - q[:, :2])
     left = np.full((6, 1), (LIMIT - 1) / LIMIT)
     expected = [goal, body(v[:, :2]), v[:, 2:3], q[:, 3:], v[:, 3:], body(np.asarray(state.current.mean)), left, goal]

@@ -164,7 +164,7 @@ def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_pa
 
 
 def test_hours_of_the_solver_on_a_cpu_that_nobody_asked_for_are_not_begun(capsys, monkeypatch):
-    from fishmj.lbm_oracle import cost
+    from fishmj.lbm_oracle.run import cost
 
     monkeypatch.setattr(cost, "accelerator", lambda need: False)
     code, _, err = run_command(capsys, "drift", "--water", "lbm")

@@ -7,7 +7,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
 
-import lab_csv  # noqa: E402
+import lab_csv
 
 
 @pytest.mark.slow

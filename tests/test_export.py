@@ -12,14 +12,14 @@ from fishmj import console, log
 from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError, UnknownName
 from fishmj.log import __main__ as command
 from fishmj.log import foxglove, importers
-from fishmj.log.bundle import write_bundle
 from fishmj.log.columns import unit
+from fishmj.log.compact import write_bundle
 from fishmj.log.export import carried, export
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.solids import solids
 
-SHAPE = lambda trial: solids(load_robot())  # noqa: E731
+SHAPE = lambda trial: solids(load_robot())
 
 
 @pytest.fixture

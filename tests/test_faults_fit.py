@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 from ray_toys import toy
 
-from fishmj.campaign import plan
-from fishmj.campaign.collect import collect
-from fishmj.campaign.tank import Setup
+from fishmj.campaign.data import plan
+from fishmj.campaign.data.collect import collect
+from fishmj.campaign.data.run_segments import Setup
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.dataset import SEGMENTS, open_dataset
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 from fishmj.store import Manifest
 

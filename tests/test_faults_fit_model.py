@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.hydro_fit import chain, check, learned, residual
-from fishmj.hydro_fit.fit.identify import identify
-from fishmj.hydro_fit.fit.linear import bounded
-from fishmj.hydro_fit.fit.prior import Prior, flat
-from fishmj.hydro_fit.model import HydroModel, robot_hash
+from fishmj.dynamics import planar_chain
+from fishmj.hydro_fit import check
+from fishmj.hydro_fit.fit.identifiability import identify
+from fishmj.hydro_fit.fit.linear_regression import bounded
+from fishmj.water import residual_hooks, residual_network
+from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.prior import Prior, flat
 
 ROBOT = mjcf.load_robot("fish")
-CHAIN, NOMINAL = chain.chain_of(ROBOT), chain.nominal(ROBOT)
+CHAIN, NOMINAL = planar_chain.chain_of(ROBOT), planar_chain.nominal(ROBOT)
 N = CHAIN.n
 
 BAND = dict.fromkeys(("speed", "yaw_rate", "power"), [0.01, 0.02, 1.0])
@@ -22,23 +24,23 @@ BAND = dict.fromkeys(("speed", "yaw_rate", "power"), [0.01, 0.02, 1.0])
 def learnt():
     """A residual that pushes, fitted for slow swimming ahead."""
     rng = np.random.default_rng(1)
-    net = residual.blank(N)
+    net = residual_network.blank(N)
     net = net._replace(outer=rng.normal(0, 0.3, net.outer.shape), outer_bias=rng.normal(0, 0.3, net.outer_bias.shape))
     k = swimming(rng, 4000)
-    p = residual.panels(CHAIN)
-    xi, speed = learned.near(np, p, k, residual.motion(np, p, k))
-    return learned.Residual(net, learned.fitted(np.array(xi).transpose(2, 0, 1), np.array(speed).T, 2.0))
+    p = residual_network.panels(CHAIN)
+    xi, speed = residual_hooks.near(np, p, k, residual_network.motion(np, p, k))
+    return residual_hooks.Residual(net, residual_hooks.fitted(np.array(xi).transpose(2, 0, 1), np.array(speed).T, 2.0))
 
 
 def swimming(rng, count, speed=0.2, side=0.05):
     """Links that move ahead at `speed` with some motion across."""
     u = speed * (1 + 0.1 * rng.normal(size=(N, count)))
-    return chain.Links([], [], list(rng.normal(0, 0.5, (N, count))), list(u), list(side * rng.normal(size=(N, count))), [])
+    return planar_chain.Links([], [], list(rng.normal(0, 0.5, (N, count))), list(u), list(side * rng.normal(size=(N, count))), [])
 
 
 def pushed(model, k, count):
     """(sum of |force|, steps counted as outside) for motions k."""
-    hooks = learned.Learned(np, CHAIN, model, [np.zeros(count)] * len(learned.at_rest()))
+    hooks = residual_hooks.Learned(np, CHAIN, model, [np.zeros(count)] * len(residual_hooks.at_rest()))
     forces = hooks.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
     return sum(np.abs(f[c]) for f in forces for c in range(3)), hooks.guarded
 
@@ -50,16 +52,16 @@ def test_fault_18_outside_its_range_the_base_swims_alone_and_it_is_counted():
     for k in (swimming(rng, 500, speed=2.0), swimming(rng, 500, speed=-0.2), swimming(rng, 500, speed=0.02, side=0.6)):
         force, outside = pushed(model, k, 500)
         assert (force == 0).mean() > 0.9 and outside.mean() > 0.9
-    far = chain.Links([], [], *([np.full(3, s) for _ in range(N)] for s in (0.1, 3.0, 0.3)), [])
+    far = planar_chain.Links([], [], *([np.full(3, s) for _ in range(N)] for s in (0.1, 3.0, 0.3)), [])
     assert (pushed(model, far, 3)[0] == 0).all()
 
 
 def test_fault_18_in_the_physics_it_is_the_base_to_the_bit():
     q, v = [np.zeros(2) for _ in range(6)], [np.full(2, 3.0), np.full(2, 0.3), *(np.zeros(2) for _ in range(4))]
     still, given = [(0.0, 0.0)] * N, (np.full(2, 0.5), [0.1] * (N - 1))
-    hooks = learned.Learned(np, CHAIN, learnt(), [np.zeros(2)] * len(learned.at_rest()))
-    with_it = chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0), hooks)
-    base = chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0))
+    hooks = residual_hooks.Learned(np, CHAIN, learnt(), [np.zeros(2)] * len(residual_hooks.at_rest()))
+    with_it = planar_chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0), hooks)
+    base = planar_chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0))
     np.testing.assert_array_equal(np.array(with_it.v), np.array(base.v))
     assert (with_it.memory[-1] == 1).all()
 
@@ -144,12 +146,12 @@ def test_fault_19_a_parameter_on_its_bound_is_said_and_not_quoted_as_calibrated(
 
 
 def test_a_range_grows_with_what_is_seen_beyond_it_and_keeps_what_it_had():
-    rng, p = np.random.default_rng(6), residual.panels(CHAIN)
-    told = lambda k: learned.near(np, p, k, residual.motion(np, p, k))  # noqa: E731
+    rng, p = np.random.default_rng(6), residual_network.panels(CHAIN)
+    told = lambda k: residual_hooks.near(np, p, k, residual_network.motion(np, p, k))
     before = learnt().reach
     for k, wider in ((swimming(rng, 800, speed=0.15), False), (swimming(rng, 800, speed=0.5), True)):
         xi, speed = told(k)
-        after = learned.widened(before, np.array(xi).transpose(2, 0, 1), np.array(speed).T)
+        after = residual_hooks.widened(before, np.array(xi).transpose(2, 0, 1), np.array(speed).T)
         assert (after.limit >= before.limit).all() and (after.speed >= before.speed).all()
         assert (after.speed > 1.5 * before.speed).all() == wider
         np.testing.assert_array_equal(after.centre, before.centre)

@@ -8,19 +8,19 @@ pytest.importorskip("numba")
 
 from test_gap_apply import command, data, report  # noqa: E402, F401
 
-from fishmj import console  # noqa: E402
-from fishmj.calib import read_toml, resolve  # noqa: E402
-from fishmj.gap import apply  # noqa: E402
-from fishmj.log.dataset import write_dataset  # noqa: E402
-from fishmj.mjcf import load_robot  # noqa: E402
-from fishmj.sim import Sim  # noqa: E402
+from fishmj import console
+from fishmj.calib import read_toml, resolve
+from fishmj.gap.commands import apply
+from fishmj.log.dataset import write_dataset
+from fishmj.mjcf import load_robot
+from fishmj.sim import Sim
 
 
 def records(folder, count, seconds, amplitude):
     """A data set of short simulated trials."""
     import numpy as np
 
-    wave = lambda t: amplitude * np.sin(6 * t - np.arange(3))  # noqa: E731
+    wave = lambda t: amplitude * np.sin(6 * t - np.arange(3))
     return write_dataset(folder, {f"{i:02d}": Sim("fish").run(wave, seconds) for i in range(count)})
 
 

@@ -7,16 +7,17 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj import console, controllers  # noqa: E402
-from fishmj.engines import tanks  # noqa: E402
-from fishmj.evaluate import tank, trials  # noqa: E402
-from fishmj.evaluate.metrics import figures  # noqa: E402
-from fishmj.lbm_oracle import guard, state, swim  # noqa: E402
-from fishmj.lbm_oracle.domain import Domain, margin  # noqa: E402
-from fishmj.lbm_oracle.fluid import Fluid  # noqa: E402
-from fishmj.lbm_oracle.stage import Stage  # noqa: E402
-from fishmj.log import read_trial  # noqa: E402
-from fishmj.mjcf import load_robot  # noqa: E402
+from fishmj import console, controllers
+from fishmj.engines import lbm
+from fishmj.evaluate import tank, trials
+from fishmj.evaluate.metrics import figures
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.immersed import snapshot
+from fishmj.lbm_oracle.run import stability, swim
+from fishmj.lbm_oracle.run.domain import Domain, margin
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.log import read_trial
+from fishmj.mjcf import load_robot
 
 pytestmark = pytest.mark.oracle
 wp.config.quiet = True
@@ -62,13 +63,13 @@ def test_fault_9_a_run_whose_water_blows_up_stops_keeps_its_rows_and_its_last_go
     assert found["stopped"].startswith("diverged: ") and "m/s" in found["stopped"]
     kept = read_trial(out)
     t = kept.table("truth")["t"]
-    assert Spoiled.step * 0.004 - 0.021 <= t[-1] <= (Spoiled.step + guard.EVERY) * 0.004 + 1e-9  # found within 50 steps
+    assert Spoiled.step * 0.004 - 0.021 <= t[-1] <= (Spoiled.step + stability.EVERY) * 0.004 + 1e-9  # found within 50 steps
     assert kept.value("oracle.stopped") == found["stopped"]
     assert all(np.isfinite(column).all() for table in kept.tables.values() for column in table.values())
     again = Stage(domain=TINY, device="cpu").run()
-    notes = state.load(found["last_good"], again.coupled)
+    notes = snapshot.load(found["last_good"], again.coupled)
     assert notes["last_good"] and notes["stopped"] == found["stopped"]
-    assert Spoiled.step - 2 * guard.EVERY - 5 <= again.coupled.steps < Spoiled.step  # before the fault, two looks at most
+    assert Spoiled.step - 2 * stability.EVERY - 5 <= again.coupled.steps < Spoiled.step  # before the fault, two looks at most
     again.begin()
     for _ in range(20):  # past the step that failed
         again.tick(np.zeros(3))
@@ -96,9 +97,9 @@ def test_fault_10_a_fish_that_reaches_the_edge_ends_its_run_which_is_kept_and_fl
     truth = kept.table("truth")
     assert 0.2 < truth["t"][-1] < 3.9 and np.isfinite(truth["x"]).all() and truth["x"][-1] < -0.02
     end = Stage(domain=TINY, device="cpu").run()
-    state.load(tmp_path / "end.safetensors", end.coupled)
+    snapshot.load(tmp_path / "end.safetensors", end.coupled)
     room = margin(end.coupled.fluid, *end.coupled.body.bounds(end.coupled.boundary.corners))
-    assert guard.CLEARANCE - 1 < room < guard.CLEARANCE  # it stopped there, not at the wall and not before
+    assert stability.CLEARANCE - 1 < room < stability.CLEARANCE  # it stopped there, not at the wall and not before
 
 
 @pytest.mark.slow
@@ -108,8 +109,8 @@ def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_w
     robot = load_robot("fish")
     plan = trials(speeds=[0.4], los_deg=[0], repeats=1, duration=1.0)
     box = Domain(name="narrow", shape=(116, 28, 16), dx=0.02, dt=0.004, sponge=4)  # half a length of room behind the fish
-    monkeypatch.setattr(tanks, "preset", lambda name: box)
-    judge = lambda folder: tank.judge(controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu")  # noqa: E731
+    monkeypatch.setattr(lbm, "preset", lambda name: box)
+    judge = lambda folder: tank.judge(controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu")
     left = judge(tmp_path)
     tick = int(left.left[0])
     assert 5 < tick < 51 and np.ptp(left.pose[0, tick:], axis=0).max() == 0, "the fish stays where it was"

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
+from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, InjectionError, MissingExtra, SimDiverged, UnknownName
 from fishmj.flow import Flow, stack
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.inject import inject
-from fishmj.hydro_fit.passive import PlanarWater
-from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.log import read_trial
 from fishmj.mjcf.description import Timing, check_timing
 from fishmj.sim import Sim
+from fishmj.water.injection import inject
+from fishmj.water.planar import PlanarWater
+from fishmj.water.spatial import FreeWater
 
 
 def gait(t):
@@ -196,6 +196,6 @@ def test_a_command_that_is_not_a_number_moves_nothing():
 
 def test_swimmer_constants_are_the_sims_own():
     """The nominal fish is not changed by a personal one."""
-    own = chain.nominal(mjcf.load_robot("fish"))._replace(mass=[2.0] * 4)
+    own = planar_chain.nominal(mjcf.load_robot("fish"))._replace(mass=[2.0] * 4)
     heavy, plain = Sim("fish", swimmer=own), Sim("fish")
     np.testing.assert_allclose(heavy.model.body_mass, 2 * plain.model.body_mass)

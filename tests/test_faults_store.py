@@ -67,7 +67,7 @@ def test_fault_14_disk_full_keeps_the_old_file_and_says_how_much_was_needed(tmp_
     checkpoints.save(1, {"w": np.zeros(10)}, {})
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     real_open = builtins.open
-    full = lambda file, mode="r", *a, **k: _FullDisk(file, "w") if "w" in mode else real_open(file, mode, *a, **k)  # noqa: E731
+    full = lambda file, mode="r", *a, **k: _FullDisk(file, "w") if "w" in mode else real_open(file, mode, *a, **k)
     monkeypatch.setattr(builtins, "open", full)
     with pytest.raises(StoreError, match=r"disk full: needs (\d+) bytes, \d+ free; the old file is untouched") as caught:
         checkpoints.save(2, {"w": np.zeros(5000)}, {})

@@ -21,9 +21,9 @@ from fishmj.engines import make
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.policy import Policy
 from fishmj.tasks.env import Options, StationHold
-from fishmj.train import endure
+from fishmj.train import interruptions
 from fishmj.train.__main__ import main
-from fishmj.train.board import Board
+from fishmj.train.metrics_log import Board
 from fishmj.train.ppo import PPO, Config
 from fishmj.train.run import Run, learner_of
 
@@ -38,7 +38,7 @@ def learner():
 
 @pytest.fixture(autouse=True)
 def short_pause(monkeypatch):
-    monkeypatch.setattr(endure, "PAUSE", 0.05)
+    monkeypatch.setattr(interruptions, "PAUSE", 0.05)
 
 
 # ---- 1, 2: the physics leaves the finite numbers ----
@@ -56,7 +56,7 @@ class Poisoned:
         """As the engine's."""
         state, trace = self.engine.advance(state, commands, params, current, tick)
         bad = jnp.isin(jnp.arange(len(tick)), self.fish) & (tick == self.tick)
-        spoil = lambda a: jnp.where(bad.reshape((-1,) + (1,) * (a.ndim - 1)), jnp.nan, a)  # noqa: E731
+        spoil = lambda a: jnp.where(bad.reshape((-1,) + (1,) * (a.ndim - 1)), jnp.nan, a)
         return jax.tree.map(spoil, state), jax.tree.map(spoil, trace)
 
 
@@ -268,7 +268,7 @@ def test_fault_14_figures_are_written_whole_or_not_at_all(tmp_path, monkeypatch)
         def write(self, data):
             return self.file.write(data[:10])
 
-    monkeypatch.setattr("fishmj.train.board.open", Full, raising=False)
+    monkeypatch.setattr("fishmj.train.metrics_log.open", Full, raising=False)
     with pytest.raises(OSError, match=r"disk full: needs \d+ bytes") as caught:
         board.write(2, {"reward": 0.7})
     assert caught.value.errno == errno.ENOSPC and board.path.read_bytes() == before
@@ -281,7 +281,7 @@ def test_another_failure_of_the_disk_is_an_error_and_no_pause():
         raise error
 
     with pytest.raises(StoreError, match="Read-only"):
-        endure.when_there_is_room(broken, [])
+        interruptions.when_there_is_room(broken, [])
 
 
 # ---- 15: a damaged checkpoint ----

@@ -19,10 +19,10 @@ from test_descriptions import whole
 from fishmj import mjcf
 from fishmj.errors import FishmjError
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.hydro_fit.model import FOLDERS, HydroModel
 from fishmj.log import measurements, toml
 from fishmj.store import write_json, write_text
 from fishmj.store.manifest import Manifest
+from fishmj.water.model import FOLDERS, HydroModel
 
 ROOT = Path(__file__).resolve().parent.parent
 

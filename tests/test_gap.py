@@ -5,20 +5,20 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import effects  # noqa: E402
-from fishmj.gap import evidence  # noqa: E402
-from fishmj.gap.features import Layout  # noqa: E402
-from fishmj.gap.folds import Fitted, split  # noqa: E402
-from fishmj.gap.gates import frozen  # noqa: E402
-from fishmj.gap.nearby import settled  # noqa: E402
-from fishmj.gap.null import leftover, unexplained, whitening  # noqa: E402
-from fishmj.gap.null_runs import Null  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.rounds import telling  # noqa: E402
-from fishmj.gap.search import pruned  # noqa: E402
-from fishmj.gap.workflow import investigate, unrepeatable  # noqa: E402
-from fishmj.sim import Sim  # noqa: E402
+from fishmj import effects
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.whitening import leftover, unexplained, whitening
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.search import likelihood
+from fishmj.gap.search.cross_validation import Fitted, split
+from fishmj.gap.search.refit import settled
+from fishmj.gap.search.stepwise import pruned
+from fishmj.gap.search.stepwise_rounds import telling
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.workflow import investigate, unrepeatable
+from fishmj.sim import Sim
 
 SHORT = ("gait_fast", "drift_north", "turn_left", "tow_oblique")
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
@@ -130,7 +130,7 @@ def test_leftover_never_falls_below_half_the_noise(plant):
 
 def test_p_best_is_a_share():
     costs = np.array([[1.0, 1.0, 1.0], [2.0, 0.9, 1.5], [5.0, 5.0, 5.0]])
-    share = evidence.p_best(costs)
+    share = likelihood.p_best(costs)
     assert share.sum() == pytest.approx(1.0)
     assert share[0] > share[1] > share[2]
 

@@ -9,22 +9,22 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console, effects, engines  # noqa: E402
-from fishmj.calib import read_toml, resolve  # noqa: E402
-from fishmj.effects.calibration import Fitted, Interval  # noqa: E402
-from fishmj.errors import ConfigError  # noqa: E402
-from fishmj.gap import __main__ as gap  # noqa: E402
-from fishmj.gap import apply, judge, version  # noqa: E402
-from fishmj.gap.check import check  # noqa: E402
-from fishmj.gap.data import named, null_of, trials_in  # noqa: E402
-from fishmj.gap.mjcf_patch import difference, hooked, mjcf  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.verdict import Named, Value, Verdict  # noqa: E402
-from fishmj.log.bundle import write_bundle  # noqa: E402
-from fishmj.log.dataset import read_dataset  # noqa: E402
-from fishmj.mjcf import load_robot  # noqa: E402
-from fishmj.sim import Sim  # noqa: E402
-from fishmj.store import sha256, write_json  # noqa: E402
+from fishmj import console, effects, engines
+from fishmj.calib import read_toml, resolve
+from fishmj.effects.calibration import Fitted, Interval
+from fishmj.errors import ConfigError
+from fishmj.gap import __main__ as gap
+from fishmj.gap.commands import apply, compare_models, model_version
+from fishmj.gap.commands.check import check
+from fishmj.gap.commands.mjcf_patch import difference, hooked, mjcf
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.records.datasets import named, null_of, trials_in
+from fishmj.gap.verdict import Named, Value, Verdict
+from fishmj.log.compact import write_bundle
+from fishmj.log.dataset import read_dataset
+from fishmj.mjcf import load_robot
+from fishmj.sim import Sim
+from fishmj.store import sha256, write_json
 
 PLANTED = 0.15  # N m
 NULL = {"runs": 8, "noise": 1.0, "seed": 0}
@@ -51,7 +51,7 @@ def report(folder, data, name="coulomb_friction", answer="NAMED", **values):
     given = {key: Value(v, units[key], v - 0.01, v + 0.01) for key, v in values.items()}
     verdict = Verdict(answer, (Named(name, given, 0.98, 0.9),), ({"name": "load_friction", "p_best": 0.02},), 3.0, 1.2)
     context = {
-        "model": "fish", "model_sha256": version.digest("fish"), "data": str(data), "null": NULL,
+        "model": "fish", "model_sha256": model_version.digest("fish"), "data": str(data), "null": NULL,
         "data_sha256": sha256(data / "manifest.json"), "judged": list(read_dataset(data).names),
     }  # fmt: skip
     folder.mkdir(exist_ok=True)
@@ -73,7 +73,7 @@ def test_the_next_version_holds_values_hashes_rivals_and_its_parent(patched, dat
     assert patched.path.name == "fish.v2.toml" and fitted.name == "coulomb_friction"
     assert fitted.parameters["torque"] == Interval(PLANTED, PLANTED - 0.01, PLANTED + 0.01)
     assert fitted.hash == sha256(data / "manifest.json") == table["version"]["data_sha256"]
-    assert table["version"]["number"] == 2 and table["version"]["parent_sha256"] == version.digest("fish")
+    assert table["version"]["number"] == 2 and table["version"]["parent_sha256"] == model_version.digest("fish")
     assert table["version"]["rivals"][0]["name"] == "load_friction" and table["version"]["judged"]
     assert table["version"]["gap_after"] < 0.6 * table["version"]["gap_before"]
     assert replace(robot, effects=()) == load_robot("fish")
@@ -89,21 +89,21 @@ def test_a_bundle_in_a_fitted_water_gets_its_version_too(tmp_path, data):
     write_json(asked / "verdict.json", verdict)
     written = apply.apply(asked)
     assert written.accepted, written.reason
-    assert version.facts(written.path)["water"] == "swift-base"
+    assert model_version.facts(written.path)["water"] == "swift-base"
     found = check(written.path, bundle)
     assert found["worse"] == "" and found["same_data"] and found["gap"] == pytest.approx(written.gap_after, rel=1e-6)
-    other = judge.gaps([load_robot(written.path)], trials_in(bundle), null_of(NULL))[0][0]
+    other = compare_models.gaps([load_robot(written.path)], trials_in(bundle), null_of(NULL))[0][0]
     assert abs(other - found["gap"]) > 1e-3, "the fitted water is not the model's own"
 
 
 def test_a_version_goes_back_to_its_parent_bit_for_bit(patched, tmp_path):
     model = tmp_path / patched.path.name
-    for path in (patched.path, version.beside(patched.path)):
+    for path in (patched.path, model_version.beside(patched.path)):
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    aside = version.revert(model)
+    aside = model_version.revert(model)
     assert model.read_bytes() == resolve("fish").read_bytes() and aside.read_bytes() == patched.path.read_bytes()
     with pytest.raises(ConfigError, match="first version"):
-        version.revert(model)
+        model_version.revert(model)
 
 
 def test_versions_form_a_chain_and_a_known_effect_changes_in_place(patched, tmp_path):
@@ -112,12 +112,14 @@ def test_versions_form_a_chain_and_a_known_effect_changes_in_place(patched, tmp_
         Fitted("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),
         Fitted("tether", {"stiffness": Interval(0.2, 0.1, 0.3)}),
     ]
-    version.write(patched.path, third, new, {"effects": ["coulomb_friction", "tether"]})
+    model_version.write(patched.path, third, new, {"effects": ["coulomb_friction", "tether"]})
     robot = load_robot(third)
     assert [fitted.name for fitted in robot.effects] == ["coulomb_friction", "tether"]
     assert robot.effects[0].parameters["torque"].value == 0.1
-    assert version.facts(third)["number"] == 3 and version.facts(third)["parent_sha256"] == version.digest(patched.path)
-    assert version.next_name(third, tmp_path).name == "fish.v4.toml"
+    assert model_version.facts(third)["number"] == 3 and model_version.facts(third)["parent_sha256"] == model_version.digest(
+        patched.path
+    )
+    assert model_version.next_name(third, tmp_path).name == "fish.v4.toml"
 
 
 def test_the_check_passes_on_its_data_and_fails_when_the_effect_grows_wrong(patched, data, tmp_path, capsys):
@@ -126,7 +128,7 @@ def test_the_check_passes_on_its_data_and_fails_when_the_effect_grows_wrong(patc
     assert code == 0 and said["gap"] == pytest.approx(said["stated"], rel=1e-6) and said["gap"] < said["gap_parent"]
     worse = tmp_path / patched.path.name
     worse.write_text(re.sub(r"torque = \{.*\}", "torque = { value = 0.7 }", patched.path.read_text()))
-    (tmp_path / version.beside(worse).name).write_bytes(version.beside(patched.path).read_bytes())
+    (tmp_path / model_version.beside(worse).name).write_bytes(model_version.beside(patched.path).read_bytes())
     assert load_robot(worse).effects[0].parameters["torque"].value == 0.7
     code, out, _ = command(capsys, "check", worse, "--data", data)
     assert code == 1 and "FAILED" in out
@@ -152,7 +154,7 @@ def test_the_patched_model_swims_trains_and_is_judged(patched, tmp_path):
     argv = ["--preset", "quick", "--robot", patched.path, "--engine", "planar", "--steps", "64", "--envs", "4", "--hidden", "8"]
     argv += ["--randomise-effects", "command_latency", "--out", tmp_path / "run"]
     settings = train.settings_from(train.options().parse_args([str(a) for a in argv]))
-    from fishmj.train.learner import environment
+    from fishmj.train.build import environment
 
     env = environment(settings)
     assert settings.task["effects"] == ("command_latency",)

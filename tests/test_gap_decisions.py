@@ -10,18 +10,18 @@ pytest.importorskip("numba")
 
 from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F401
 
-from fishmj import effects  # noqa: E402
-from fishmj.gap import spared  # noqa: E402
-from fishmj.gap.beside import confused, shadowed  # noqa: E402
-from fishmj.gap.decide import sanity  # noqa: E402
-from fishmj.gap.folds import Fitted, split  # noqa: E402
-from fishmj.gap.gates import frozen  # noqa: E402
-from fishmj.gap.nearby import nearest  # noqa: E402
-from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.rounds import Step, asked, round_of  # noqa: E402
-from fishmj.gap.search import Found  # noqa: E402
-from fishmj.gap.verdict import Named, Value  # noqa: E402
-from fishmj.gap.workflow import evidence_of  # noqa: E402
+from fishmj import effects
+from fishmj.gap.decide.decide import sanity
+from fishmj.gap.decide.secondary_effects import confused, shadowed
+from fishmj.gap.records.records import record_of
+from fishmj.gap.search import outlier_records
+from fishmj.gap.search.cross_validation import Fitted, split
+from fishmj.gap.search.refit import nearest
+from fishmj.gap.search.stepwise import Found
+from fishmj.gap.search.stepwise_rounds import Step, asked, round_of
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.verdict import Named, Value
+from fishmj.gap.workflow import evidence_of
 
 SIX = ("gait_fast", "drift_north", "turn_left", "tow_oblique", "gait", "burst_and_coast")
 
@@ -43,11 +43,11 @@ def test_one_path_in_six_may_bend_away(plant):  # noqa: F811
     gates = frozen()
     near, row = late(plant, SIX, ("turn_left",), CURRENT)
     whole = near.error(row, gates.form)
-    assert not spared.believable(whole, 1e4, gates)
-    less, names = spared.error(near, row, 1e4, gates)
+    assert not outlier_records.believable(whole, 1e4, gates)
+    less, names = outlier_records.error(near, row, 1e4, gates)
     assert names == (near.records[2].name,)
-    assert spared.believable(less, 1e4, gates)
-    assert spared.error(near, row, gates.gain / 2, gates) == (whole, ())  # what gains too little has nothing to spare
+    assert outlier_records.believable(less, 1e4, gates)
+    assert outlier_records.error(near, row, gates.gain / 2, gates) == (whole, ())  # what gains too little has nothing to spare
 
 
 @pytest.mark.parametrize(
@@ -58,15 +58,15 @@ def test_neither_three_paths_in_six_nor_one_in_two_nor_a_joint(plant, runs, spoi
     gates = frozen()
     near, row = late(plant, runs, spoilt, by)
     whole = near.error(row, gates.form)
-    assert not spared.believable(whole, 1e4, gates)
-    assert spared.error(near, row, 1e4, gates) == (whole, ())
+    assert not outlier_records.believable(whole, 1e4, gates)
+    assert outlier_records.error(near, row, 1e4, gates) == (whole, ())
 
 
 def test_the_error_on_some_samples_is_that_of_evidence_that_has_no_others(plant):  # noqa: F811
     near, row = late(plant, SIX[:4], (), CURRENT)
     every = near.error(row, 0.15)
     assert near.error(row, 0.15, np.ones(near.layout.size, bool)) == pytest.approx(every)
-    kept = spared.but(near, [1])
+    kept = outlier_records.but(near, [1])
     assert set(near.layout.channel[~kept]) == {"position", "heading"} and set(near.layout.record[~kept]) == {1}
     less = near.changed.on(kept)
     assert less.factors.shape == (len(near.factors), kept.sum())
@@ -111,7 +111,7 @@ def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_o
 
 
 def test_the_share_of_an_effect_is_that_of_the_round_that_added_it():
-    step = lambda gain, accepted, *names: Step((SimpleNamespace(names=names),), None, gain, accepted)  # noqa: E731
+    step = lambda gain, accepted, *names: Step((SimpleNamespace(names=names),), None, gain, accepted)
     steps = (step(900.0, True, "tether"), step(100.0, True, "tether", "swirl"), step(50.0, False, "tether", "swirl", "body_lift"))
     found = Found(None, None, None, steps, 0.0)
     assert found.share("tether", 0.0) == pytest.approx(0.9)
@@ -139,7 +139,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
     row = row_of(plant, "steady_current", x=0.03, y=0.0)
     places = tuple(plant.index("steady_current", p) for p in ("x", "y"))
     c = nearest(e, e.part(e.everything).at(row, ("steady_current",), places))[1]
-    said = lambda x, half: Named(  # noqa: E731
+    said = lambda x, half: Named(
         "steady_current", {"x": Value(x, "m/s", x - half, x + half), "y": Value(0.001, "m/s", -0.01, 0.012)}, 1.0, 1.0
     )
     assert sanity(e, c, said(0.03, 0.005), little=True) == ()

@@ -1,7 +1,4 @@
-"""The doors of `fishmj gap`: whose null runs, which robots, which logs, which options; what is refused, and in one line.
-
-All data here are synthetic.
-"""
+"""The doors of `fishmj gap`, on synthetic data: whose null runs, robots, logs and options; what is refused, in one line."""
 
 import json
 import shutil
@@ -18,18 +15,21 @@ from fishmj.calibrate.logs import shipped as logs_of_calibration
 from fishmj.engines import in_water
 from fishmj.errors import ConfigError, DescriptionError, LogError
 from fishmj.gap import __main__ as gap
-from fishmj.gap import data, doors, find, null_runs, unlike, version, watch
-from fishmj.gap.bench import solver
-from fishmj.gap.features import Layout
-from fishmj.gap.null_runs import Null
-from fishmj.gap.null_sets import Sets, trials_of
-from fishmj.gap.plants.fish import Fish
-from fishmj.gap.quiet import Shortage
-from fishmj.gap.records import record_of
+from fishmj.gap import watch
+from fishmj.gap.commands import doors, find, model_version, unlike
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null import simulated
+from fishmj.gap.null.recorded import Sets, trials_of
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records import datasets
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.sufficiency import Shortage
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, write_dataset
 from fishmj.log.dataset import read_dataset, take
 from fishmj.mjcf.description import load_robot
+from fishmj.studies.gap_benchmark import solver
 from fishmj.virtual_robot import generate
 from fishmj.virtual_robot.machine import electrical
 from fishmj.virtual_robot.trials import plant as second_robot
@@ -61,7 +61,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     trial = generate({}, ["idle"], 0)[0]
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
-    what = null_runs.repeated(record_of(trial, robot.timing.physics_dt))
+    what = simulated.repeated(record_of(trial, robot.timing.physics_dt))
     Null(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
     assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
@@ -69,7 +69,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
 
 def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
     record = record_of(generate({}, ["idle"], 0)[0], questioned.dt)
-    what = null_runs.repeated(record)
+    what = simulated.repeated(record)
     other = Fish(stiffer(1.06), questioned.active.effects)
     assert SMALL._key(questioned, record, what) != SMALL._key(other, record, what)
 
@@ -130,8 +130,8 @@ def forbidden(*_, **__):
 
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fishmj.gap.data.taken", forbidden)
-    monkeypatch.setattr("fishmj.gap.null_runs.Null.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.records.datasets.taken", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.simulated.Null.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -258,7 +258,7 @@ def test_a_folder_without_a_manifest_is_taken_and_said_to_be_unsigned(copied):
     assert take(copied).sha256 == taken.sha256
     table = next((copied / "1_02_gait_fast").glob("pose.*"))
     table.write_bytes(table.read_bytes() + b" ")
-    assert data.digest(copied) != taken.sha256
+    assert datasets.digest(copied) != taken.sha256
 
 
 @pytest.mark.parametrize("signed", [True, False])
@@ -266,7 +266,7 @@ def test_a_broken_trial_leaves_the_others(copied, signed, capsys, monkeypatch):
     if not signed:
         (copied / "manifest.json").unlink()
     (copied / "1_02_gait_fast" / "meta.toml").write_text("schema = ")
-    taken = data.taken(copied, 0.004)
+    taken = datasets.taken(copied, 0.004)
     assert list(taken.broken) == ["1_02_gait_fast"] and len(taken.trials) == 2
     monkeypatch.setattr(find, "missing", lambda *_: Shortage("reached", (), ()))
     assert run("find", copied, "--json") == console.CANNOT_TELL
@@ -444,7 +444,7 @@ def test_a_report_of_a_changed_or_missing_model_is_refused(tmp_path, capsys):
 
 
 def test_nothing_is_written_over_by_a_version(tmp_path, logs, capsys):
-    context = {"model_sha256": version.digest("fish"), "data": str(logs), "data_sha256": data.digest(logs)}
+    context = {"model_sha256": model_version.digest("fish"), "data": str(logs), "data_sha256": datasets.digest(logs)}
     report = GOOD | {"context": GOOD["context"] | context}
     (tmp_path / "verdict.json").write_text(json.dumps(report))
     (tmp_path / "fish.v2.toml").write_text("mine")
@@ -466,7 +466,7 @@ def test_a_version_that_points_elsewhere_is_refused(line, tmp_path, logs, capsys
 def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
     pytest.importorskip("numba")
     texts = []
-    monkeypatch.setattr("fishmj.engines.native.compiled", lambda text: texts.append(text) or SimpleNamespace(roll=None))
+    monkeypatch.setattr("fishmj.engines.numba_build.compiled", lambda text: texts.append(text) or SimpleNamespace(roll=None))
     for name in ("fish", "os.system"):
         robot = load_robot("fish")
         links = tuple(replace(link, name=f"{name}{i}") for i, link in enumerate(robot.links))
@@ -480,7 +480,7 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(null_runs, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(simulated, "cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):

@@ -5,17 +5,17 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj.effects.sites import Body, Gear, Servo, Water  # noqa: E402
-from fishmj.gap.fallback import judge, terms_of  # noqa: E402
-from fishmj.gap.fallback.library import library, one_sided  # noqa: E402
-from fishmj.gap.fallback.measure import RIGHT  # noqa: E402
-from fishmj.gap.fallback.plant import termed  # noqa: E402
-from fishmj.gap.fallback.readings import CURVES  # noqa: E402
-from fishmj.gap.features import Layout  # noqa: E402
-from fishmj.gap.null_runs import Null  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.mjcf.description import load_robot  # noqa: E402
+from fishmj.effects.sites import Body, Gear, Servo, Water
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.terms import select, terms_of
+from fishmj.gap.terms.library import library, one_sided
+from fishmj.gap.terms.model_with_terms import termed
+from fishmj.gap.terms.sensor_terms import CURVES
+from fishmj.mjcf.description import load_robot
+from fishmj.studies.gap_benchmark.free_terms import RIGHT
 
 RUNS = ("gait_fast", "turn_left", "tow_oblique")
 STILL = dict.fromkeys(Body._fields, 0.0)
@@ -78,8 +78,8 @@ def test_a_symmetric_term_does_to_the_mirror_image_the_mirror_image_of_what_it_d
 
 def test_a_servo_that_reads_too_much_turns_too_little_and_only_its_own_report_hides_it(plant):
     record = record_of(generated({}, 1, ("slow_triangle",))[0], plant.dt)
-    joints = lambda p, row: p.predict([record], row)[0]["joint"][0]  # noqa: E731
-    poses = lambda p, row: p.predict([record], row)[0]["pose"][0]  # noqa: E731
+    joints = lambda p, row: p.predict([record], row)[0]["joint"][0]
+    poses = lambda p, row: p.predict([record], row)[0]["pose"][0]
     of = {e.formula: e.name for e in library()}
     rows = {name: plant.null.copy() for name in ("servo reading ~ angle", "encoder reading ~ angle")}
     for name, row in rows.items():
@@ -129,14 +129,14 @@ def test_gain_is_on_records_that_the_coefficient_did_not_see():
     """A coefficient that two records contradict gains nothing, one that they share gains what it takes away."""
     g, onto = np.ones((1, 40)), np.kron(np.eye(2), np.ones((20, 1)))
     shared, opposed = np.ones(40), np.repeat([1.0, -1.0], 20)
-    assert judge.held_out(shared, g, onto)[0] == pytest.approx(40.0)
-    assert judge.held_out(opposed, g, onto)[0] < -100
+    assert select.held_out(shared, g, onto)[0] == pytest.approx(40.0)
+    assert select.held_out(opposed, g, onto)[0] < -100
 
 
 def test_discoveries_among_decoys_are_rare():
     rng = np.random.default_rng(0)
     decoys = rng.chisquare(1, 4000)
-    false = [np.sum(judge.discovery(rng.chisquare(1, 100), decoys) <= 0.1) for _ in range(50)]
+    false = [np.sum(select.discovery(rng.chisquare(1, 100), decoys) <= 0.1) for _ in range(50)]
     assert np.mean(np.array(false) > 0) < 0.25
-    q = judge.discovery(np.concatenate([rng.chisquare(1, 95), np.full(5, 40.0)]), decoys)
+    q = select.discovery(np.concatenate([rng.chisquare(1, 95), np.full(5, 40.0)]), decoys)
     assert (q[-5:] <= 0.1).all()

@@ -14,8 +14,8 @@ import pytest
 
 from fishmj import console
 from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.gap import download, fetch
 from fishmj.store import Manifest
+from fishmj.studies.measured_robots import download, fetch
 
 FILES = {f"log {i}.csv": f"t,x\n0,{i}\n".encode() * (2000 * (i + 1)) for i in range(3)}
 LICENCE = b"do as you like\n"

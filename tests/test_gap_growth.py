@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fishmj import effects
-from fishmj.gap import growth
-from fishmj.gap.plants.fish import Fish
-from fishmj.gap.records import Record, Sensor, record_of
+from fishmj.gap.localise import error_growth
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.records.records import Record, Sensor, record_of
 from fishmj.virtual_robot import generate
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both
@@ -27,14 +27,14 @@ def wave(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_cut_starts_where_the_robot_was_not_where_the_camera_saw_it():
-    t, late = np.arange(0, 6, 0.02), growth.Late(0.06, 0.01, 0.065)
+    t, late = np.arange(0, 6, 0.02), error_growth.Late(0.06, 0.01, 0.065)
     pose, joint = wave(t - late.pose)[0], wave(t - late.joint)[1]
     blank = dict(excitation="", replicate_of="", power=None, flow=(0.0, 0.0), medium="water", session=5.0)
     blank |= dict(place=pose[0], start=pose[0], push=np.zeros(3), joints=joint[0])
     commands = np.arange(1500)[:, None] * np.ones(3) * 0.004
     given = Record("a", dt=0.004, commands=commands, joint=Sensor(t, joint, np.full(3, 1e-3)),
                    pose=Sensor(t, pose, np.full(3, 1e-3)), **blank)  # fmt: skip
-    found = growth.cut(given, 2.0, 1.0, late)
+    found = error_growth.cut(given, 2.0, 1.0, late)
     yaw = 0.4 * np.sin(6.0)
     ahead, left = 0.3, 0.1 * np.cos(4.0)
     c, s = np.cos(yaw), np.sin(yaw)
@@ -42,7 +42,7 @@ def test_a_cut_starts_where_the_robot_was_not_where_the_camera_saw_it():
     assert found.record.push == pytest.approx([c * ahead + s * left, c * left - s * ahead, 1.2 * np.cos(6.0)], abs=0.02)
     assert found.swing == pytest.approx(3 * np.cos(12.0) * np.ones(3), abs=0.06)
     assert found.record.commands[0] == pytest.approx(2.0 - late.command) and found.record.session == 7.0
-    assert growth.cut(given, 0.01, 1.0, late) is None, "no stamps before it"
+    assert error_growth.cut(given, 0.01, 1.0, late) is None, "no stamps before it"
 
 
 def test_a_restart_from_the_models_own_motion_finds_no_error(plant):
@@ -52,6 +52,6 @@ def test_a_restart_from_the_models_own_motion_finds_no_error(plant):
     own = record._replace(
         joint=record.joint._replace(values=dream["joint"][0]), pose=record.pose._replace(values=dream["pose"][0])
     )
-    _, error, _ = growth.errors(plant, [own], plant.null)
+    _, error, _ = error_growth.errors(plant, [own], plant.null)
     rms = np.sqrt(np.nanmean(error**2, 0))  # (H, J + 3)
     assert len(error) > 15 and np.all(rms[:, :3] < 0.004) and np.all(rms[2, 3:5] < 0.008) and rms[2, 5] < 0.02

@@ -7,12 +7,12 @@ import pytest
 
 from fishmj import console
 from fishmj.gap.__main__ import main
-from fishmj.gap.bench import logs
-from fishmj.gap.bench.score import score
-from fishmj.gap.measured import command, servo_xl330, tail_fish, tendon_fish, usv_coastdown
-from fishmj.gap.measured.answer import answer, report
-from fishmj.gap.measured.folder import trials
-from fishmj.gap.measured.study import investigate
+from fishmj.studies.gap_benchmark import logs
+from fishmj.studies.gap_benchmark.score import score
+from fishmj.studies.measured_robots import command, servo_xl330, tail_fish, tendon_fish, usv_coastdown
+from fishmj.studies.measured_robots.answer import answer, report
+from fishmj.studies.measured_robots.folder import trials
+from fishmj.studies.measured_robots.study import investigate
 
 measured = pytest.mark.skipif(not os.environ.get("FISHMJ_MEASURED"), reason="set FISHMJ_MEASURED to the folder of measured data")
 

@@ -7,13 +7,14 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import effects, excitation  # noqa: E402
-from fishmj.errors import UnknownName  # noqa: E402
-from fishmj.gap import advice, next_experiment  # noqa: E402
-from fishmj.gap.null_runs import Null, repeated  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.separation import Prospect, Side, evenly, hinted, planned, prospect, prospects  # noqa: E402
+from fishmj import effects, excitation
+from fishmj.errors import UnknownName
+from fishmj.gap.commands import next_experiment
+from fishmj.gap.experiment import advice
+from fishmj.gap.experiment.discrimination import Prospect, Side, evenly, hinted, planned, prospect, prospects
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null.simulated import Null, repeated
+from fishmj.gap.records.records import record_of
 
 NULL = Null(runs=16)
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")

@@ -7,27 +7,30 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj.gap import null_runs, sources
-from fishmj.gap.null_runs import Null, repeated
-from fishmj.gap.null_sets import FEWEST, Sets
-from fishmj.gap.plants.fish import Fish
-from fishmj.gap.records import record_of
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null import code_hash, simulated
+from fishmj.gap.null.recorded import FEWEST, Sets
+from fishmj.gap.null.simulated import Null, repeated
+from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
-MODEL = {"hydro_fit.chain", "hydro_fit.model", "mjcf.geometry", "effects.active", "gap.kernel", "gap.plants.fish", "gap.features"}
+MODEL = {
+    *("dynamics.planar_chain", "water.model", "mjcf.geometry", "effects.active"),
+    *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.residual"),
+}
 SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.compiled", "excitation", "mjcf.description"}
-NEITHER = {"lbm_oracle.domain", "tasks.own", "gap.decide", "gap.report.words", "train.networks"}
+NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.words", "train.networks"}
 
 
 @pytest.fixture
 def code(tmp_path, monkeypatch):
     """A copy of the package's source, which keys are taken of."""
     there = tmp_path / "fishmj"
-    shutil.copytree(sources.ROOT, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
-    monkeypatch.setattr(sources, "ROOT", there)
-    sources.digest.cache_clear()
+    shutil.copytree(code_hash.ROOT, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
+    monkeypatch.setattr(code_hash, "ROOT", there)
+    code_hash.digest.cache_clear()
     yield there
-    sources.digest.cache_clear()
+    code_hash.digest.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +38,11 @@ def record():
     return record_of(generate({}, ["idle"], 0)[0], 0.004)
 
 
-CHANGES = [("hydro_fit/chain.py", True, True), ("virtual_robot/water.py", True, False), ("gap/decide.py", False, False)]
+CHANGES = [
+    ("dynamics/planar_chain.py", True, True),
+    ("virtual_robot/water.py", True, False),
+    ("gap/decide/decide.py", False, False),
+]
 
 
 @pytest.mark.parametrize(("file", "made", "elsewhere"), CHANGES)
@@ -43,16 +50,16 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
     for i in range(FEWEST):
         np.savez(tmp_path / f"{i}.npz", a=i)
     plant, nulls = Fish("fish"), (Null(runs=8), Sets(folder=tmp_path))
-    keys = lambda: [null._key(plant, record, repeated(record)) for null in nulls]  # noqa: E731
+    keys = lambda: [null._key(plant, record, repeated(record)) for null in nulls]
     before = keys()
     assert keys() == before
     (code / file).write_text((code / file).read_text() + "\n# another formula\n")
-    sources.digest.cache_clear()
+    code_hash.digest.cache_clear()
     assert [a != b for a, b in zip(keys(), before, strict=True)] == [made, elsewhere]
 
 
 def test_what_decides_the_runs_is_found_by_its_imports():
-    swims, predicts = sources.reached(null_runs.SIMULATOR), sources.reached(Fish.__module__, "fishmj.gap.features")
+    swims, predicts = code_hash.reached(simulated.SIMULATOR), code_hash.reached(Fish.__module__, "fishmj.gap.records.residual")
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)
     assert {f"fishmj.{name}" for name in MODEL} <= set(predicts)
     assert not {f"fishmj.{name}" for name in NEITHER} & {*swims, *predicts}
@@ -78,7 +85,7 @@ def test_imports_are_followed_through_packages_and_into_functions(code):
     (code / "far" / "inner.py").write_text("def thing():\n    import fishmj.near\n")
     (code / "near.py").write_text("import numpy\n")
     (code / "start.py").write_text("from fishmj import far\nimport fishmj_elsewhere.near\n")
-    found = sources.reached("fishmj.start")
+    found = code_hash.reached("fishmj.start")
     assert {"fishmj", "fishmj.far", "fishmj.far.inner", "fishmj.near", "fishmj.start"} <= set(found)
     assert not [name for name in found if "numpy" in name or "elsewhere" in name]
-    assert sources.reached("fishmj.far.inner.thing", "types", "os.path") == {}
+    assert code_hash.reached("fishmj.far.inner.thing", "types", "os.path") == {}

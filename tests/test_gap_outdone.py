@@ -8,20 +8,20 @@ pytest.importorskip("numba")
 
 from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
 
-from fishmj import effects  # noqa: E402
-from fishmj.gap.decide import _answer, pinned  # noqa: E402
-from fishmj.gap.fallback import outdone  # noqa: E402
-from fishmj.gap.fallback.library import library  # noqa: E402
-from fishmj.gap.fallback.own import own  # noqa: E402
-from fishmj.gap.fallback.plant import termed  # noqa: E402
-from fishmj.gap.folds import split  # noqa: E402
-from fishmj.gap.gates import frozen, rest_allowed  # noqa: E402
-from fishmj.gap.nearby import polished, settled  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.search import Found  # noqa: E402
-from fishmj.gap.verdict import Verdict  # noqa: E402
-from fishmj.gap.workflow import investigate  # noqa: E402
-from fishmj.mjcf.description import load_robot  # noqa: E402
+from fishmj import effects
+from fishmj.gap.decide.decide import _answer, pinned
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.search.cross_validation import split
+from fishmj.gap.search.refit import polished, settled
+from fishmj.gap.search.stepwise import Found
+from fishmj.gap.terms import stronger
+from fishmj.gap.terms.equivalence import own
+from fishmj.gap.terms.library import library
+from fishmj.gap.terms.model_with_terms import termed
+from fishmj.gap.thresholds import frozen, rest_allowed
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.workflow import investigate
+from fishmj.mjcf.description import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +49,16 @@ def test_a_right_name_is_led_by_no_free_force(plant, free, name, values):  # noq
     e = evidence_on(plant, {name: values}, 81)
     found, verdict = best(e)
     assert found.best.names == (name,)
-    said = outdone.challenged(free, e, found, verdict)
-    assert said.answer == "NAMED" and said.gates["lead"] < outdone.LEAD / 2
+    said = stronger.challenged(free, e, found, verdict)
+    assert said.answer == "NAMED" and said.gates["lead"] < stronger.LEAD / 2
 
 
 @pytest.mark.slow
 def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F811
     e = evidence_on(plant, {"tail_yaw_cross_force": {"coefficient": 0.006}}, 82)
     found, verdict = best(e)
-    said = outdone.challenged(free, e, found, verdict)
-    assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * outdone.LEAD
+    said = stronger.challenged(free, e, found, verdict)
+    assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * stronger.LEAD
     assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
 
 
@@ -71,14 +71,14 @@ def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, pla
     e = evidence_on(Fish(catalogue=[effects.get("command_gain_error")]), planted, 85)
     found, verdict = best(e)
     assert found.fitted.best.cost < 0.15 * found.base.cost  # either way a gain closes the gap
-    said = outdone.challenged(free, e, found, verdict)
+    said = stronger.challenged(free, e, found, verdict)
     assert said.answer == answer
     assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"
 
 
 @pytest.mark.slow
 def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):  # noqa: F811
-    mine = lambda name: {t.formula for t in library() if own(effects.get(name), t)}  # noqa: E731
+    mine = lambda name: {t.formula for t in library() if own(effects.get(name), t)}
     assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
     assert mine("yaw_drag") == {"yaw moment ~ yaw rate squared, signed"}
     assert mine("command_gain_error") == {"servo reading ~ angle"}
@@ -87,7 +87,7 @@ def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 84)
     found, verdict = best(e)
     assert found.best.names == ("yaw_drag",)
-    assert outdone.challenged(free, e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
+    assert stronger.challenged(free, e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
 
 
 def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free):  # noqa: F811
@@ -103,9 +103,9 @@ def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
     verdict = investigate(plant, trials, null=NULL).verdict
     assert verdict.answer == "NAMED" and verdict.gates["lead"] < 0.0
     assert not verdict.gates["believed"]  # a constant force is a poor current
-    monkeypatch.setattr(outdone, "LEAD", verdict.gates["lead"] - 1.0)
+    monkeypatch.setattr(stronger, "LEAD", verdict.gates["lead"] - 1.0)
     assert investigate(plant, trials, null=NULL).verdict.answer == "NAMED"
-    monkeypatch.setattr(outdone, "HALF", 1e3)
+    monkeypatch.setattr(stronger, "HALF", 1e3)
     assert investigate(plant, trials, null=NULL).verdict.answer == "UNEXPLAINED"
 
 

@@ -5,17 +5,17 @@ import pytest
 
 from fishmj import effects
 from fishmj.effects.describe import enters
-from fishmj.gap.features import Layout
-from fishmj.gap.measured.answer import answer
-from fishmj.gap.measured.floor import Scatter
-from fishmj.gap.measured.study import Fold, Study, investigate
-from fishmj.gap.plants import body as bodies
-from fishmj.gap.plants import servo as servos
-from fishmj.gap.plants.body import Body, Hull, Swim, covered
-from fishmj.gap.plants.fish import Constant
-from fishmj.gap.plants.rivals import RIVALS
-from fishmj.gap.plants.servo import Bench, Motor, OneServo, Pendulum
-from fishmj.gap.records import Sensor
+from fishmj.gap.models import planar_body as bodies
+from fishmj.gap.models import servo as servos
+from fishmj.gap.models.decoy_terms import RIVALS
+from fishmj.gap.models.planar_body import Body, Hull, Swim, covered
+from fishmj.gap.models.servo import Bench, Motor, OneServo, Pendulum
+from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.records.records import Sensor
+from fishmj.gap.records.residual import Layout
+from fishmj.studies.measured_robots.answer import answer
+from fishmj.studies.measured_robots.floor import Scatter
+from fishmj.studies.measured_robots.study import Fold, Study, investigate
 
 HULL = Hull(0.7, 2.7e-3, 0.0, 0.0, 0.0, thrust=0.1, torque=0.005, drag=0.3, sway_drag=0.0, yaw_drag=0.005)
 HEAVY = HULL._replace(surge_added=0.2, sway_added=0.6, yaw_added=1e-3)
@@ -226,7 +226,7 @@ def test_the_rail_that_was_measured_weakens_the_servo_in_proportion(bench):
 
 
 def test_late_sensor_and_late_command_shift_what_they_should(bench):
-    goal = lambda t: 0.8 * np.sin(5 * t)  # noqa: E731
+    goal = lambda t: 0.8 * np.sin(5 * t)
     plain = log(bench, goal)
     late = log(bench, goal, row(bench, joint_sensor_delay__delay=0.02))
     moved = np.interp(late.joint.t - 0.02, plain.joint.t, plain.joint.values[:, 0])

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 from fishmj import effects, excitation
-from fishmj.gap import growth
-from fishmj.gap.localise import compared, localise
+from fishmj.gap.localise import compared, error_growth, localise
 from fishmj.gap.localise.lags import alike, told
 from fishmj.gap.localise.regimes import KINDS, kinds_of
-from fishmj.gap.null_runs import Null
-from fishmj.gap.plants.fish import Fish
-from fishmj.gap.records import record_of
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records.records import record_of
 from fishmj.gap.report import gathered, write
-from fishmj.gap.report.material import parted, parts
+from fishmj.gap.report.report_data import parted, parts
 from fishmj.gap.report.sections import html
 from fishmj.gap.report.words import CONTRACT, gates, headline
 from fishmj.gap.wording import quantity
@@ -134,7 +133,7 @@ def test_a_delay_is_there_at_once_and_a_current_grows(plant, material):
     joint = {c.channel: c for c in material.growth}["joint"]
     assert joint.kind == "there at once" and np.all(joint.after < 0.2 * joint.before)
     c = planted(plant, {"steady_current": {"x": 0.06, "y": 0.0}}, ("drift_north", "drift_west", "gait", "turn_left"))
-    position = {k.channel: k for k in growth.curves(plant, c.records, *c.rows)}["position"]
+    position = {k.channel: k for k in error_growth.curves(plant, c.records, *c.rows)}["position"]
     assert 0.8 < position.slope < 2.3 and position.after[-1] < position.before[-1] and position.restarts > 50
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from fishmj.errors import LogError, StoreError
-from fishmj.gap.bench import solver
-from fishmj.gap.features import Layout
-from fishmj.gap.null_runs import Null
-from fishmj.gap.null_sets import Sets
-from fishmj.gap.records import record_of
+from fishmj.gap.null.recorded import Sets
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.residual import Layout
 from fishmj.log import Trial
-from fishmj.log.bundle import FINE, read_bundle, write_bundle
+from fishmj.log.compact import FINE, read_bundle, write_bundle
+from fishmj.studies.gap_benchmark import solver
 
 FOLDER = solver.folder()
 FIRST = FOLDER / "nulls" / "nulls_000.npz"

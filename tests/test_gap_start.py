@@ -5,16 +5,16 @@ import pytest
 
 pytest.importorskip("numba")
 
-from test_gap import NULL, evidence_on, hidden, row_of  # noqa: E402
+from test_gap import NULL, evidence_on, hidden, row_of
 
-from fishmj import effects  # noqa: E402
-from fishmj.gap.features import Layout  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.sizes import chance  # noqa: E402
-from fishmj.gap.through import sensed  # noqa: E402
-from fishmj.gap.verdict import Named, Value  # noqa: E402
-from fishmj.gap.workflow import investigate  # noqa: E402
+from fishmj import effects
+from fishmj.gap.decide.poorly_determined import chance
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.null.through_sensors import sensed
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.verdict import Named, Value
+from fishmj.gap.workflow import investigate
 
 RUNS = ("gait", "drift_north", "turn_left", "gait_fast")
 
@@ -64,11 +64,11 @@ def test_null_runs_are_turned_with_the_camera(turning):
 
 def test_what_null_runs_scatter_as_far_is_chance(turning):
     e = evidence_on(turning, {}, 14, RUNS[:2])
-    said = lambda half: Named("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)  # noqa: E731
+    said = lambda half: Named("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)
     assert chance(e, (said(0.006),)) and not chance(e, (said(0.003),))
     assert not chance(e, (said(0.006), said(0.006))) and not chance(e, ())
-    offsets = lambda least: {f"offset{i}": Value(0.02, "rad", low, 0.05) for i, low in enumerate((-0.01, -0.01, least), 1)}  # noqa: E731
-    bent = lambda least: (Named("joint_zero_offset", offsets(least), 1.0, 1.0),)  # noqa: E731
+    offsets = lambda least: {f"offset{i}": Value(0.02, "rad", low, 0.05) for i, low in enumerate((-0.01, -0.01, least), 1)}
+    bent = lambda least: (Named("joint_zero_offset", offsets(least), 1.0, 1.0),)
     assert chance(e, bent(-0.01)) and not chance(e, bent(0.01))  # one of three is told from none
 
 

@@ -7,20 +7,22 @@ import pytest
 
 pytest.importorskip("numba")
 
-from test_gap import NULL, hidden, row_of  # noqa: E402
+from test_gap import NULL, hidden, row_of
 
-from fishmj import effects  # noqa: E402
-from fishmj.errors import ConfigError  # noqa: E402
-from fishmj.gap import advice, data, find, weighing  # noqa: E402
-from fishmj.gap.features import Layout  # noqa: E402
-from fishmj.gap.plants.fish import Fish  # noqa: E402
-from fishmj.gap.records import record_of  # noqa: E402
-from fishmj.gap.separation import Prospect, Side  # noqa: E402
-from fishmj.gap.workflow import evidence_of, investigate  # noqa: E402
-from fishmj.mjcf.description import load_robot  # noqa: E402
-from fishmj.virtual_robot import plant as robot  # noqa: E402
-from fishmj.virtual_robot.dataset import write_hidden  # noqa: E402
-from fishmj.virtual_robot.weighing import masses, page  # noqa: E402
+from fishmj import effects
+from fishmj.errors import ConfigError
+from fishmj.gap.commands import find
+from fishmj.gap.experiment import advice
+from fishmj.gap.experiment.discrimination import Prospect, Side
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.records import datasets, mass_properties
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.workflow import evidence_of, investigate
+from fishmj.mjcf.description import load_robot
+from fishmj.virtual_robot import plant as robot
+from fishmj.virtual_robot.dataset import write_hidden
+from fishmj.virtual_robot.weighing import masses, page
 
 RUNS = ("gait", "turn_left", "burst_and_coast")
 TURNS = {"yaw_inertia": {"inertia": 0.006}}
@@ -47,28 +49,30 @@ def test_the_model_weighs_what_the_robot_weighs(plant, hides, does):
     for name, values in does.items():
         row = row_of(plant, name, **values)
     told = masses(robot(hides, 3))
-    np.testing.assert_allclose(weighing.predicted(plant, row)[0], list(told.values()), rtol=1e-6)
+    np.testing.assert_allclose(mass_properties.predicted(plant, row)[0], list(told.values()), rtol=1e-6)
 
 
 def test_what_the_page_lacks_is_not_compared(plant):
     whole = page({}, 3)
-    record, *_ = weighing.with_page([record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], weighing.sensor(whole, plant))
-    assert [b.column for b in Layout([record]).blocks if b.channel == weighing.CHANNEL] == [0, 1, 2]
-    only = weighing.sensor({"scales": {"whole": [1.12, 1.121]}}, plant)
-    assert [b.column for b in Layout([record._replace(weighed=only)]).blocks if b.channel == weighing.CHANNEL] == [0]
+    record, *_ = mass_properties.with_page(
+        [record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], mass_properties.sensor(whole, plant)
+    )
+    assert [b.column for b in Layout([record]).blocks if b.channel == mass_properties.CHANNEL] == [0, 1, 2]
+    only = mass_properties.sensor({"scales": {"whole": [1.12, 1.121]}}, plant)
+    assert [b.column for b in Layout([record._replace(weighed=only)]).blocks if b.channel == mass_properties.CHANNEL] == [0]
     assert only.values[0, 0] == pytest.approx(1.1205) and only.sigma[0] == pytest.approx(1.12e-3, rel=0.01)
-    assert weighing.sensor({}, plant) is None
+    assert mass_properties.sensor({}, plant) is None
     with pytest.raises(ConfigError, match=r"\[pendulum\] period"):
-        weighing.sensor({"pendulum": {"thread": 1.2, "apart": 0.3}}, plant)
+        mass_properties.sensor({"pendulum": {"thread": 1.2, "apart": 0.3}}, plant)
 
 
 def test_null_runs_weigh_what_they_should_to_within_the_instruments(plant):
-    sensor = weighing.sensor(page({}, 3), plant)
-    records = weighing.with_page([record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], sensor)
+    sensor = mass_properties.sensor(page({}, 3), plant)
+    records = mass_properties.with_page([record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], sensor)
     e = evidence_of(plant, records, NULL)
-    some = e.layout.channel == weighing.CHANNEL
+    some = e.layout.channel == mass_properties.CHANNEL
     np.testing.assert_allclose(np.sqrt(np.mean((e.factors[:, some] ** 2) * e.runs, 0)), sensor.sigma, rtol=0.3)
-    assert np.abs(e.gap(plant.null)[1][weighing.CHANNEL]) < 6.0
+    assert np.abs(e.gap(plant.null)[1][mass_properties.CHANNEL]) < 6.0
     around = e.around(row_of(plant, "yaw_inertia", inertia=0.006), 0.5)
     np.testing.assert_allclose(around.d[some], e.d[some])  # no form error on what mass means
 
@@ -87,16 +91,20 @@ def test_a_pendulum_tells_which_of_two_twins_it_is(plant):
 def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(plant):
     sides = [Side((n,), row_of(plant, n, **p[n]), np.zeros((0, len(plant.null))), 1.0) for p in (TURNS, WATER) for n in p]
     rows = [s.row[None] for s in sides]
-    assert weighing.separation(plant, *rows) == pytest.approx(0.006 / (weighing.PENDULUM * 0.01304), rel=0.01)
-    assert weighing.separation(plant, rows[1], plant.null[None]) == 0.0
+    assert mass_properties.separation(plant, *rows) == pytest.approx(0.006 / (mass_properties.PENDULUM * 0.01304), rel=0.01)
+    assert mass_properties.separation(plant, rows[1], plant.null[None]) == 0.0
     quiet = [Prospect("gait", 10.0, 0.4, ("yaw_inertia", "yaw_added_mass"), 0.01)]
     assert advice.advice(plant, quiet, sides).startswith(advice.WEIGH)
 
 
 def test_what_was_weighed_is_said_in_words(plant):
     (record,) = (record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1]))
-    said = lambda hides: weighing.told(plant, weighing.with_page([record], weighing.sensor(page(hides, 5), plant)))  # noqa: E731
-    assert said({}) == "What was weighed agrees (mass, balance point, yaw inertia)." and weighing.told(plant, [record]) == ""
+    said = lambda hides: mass_properties.told(
+        plant, mass_properties.with_page([record], mass_properties.sensor(page(hides, 5), plant))
+    )
+    assert (
+        said({}) == "What was weighed agrees (mass, balance point, yaw inertia)." and mass_properties.told(plant, [record]) == ""
+    )
     assert "yaw inertia is 0.01897 kg m2" in said(TURNS) and "the model's 0.013" in said(TURNS) and "mass" not in said(TURNS)
 
 
@@ -105,12 +113,12 @@ def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(
     from html import unescape
 
     from fishmj.gap.report import page as html
-    from fishmj.gap.report.material import gathered, plain
+    from fishmj.gap.report.report_data import gathered, plain
 
     inquiry = investigate(plant, hidden(TURNS, 12, RUNS[:2]), null=NULL, page=page(TURNS, 12))
     material = gathered(inquiry)
-    assert weighing.CHANNEL not in material.place.channels
-    assert any(weighing.CHANNEL in part.by_channel for part in material.parts)
+    assert mass_properties.CHANNEL not in material.place.channels
+    assert any(mass_properties.CHANNEL in part.by_channel for part in material.parts)
     assert plain(material)["weighed"] in unescape(html(inquiry)) and "yaw inertia is 0.019" in material.weighed
 
 
@@ -120,18 +128,18 @@ def test_a_robot_that_replaces_another_takes_its_page_along(tmp_path):
 
     for seed in (5, 6):
         write(seed, page({}, seed))
-        assert len(data.trials_in(tmp_path / "data")) == 1  # the manifest holds the page that is there
-        assert data.page_in(tmp_path / "data")["balance"]["at"] == page({}, seed)["balance"]["at"]
+        assert len(datasets.trials_in(tmp_path / "data")) == 1  # the manifest holds the page that is there
+        assert datasets.page_in(tmp_path / "data")["balance"]["at"] == page({}, seed)["balance"]["at"]
     write(7, None)
-    assert len(data.trials_in(tmp_path / "data")) == 1 and data.page_in(tmp_path / "data") == {}
+    assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "data") == {}
 
 
 def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp_path, monkeypatch):
     write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, 5, RUNS[:1]), {}, {}, page=page({}, 5))
-    assert data.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]
+    assert datasets.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]
     given = {}
     monkeypatch.setattr(find, "investigate", lambda *_, **options: given.update(options))
     asked = {"model": "fish", "null": None, "null_runs": 64, "noise": 1.0, "seed": 0, "most": None, "anyway": False}
-    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), data.taken(tmp_path / "data"))
-    assert given["page"] == data.page_in(tmp_path / "data")
-    assert len(data.trials_in(tmp_path / "data")) == 1 and data.page_in(tmp_path / "set.npz") == {}
+    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.taken(tmp_path / "data"))
+    assert given["page"] == datasets.page_in(tmp_path / "data")
+    assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "set.npz") == {}

@@ -9,13 +9,13 @@ import pytest
 
 from fishmj import effects
 from fishmj.gap import workflow
-from fishmj.gap.candidates import Candidate
-from fishmj.gap.decide import _answer, described
-from fishmj.gap.folds import Fitted
-from fishmj.gap.gates import frozen
+from fishmj.gap.decide.decide import _answer, described
 from fishmj.gap.report import sections, words
-from fishmj.gap.report.material import Part, Row, after, listed
-from fishmj.gap.rounds import Step
+from fishmj.gap.report.report_data import Part, Row, after, listed
+from fishmj.gap.search.cross_validation import Fitted
+from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.stepwise_rounds import Step
+from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value, Verdict, said
 from fishmj.gap.wording import level, number, percent, quantity, title
 
@@ -175,7 +175,7 @@ def test_explanations_are_listed_by_how_probable_they_are_and_only_with_their_ow
 
 
 def test_a_table_of_finalists_goes_by_p_best_and_ends_with_those_on_a_bound():
-    row = lambda p, tried=False: Row("x", {}, 0.0, p, False, tried)  # noqa: E731
+    row = lambda p, tried=False: Row("x", {}, 0.0, p, False, tried)
     assert listed([row(0.0, True), row(None), row(0.3), row(0.7)]) == [3, 2, 0, 1]
     assert listed([row(0.4), row(0.4, True)])[0] == 1
 

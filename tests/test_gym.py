@@ -304,7 +304,7 @@ def test_a_running_episode_is_drawn_as_a_film_of_it_is(monkeypatch):
     pytest.importorskip("cv2")
     from synthetic import swim
 
-    from fishmj.replay.film import TopView
+    from fishmj.replay.video import TopView
 
     monkeypatch.setattr(picture, "can_render", lambda: False)
     robot, film = mjcf.load_robot("fish"), TopView([swim(2.0)])

@@ -9,14 +9,15 @@ import pytest
 pytest.importorskip("numba")
 
 from fishmj import excitation
-from fishmj.campaign import hidden, hidden_command
-from fishmj.campaign.hidden_body import Difference, HiddenBody
-from fishmj.campaign.hidden_run import HiddenRun, carriage
-from fishmj.campaign.hidden_servo import Queue, Wire
+from fishmj.campaign.hidden_lbm import hidden
+from fishmj.campaign.hidden_lbm.body import Difference, HiddenBody
+from fishmj.campaign.hidden_lbm.electronics import Queue, Wire
+from fishmj.campaign.hidden_lbm.run import HiddenRun, carriage
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.domain import Domain
-from fishmj.lbm_oracle.stage import Stage
+from fishmj.lbm_oracle.run.domain import Domain
+from fishmj.lbm_oracle.run.setup import Stage
 from fishmj.log.trial import stacked
+from fishmj.studies.hidden_lbm import command as hidden_command
 from fishmj.virtual_robot import network
 from fishmj.virtual_robot.motion import STILL, run
 from fishmj.virtual_robot.state import at_rest
@@ -32,7 +33,7 @@ def in_air(effects: dict, name: str) -> tuple[np.ndarray, np.ndarray, Wire]:
     made = replace(plant(effects, 3, medium="air"), air=np.zeros(4))
     what = excitation.get(name)
     packets = network.deliver(made.network, made.odd, what.t, what.commands, 3, 0, 1.0)
-    start = lambda: at_rest((0.0, 0.0, 0.0), made.zero, made.motor.voltage)  # noqa: E731
+    start = lambda: at_rest((0.0, 0.0, 0.0), made.zero, made.motor.voltage)
     truth = run(made, start(), packets.times, packets.commands, what.seconds)
     body, wire = HiddenBody(made, DT), Wire(made, start(), Queue(*packets), STILL)
     for k in range(round(what.seconds / DT)):

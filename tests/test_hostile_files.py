@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from fishmj.calib import calib_folder
-from fishmj.engines import approx, native
+from fishmj.engines import fast_math, numba_build
 from fishmj.errors import ConfigError, FishmjError, SimDiverged, StoreError
-from fishmj.gap import version
-from fishmj.hydro_fit.model import HydroModel
+from fishmj.gap.commands import model_version
 from fishmj.log import read_trial, write_trial
-from fishmj.log.bundle import read_bundle, write_bundle
+from fishmj.log.compact import read_bundle, write_bundle
 from fishmj.log.trial import Trial
 from fishmj.mjcf import build, load_robot
 from fishmj.sim import Sim
 from fishmj.store import read_npz, write_npz
+from fishmj.water.model import HydroModel
 
 CODE = '"""\\nimport os; os.system("touch pwned")\\n"""'
 NAMES = (
@@ -60,10 +60,10 @@ def test_fault_26_no_word_of_a_description_reaches_generated_source():
     robot = load_robot("fish")
     marked = replace(robot, name="zebrafish", title=CODE, links=tuple(replace(k, name=f"zebra{k.name}") for k in robot.links))
     marked = replace(marked, fins=(), water=robot.water)
-    for entry in native.NEEDS:
-        text = native.write(marked, entry, approx.SINGLE)
+    for entry in numba_build.NEEDS:
+        text = numba_build.write(marked, entry, fast_math.SINGLE)
         assert "zebra" not in text and "pwned" not in text
-        assert text == native.write(replace(robot, fins=()), entry, approx.SINGLE)
+        assert text == numba_build.write(replace(robot, fins=()), entry, fast_math.SINGLE)
 
 
 def test_fault_26_a_robot_made_by_hand_meets_the_same_check():
@@ -189,7 +189,7 @@ def test_fault_26_a_version_names_its_parents_text_beside_it_and_no_other(tmp_pa
     path = tmp_path / "fish.v2.toml"
     path.write_text(fish_text() + '\n[version]\nnumber = 2\nparent_text = "../../etc/passwd"\n', encoding="utf-8")
     with pytest.raises(ConfigError, match="parent_text"):
-        version.revert(path)
+        model_version.revert(path)
 
 
 def test_fault_26_a_trial_is_not_written_over_a_folder_that_is_none(tmp_path):

@@ -12,14 +12,14 @@ from hostile import EVIL, PAYLOADS, WATCH, needs_browser
 from synthetic import swim
 
 from fishmj import console, engines, evaluate, log, pages
-from fishmj.calibrate import overlay
+from fishmj.calibrate import fit_plots
 from fishmj.evaluate import plots, report
-from fishmj.evaluate.rank_plot import picture as draw_rank
 from fishmj.hydro_fit import report as water
 from fishmj.log import __main__ as command
 from fishmj.mjcf import load_robot
 from fishmj.replay import write_html, write_png
 from fishmj.replay.scene import robot_of
+from fishmj.studies.rank_waters.plot import picture as draw_rank
 
 ROBOT = load_robot("fish")
 
@@ -61,7 +61,7 @@ def calibration_of(folder):
     tables = {EVIL: [{EVIL: EVIL, "value": 1.0}, {EVIL: PAYLOADS[8], "value": 2.0}]}
     picture = folder / "p.png"
     picture.write_bytes(b"\x89PNG")
-    return overlay.report(folder / "calibrate", EVIL, tables, picture, [EVIL], EVIL)
+    return fit_plots.report(folder / "calibrate", EVIL, tables, picture, [EVIL], EVIL)
 
 
 def water_of(folder, monkeypatch):

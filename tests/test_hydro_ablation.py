@@ -12,16 +12,18 @@ import numpy as np
 import pytest
 
 from fishmj import console, interrupt, mjcf
+from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import ablation, ablation_table, chain, check
-from fishmj.hydro_fit.ablation_fit import Variant
-from fishmj.hydro_fit.ellipsoid import fit, force, judged
-from fishmj.hydro_fit.ellipsoid.swim import Hooks
+from fishmj.hydro_fit import check
 from fishmj.hydro_fit.fit import rollout
-from fishmj.hydro_fit.fit.recipe import Settings
-from fishmj.hydro_fit.fit.rows import rows_of
-from fishmj.hydro_fit.passive import world_matrix
+from fishmj.hydro_fit.fit.pipeline import Settings
+from fishmj.hydro_fit.fit.regression_rows import rows_of
+from fishmj.studies.mujoco_ellipsoid import fit, force, judged
+from fishmj.studies.mujoco_ellipsoid.swim import Hooks
+from fishmj.studies.water_ablation import ablation, ablation_table
+from fishmj.studies.water_ablation.ablation_fit import Variant
+from fishmj.water.planar import world_matrix
 
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
 E = force.ellipsoids_of(ROBOT)
@@ -65,9 +67,9 @@ def test_the_force_of_every_ellipsoid_is_mujocos():
             data.qpos[:], data.qvel[:] = stirred(rng)
             wind = model.opt.wind[:2] = rng.normal(0, 0.3, 2)
             mujoco.mj_forward(model, data)
-            k = chain.kinematics(np, CHAIN, data.qpos, data.qvel, [wind] * N)
+            k = planar_chain.kinematics(np, CHAIN, data.qpos, data.qvel, [wind] * N)
             on_links = Hooks(np, E, flat, False).water(CHAIN, None, None, k, None)
-            got = chain.generalised(np, CHAIN, data.qpos[2], chain.gather(CHAIN, k, on_links))
+            got = planar_chain.generalised(np, CHAIN, data.qpos[2], planar_chain.gather(CHAIN, k, on_links))
             np.testing.assert_allclose(got, data.qfrc_fluid, rtol=1e-9, atol=1e-9)
 
 
@@ -87,12 +89,12 @@ def test_a_fish_in_ellipsoids_swims_as_in_mujoco():
     flat, rng = drawn(3), np.random.default_rng(4)
     model, data = model_of(flat)
     data.qpos[:], data.qvel[:] = stirred(rng)
-    q, v, sw, hooks = list(data.qpos), list(data.qvel), chain.nominal(ROBOT), Hooks(np, E, flat, False)
+    q, v, sw, hooks = list(data.qpos), list(data.qvel), planar_chain.nominal(ROBOT), Hooks(np, E, flat, False)
     for k in range(200):
         target = 0.5 * np.sin(2 * np.pi * k * CHAIN.dt - np.arange(3))
         data.ctrl[:] = target
         mujoco.mj_step(model, data)
-        s = chain.step(np, CHAIN, sw, q, v, 0.5, target, [(0.0, 0.0)] * N, (0.0, 0.0), hooks)
+        s = planar_chain.step(np, CHAIN, sw, q, v, 0.5, target, [(0.0, 0.0)] * N, (0.0, 0.0), hooks)
         q, v = s.q, s.v
     np.testing.assert_allclose([*q, *v], [*data.qpos, *data.qvel], rtol=0, atol=1e-9)
     assert np.hypot(*q[:2]) > 0.05  # and it went somewhere
@@ -110,7 +112,11 @@ def test_the_inertia_that_mujoco_leaves_out_is_lambs_at_the_centre_of_each_ellip
         mujoco.mj_jacGeom(model, data, move, spin, i)
         rows = np.stack([*(turn.T @ move)[:2], spin[2]])
         expected += rows.T @ np.diag(np.array(E.added[i]) * force.coefficients_of(flat, i == N - 1)["added"]) @ rows
-    q, k, m = data.qpos, chain.kinematics(np, CHAIN, data.qpos, data.qvel, [(0.0, 0.0)] * N), [[0.0] * (r + 1) for r in range(6)]
+    q, k, m = (
+        data.qpos,
+        planar_chain.kinematics(np, CHAIN, data.qpos, data.qvel, [(0.0, 0.0)] * N),
+        [[0.0] * (r + 1) for r in range(6)],
+    )
     Hooks(np, E, flat, True).body(CHAIN, None, q, k, [0.0] * 6, m)
     np.testing.assert_allclose(world_matrix(CHAIN, q[2], m), expected, rtol=0, atol=1e-12)
 
@@ -119,12 +125,12 @@ def energy_left(inertia):
     """Kinetic energy of fish and water after 2 ms without drag, lift and servos, over that at the start."""
     ideal, flat = E._replace(viscosity=0.0), np.zeros(12)
     flat[[5, 11]] = 0.8, 1.2
-    loose = chain.nominal(ROBOT)._replace(kp=[0.0] * 3, kv=[0.0] * 3, kb=[1e-30] * 3)
+    loose = planar_chain.nominal(ROBOT)._replace(kp=[0.0] * 3, kv=[0.0] * 3, kb=[1e-30] * 3)
     fine, still = CHAIN._replace(dt=1e-5), [(0.0, 0.0)] * N
 
     def energy(q, v):
-        k = chain.kinematics(np, fine, q, v, still)
-        m = chain.mass_matrix(fine, loose, k, water=False)
+        k = planar_chain.kinematics(np, fine, q, v, still)
+        m = planar_chain.mass_matrix(fine, loose, k, water=False)
         Hooks(np, ideal, flat, True).body(fine, None, q, k, [0.0] * 6, m)
         c, s = np.cos(q[2]), np.sin(q[2])
         rates = [c * v[0] + s * v[1], c * v[1] - s * v[0], *np.cumsum(v[2:])]
@@ -133,7 +139,7 @@ def energy_left(inertia):
     q, v = (list(a) for a in stirred(np.random.default_rng(7)))
     before = energy(q, v)
     for _ in range(200):
-        s = chain.step(np, fine, loose, q, v, 0.5, [0.0] * 3, still, (0.0, 0.0), Hooks(np, ideal, flat, inertia))
+        s = planar_chain.step(np, fine, loose, q, v, 0.5, [0.0] * 3, still, (0.0, 0.0), Hooks(np, ideal, flat, inertia))
         q, v = s.q, s.v
     return energy(q, v) / before
 
@@ -264,9 +270,9 @@ def test_learnt_rows_are_drawn_once_a_seed_and_shown_with_their_range(monkeypatc
 
 def test_fits_that_differ_later_share_their_first_stages(records, tmp_path):
     kept = {"settings": QUICK, "dataset": {}, "folder": tmp_path, "code": "1"}
-    make = lambda **changes: ablation.Variant(ROBOT, records["train"], records["val"], **kept | changes)  # noqa: E731
+    make = lambda **changes: ablation.Variant(ROBOT, records["train"], records["val"], **kept | changes)
     whole, plain, other = make(), make(retune=False), make(settings=replace(QUICK, steps=30))
-    names = lambda one: [one._path(stage).name for stage in ("linear", "rollout", "residual", "retune")]  # noqa: E731
+    names = lambda one: [one._path(stage).name for stage in ("linear", "rollout", "residual", "retune")]
     assert names(whole)[:3] == names(plain)[:3] and names(whole)[3] != names(plain)[3]
     assert names(whole)[:2] == names(other)[:2] and names(whole)[2] != names(other)[2]
     assert not set(names(whole)) & set(names(make(code="2")))

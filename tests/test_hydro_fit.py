@@ -8,20 +8,30 @@ import numpy as np
 import pytest
 
 from fishmj import console
+from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError, UsageError
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import chain, check, correct, learned, residual
+from fishmj.hydro_fit import check, online_correction
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.hydro_fit.fit import band, calibrate, learning, lessons, linear, newton, swims
-from fishmj.hydro_fit.fit.again import Again
-from fishmj.hydro_fit.fit.keep import keep
-from fishmj.hydro_fit.fit.loop import Loop
-from fishmj.hydro_fit.fit.pack import unpacked
-from fishmj.hydro_fit.fit.prior import flat, names_of, prior_of, replaced, unflat
-from fishmj.hydro_fit.fit.recipe import STAGES, Fit, Settings
+from fishmj.hydro_fit.fit import (
+    calibrate,
+    force_training,
+    gauss_newton,
+    linear_regression,
+    prediction_interval,
+    rollout_training,
+    training_windows,
+)
+from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.incremental import Again
+from fishmj.hydro_fit.fit.pipeline import STAGES, Fit, Settings
+from fishmj.hydro_fit.fit.promote import keep
+from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
-from fishmj.hydro_fit.fit.rows import rows_of
-from fishmj.hydro_fit.model import HydroModel
+from fishmj.hydro_fit.fit.serialise import unpacked
+from fishmj.water import residual_hooks, residual_network
+from fishmj.water.model import HydroModel
+from fishmj.water.prior import flat, names_of, prior_of, replaced, unflat
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
 SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
@@ -46,7 +56,7 @@ def fitted(records, tmp_path_factory):
 
 
 def test_coefficients_are_one_vector_with_names():
-    c = chain.nominal(ROBOT).water
+    c = planar_chain.nominal(ROBOT).water
     assert unflat(flat(c).tolist()) == c and len(names_of(4)) == len(flat(c))
     assert replaced(c, ["cn4", "cf"], [3.0, 0.5]).cn == [*c.cn[:3], 3.0]
 
@@ -56,11 +66,11 @@ def test_forces_of_the_strips_give_their_coefficients_back():
     known = replace_stall(hidden.TRUE)
     robot = replace(ROBOT, water={**ROBOT.water, "stall_angle_deg": np.degrees(known.stall_angle), "stall_lag": known.stall_lag})
     made = hidden.campaign(hidden=0.0, noise=0.0, water=known, **SMALL)
-    done = linear.fit_linear(robot, CHAIN, rows_of(CHAIN, made), TICK, stall=False)
+    done = linear_regression.fit_linear(robot, CHAIN, rows_of(CHAIN, made), TICK, stall=False)
     for name, bound in (("k", 0.08), ("cn", 0.12)):
         np.testing.assert_allclose(getattr(done.water, name), getattr(known, name), rtol=bound)
     assert done.water.suction > 0.85
-    drag = lambda c: c.cf * sum(map(sum, CHAIN.strips.p)) + c.ca_forward * CHAIN.strips.frontal  # noqa: E731
+    drag = lambda c: c.cf * sum(map(sum, CHAIN.strips.p)) + c.ca_forward * CHAIN.strips.frontal
     assert drag(done.water) == pytest.approx(drag(known), rel=0.1)  # friction and form trade; their sum is told
 
 
@@ -72,7 +82,7 @@ def replace_stall(c):
 def test_swims_decide_what_forces_leave_open(fitted):
     """The factors found by free swims bring the validation swims closer; what the data cannot tell is said."""
     fit, model, _ = fitted
-    start = linear.fit_linear(ROBOT, CHAIN, rows_of(CHAIN, fit.train), TICK)
+    start = linear_regression.fit_linear(ROBOT, CHAIN, rows_of(CHAIN, fit.train), TICK)
     by_forces, by_swims = fit.score(flat(start.water), None), fit.score(model.alone[0], None)
     assert by_swims < 0.8 * by_forces
     assert {"linear", "rollout"} <= set(model.found)
@@ -84,13 +94,13 @@ def test_swims_decide_what_forces_leave_open(fitted):
 def test_the_residual_learns_what_strips_cannot():
     """Normal forces on head and tail, from 170 s of water: wash and overshoot are found on episodes that were not trained on."""
     parts = {split: hidden.campaign(seed=seed, split=split, seconds=5.0) for seed, split in enumerate(("train", "test"))}
-    water = linear.fit_linear(ROBOT, CHAIN, rows_of(CHAIN, parts["train"]), TICK).water
-    taught, seen = (lessons.lessons_of(CHAIN, parts[split], water) for split in ("train", "test"))
-    net = learning.learn(CHAIN, taught, residual.blank(CHAIN.n), steps=200).net
+    water = linear_regression.fit_linear(ROBOT, CHAIN, rows_of(CHAIN, parts["train"]), TICK).water
+    taught, seen = (training_windows.lessons_of(CHAIN, parts[split], water) for split in ("train", "test"))
+    net = force_training.learn(CHAIN, taught, residual_network.blank(CHAIN.n), steps=200).net
 
     def left(memory):
-        z, _ = learning.wakes(residual.without(net, memory=memory), seen.x, seen.speed, seen.step)
-        force = np.asarray(learning.forces(net, residual.panels(CHAIN), 1000.0, seen.x, seen.push, z)).mean(0)
+        z, _ = force_training.wakes(residual_network.without(net, memory=memory), seen.x, seen.speed, seen.step)
+        force = np.asarray(force_training.forces(net, residual_network.panels(CHAIN), 1000.0, seen.x, seen.push, z)).mean(0)
         error = (seen.weight[:, None, None] * (force - seen.left) ** 2).sum((0, 3))
         return np.sqrt(error / (seen.weight[:, None, None] * np.asarray(seen.left) ** 2).sum((0, 3)))
 
@@ -100,7 +110,7 @@ def test_the_residual_learns_what_strips_cannot():
 
 
 def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path):
-    taught = lessons.lessons_of(CHAIN, records["train"], chain.nominal(ROBOT).water)
+    taught = training_windows.lessons_of(CHAIN, records["train"], planar_chain.nominal(ROBOT).water)
 
     class Broken(Loop):
         def after(self, step, state):
@@ -110,7 +120,7 @@ def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path)
                 raise KeyboardInterrupt
 
     def learnt(loop):
-        return learning.learn(CHAIN, taught, residual.blank(CHAIN.n), steps=30, seed=3, loop=loop)
+        return force_training.learn(CHAIN, taught, residual_network.blank(CHAIN.n), steps=30, seed=3, loop=loop)
 
     with pytest.raises(KeyboardInterrupt):
         learnt(Broken(tmp_path / "loop", "key"))
@@ -125,12 +135,14 @@ def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
     fit, _, _ = fitted
     before, after = (unpacked(fit._read(stage)).net for stage in ("residual", "swims"))
     water = unflat(fit._read("residual")["water"].tolist())
-    seen = lessons.lessons_of(CHAIN, records["test"], water)
-    apart = swims.pieces_of(CHAIN, ROBOT, records["test"], water)
-    school = swims.School(ROBOT, fit.swim, apart, swims.held_of(CHAIN, records["test"], water), seen, flat(water))
+    seen = training_windows.lessons_of(CHAIN, records["test"], water)
+    apart = rollout_training.pieces_of(CHAIN, ROBOT, records["test"], water)
+    school = rollout_training.School(
+        ROBOT, fit.swim, apart, rollout_training.held_of(CHAIN, records["test"], water), seen, flat(water)
+    )
     off = [float(school.swum(net, school.pieces)) for net in (before, after)]
     assert off[1] < 0.9 * off[0]
-    pushed = [float(swims.huber(school.pushed(net, school.held))) for net in (before, after)]
+    pushed = [float(rollout_training.huber(school.pushed(net, school.held))) for net in (before, after)]
     assert np.isfinite(pushed).all()
     rng, every = np.random.default_rng(0), set(school.held.seen.tolist())
     drawn = [set(school.drawn_held(rng, 2).seen.tolist()) for _ in range(40)]
@@ -139,13 +151,13 @@ def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
 
 def test_a_piece_begins_with_the_wake_of_the_motion_before_it(records):
     """Features of the 1.2 s before the start; none where the record begins, and a wake that stays at rest there."""
-    water = chain.nominal(ROBOT).water
-    made = swims.pieces_of(CHAIN, ROBOT, records["test"], water)
+    water = planar_chain.nominal(ROBOT).water
+    made = rollout_training.pieces_of(CHAIN, ROBOT, records["test"], water)
     first = np.array([a == 0 for _, a in made.fleet.source])
     assert first.any() and (~first).any()
-    assert (made.speed[:, first] == 0).all() and (made.speed[-1, ~first] >= residual.FLOOR).all()
-    net = residual.blank(CHAIN.n, seed=1)
-    _, wake = learning.wakes(net, made.x, made.speed, TICK)
+    assert (made.speed[:, first] == 0).all() and (made.speed[-1, ~first] >= residual_network.FLOOR).all()
+    net = residual_network.blank(CHAIN.n, seed=1)
+    _, wake = force_training.wakes(net, made.x, made.speed, TICK)
     assert (np.asarray(wake)[:, first] == 0).all() and np.abs(np.asarray(wake)[:, ~first]).max() > 1e-3
 
 
@@ -226,11 +238,11 @@ def test_a_miss_is_exit_1(fitted, records, monkeypatch):
 
 
 def test_without_a_stretch_no_factor_moves():
-    state = correct.fresh()
-    c = chain.nominal(ROBOT).water
-    assert flat(correct.applied(c, state)).tolist() == flat(c).tolist()
-    assert newton.scaled(flat(c), np.zeros(len(newton.groups(4))), 4, prior_of(ROBOT)).tolist() == flat(c).tolist()
-    assert len(learned.at_rest()) == 18
+    state = online_correction.fresh()
+    c = planar_chain.nominal(ROBOT).water
+    assert flat(online_correction.applied(c, state)).tolist() == flat(c).tolist()
+    assert gauss_newton.scaled(flat(c), np.zeros(len(gauss_newton.groups(4))), 4, prior_of(ROBOT)).tolist() == flat(c).tolist()
+    assert len(residual_hooks.at_rest()) == 18
 
 
 def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
@@ -240,13 +252,13 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
     def drawn(count):
         spread, value = rng.gamma(2.0, 0.02, count), rng.uniform(-0.4, 0.4, count)
         error = np.hypot(0.01, 1.5 * spread) * rng.standard_normal(count)
-        members = [band.Means(*[value + sign * spread / np.sqrt(2)] * 3) for sign in (-1, 1)]
-        return band.Means(*[value] * 3), members, band.Means(*[value + error] * 3)
+        members = [prediction_interval.Means(*[value + sign * spread / np.sqrt(2)] * 3) for sign in (-1, 1)]
+        return prediction_interval.Means(*[value] * 3), members, prediction_interval.Means(*[value + error] * 3)
 
-    made = band.fit_band(*drawn(400), np.arange(400) < 350)
+    made = prediction_interval.fit_band(*drawn(400), np.arange(400) < 350)
     offset, share, spread = made["speed"]
     assert spread == pytest.approx(1.645 * 1.5, rel=0.2) and share < 0.1 and offset < 0.05
-    assert all(0.87 < value < 0.93 for value in band.covered(*drawn(4000), made).values())
+    assert all(0.87 < value < 0.93 for value in prediction_interval.covered(*drawn(4000), made).values())
 
 
 @pytest.mark.slow
@@ -256,11 +268,11 @@ def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, 
     monkeypatch.setattr(calibrate, "LEAST", 5)
     made = calibrate.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
     swum = check.Swum(made, ROBOT, records["test"])
-    seen, mean = band.means(recorded(swum.fleet), swum.fleet), band.means(swum.track, swum.fleet)
+    seen, mean = prediction_interval.means(recorded(swum.fleet), swum.fleet), prediction_interval.means(swum.track, swum.fleet)
     hair = {name: [(1 + 1e-6) * part for part in parts] for name, parts in made.band.items()}  # the last one is at the edge
-    inside = band.covered(mean, swum.members, seen, hair)
+    inside = prediction_interval.covered(mean, swum.members, seen, hair)
     assert all(value >= 0.9 for value in inside.values()) and made.calibration["swims"] == len(swum.fleet.q)
-    for name in band.CHANNELS:  # one factor a channel: its form stays
+    for name in prediction_interval.CHANNELS:  # one factor a channel: its form stays
         np.testing.assert_allclose(
             np.divide(made.band[name], max(made.band[name])), np.divide(model.band[name], max(model.band[name]))
         )
@@ -273,15 +285,18 @@ def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, 
 
 def test_the_conformal_factor_is_right_on_average_for_few_swims():
     rng = np.random.default_rng(5)
-    inside = [np.mean(np.abs(rng.standard_cauchy(500)) <= band.conformal(np.abs(rng.standard_cauchy(39)))) for _ in range(400)]
+    inside = [
+        np.mean(np.abs(rng.standard_cauchy(500)) <= prediction_interval.conformal(np.abs(rng.standard_cauchy(39))))
+        for _ in range(400)
+    ]
     assert np.mean(inside) == pytest.approx(0.9, abs=0.01)
 
 
 def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():
     rng, trained = np.random.default_rng(4), np.arange(100) < 80
     needed = np.abs(rng.standard_normal(100))
-    assert band.easier(needed, trained) == 1.0
-    assert band.easier(np.where(trained, 0.3 * needed, needed), trained) > 2.0
+    assert prediction_interval.easier(needed, trained) == 1.0
+    assert prediction_interval.easier(np.where(trained, 0.3 * needed, needed), trained) > 2.0
 
 
 def test_a_negative_number_of_steps_is_refused_before_anything_is_read():

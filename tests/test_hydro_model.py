@@ -5,17 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fishmj.dynamics import hooks, planar_chain
 from fishmj.effects import Active
 from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.hydro_fit import chain, hooks, learned, residual
-from fishmj.hydro_fit.fit.prior import flat
-from fishmj.hydro_fit.model import HydroModel, robot_hash
 from fishmj.mjcf import load_robot
+from fishmj.water import residual_hooks, residual_network
+from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.prior import flat
 
 ROBOT = load_robot("fish")
-CHAIN, NOMINAL = chain.chain_of(ROBOT), chain.nominal(ROBOT)
+CHAIN, NOMINAL = planar_chain.chain_of(ROBOT), planar_chain.nominal(ROBOT)
 N = CHAIN.n
-SIZE = len(learned.at_rest())
+SIZE = len(residual_hooks.at_rest())
 
 
 DRAWN = ("wake_bias", "inner_bias", "outer", "outer_bias", "even", "odd")
@@ -24,9 +25,9 @@ DRAWN = ("wake_bias", "inner_bias", "outer", "outer_bias", "even", "odd")
 def wild(seed=0, members=5, hidden=16):
     """Random weights, large enough that every bound is felt."""
     rng = np.random.default_rng(seed)
-    net = residual.blank(N, members, hidden, seed=seed)
+    net = residual_network.blank(N, members, hidden, seed=seed)
     net = net._replace(**{k: rng.normal(0, 1, getattr(net, k).shape) for k in DRAWN})
-    return learned.Residual(net, learned.unlimited(N)._replace(spread=np.array(1.0)))
+    return residual_hooks.Residual(net, residual_hooks.unlimited(N)._replace(spread=np.array(1.0)))
 
 
 def states(seed, count):
@@ -34,21 +35,21 @@ def states(seed, count):
     rng = np.random.default_rng(seed)
     q = [*rng.uniform(-2, 2, (2, count)), rng.uniform(-np.pi, np.pi, count), *rng.uniform(-1, 1, (N - 1, count))]
     v = [*rng.normal(0, 0.4, (2, count)), rng.normal(0, 2, count), *rng.normal(0, 4, (N - 1, count))]
-    memory = [*rng.uniform(-1, 1, (residual.WAKES, count)), rng.uniform(0, 0.2, count), np.zeros(count)]
+    memory = [*rng.uniform(-1, 1, (residual_network.WAKES, count)), rng.uniform(0, 0.2, count), np.zeros(count)]
     return q, v, memory, [tuple(rng.normal(0, 0.3, (2, count))) for _ in range(N)]
 
 
 def step(xp, learnt, q, v, memory, flow, **options):
     """One physics step: (q, v, memory) stacked."""
-    made = learned.Learned(xp, CHAIN, learnt, memory, **options)
-    s = chain.step(xp, CHAIN, NOMINAL, q, v, 0.5 + 0.0 * q[0], [0.0 * a for a in q[3:]], flow, (0.0, 0.0), made)
+    made = residual_hooks.Learned(xp, CHAIN, learnt, memory, **options)
+    s = planar_chain.step(xp, CHAIN, NOMINAL, q, v, 0.5 + 0.0 * q[0], [0.0 * a for a in q[3:]], flow, (0.0, 0.0), made)
     return xp.stack([value + 0.0 * q[0] for value in (*s.q, *s.v, *s.memory)])
 
 
 def test_a_mirrored_fish_mirrors_its_force():
     q, v, memory, flow = states(1, 200)
-    flip = lambda a: [-x if i in (1, 2) or i > 2 else x for i, x in enumerate(a)]  # noqa: E731
-    sign = np.array([*residual.WAKE, 1.0, 1.0])
+    flip = lambda a: [-x if i in (1, 2) or i > 2 else x for i, x in enumerate(a)]
+    sign = np.array([*residual_network.WAKE, 1.0, 1.0])
     there = step(np, wild(), q, v, memory, flow)
     mirrored = step(np, wild(), flip(q), flip(v), [s * m for s, m in zip(sign, memory, strict=True)], [(a, -b) for a, b in flow])
     signs = np.array([*[1, -1, -1, *[-1] * (N - 1)] * 2, *sign])[:, None]
@@ -59,7 +60,7 @@ def test_a_moving_frame_and_a_turned_tank_change_nothing():
     q, v, memory, flow = states(2, 100)
     plain = step(np, wild(), q, v, memory, flow)
     c, s = np.cos(0.7), np.sin(0.7)
-    turn = lambda x, y: (c * x - s * y, s * x + c * y)  # noqa: E731
+    turn = lambda x, y: (c * x - s * y, s * x + c * y)
     wind = (0.3, -0.2)
     vx, vy = turn(v[0] + wind[0], v[1] + wind[1])
     q2, v2 = [*turn(q[0], q[1]), q[2] + 0.7, *q[3:]], [vx, vy, *v[2:]]
@@ -75,15 +76,15 @@ def test_at_rest_nothing_is_added_and_nothing_moves():
 
 
 def test_forces_grow_with_speed_squared_and_are_bounded():
-    rng, p = np.random.default_rng(3), residual.panels(CHAIN)
+    rng, p = np.random.default_rng(3), residual_network.panels(CHAIN)
     u, w, omega = rng.normal(0, 3, (3, N, 400))
     for scale in (1.0, 10.0):
-        k = chain.Links([], [], list(scale * omega), list(scale * u), list(scale * w), [])
-        made = learned.Learned(np, CHAIN, wild(4), [np.zeros(400)] * SIZE)
+        k = planar_chain.Links([], [], list(scale * omega), list(scale * u), list(scale * w), [])
+        made = residual_hooks.Learned(np, CHAIN, wild(4), [np.zeros(400)] * SIZE)
         forces = made.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
-        m = residual.motion(np, p, k)
+        m = residual_network.motion(np, p, k)
         for i in range(N):
-            limit = residual.BOUND * 500.0 * p.area[i] * m.push[i]
+            limit = residual_network.BOUND * 500.0 * p.area[i] * m.push[i]
             assert (np.abs(forces[i][0]) <= limit * (1 + 1e-12)).all() and (np.abs(forces[i][1]) <= limit * (1 + 1e-12)).all()
 
 
@@ -96,13 +97,13 @@ def test_the_residual_only_gives_back_what_drag_took():
         u, w, omega = np.array([0.3, 0.4, 3.0])[:, None, None] * np.sin(
             7 * k * CHAIN.dt * (1 + np.arange(3))[:, None, None] + phase
         )
-        links = chain.Links([], [], list(omega), list(u), list(w), [])
-        made = learned.Learned(np, CHAIN, wild(6), memory)
+        links = planar_chain.Links([], [], list(omega), list(u), list(w), [])
+        made = residual_hooks.Learned(np, CHAIN, wild(6), memory)
         forces = made.advance(CHAIN.strips, NOMINAL.water, links, CHAIN.dt)
         given += CHAIN.dt * sum(f[0] * u[i] + f[1] * w[i] + f[2] * omega[i] for i, f in enumerate(forces))
-        taken += CHAIN.dt * residual.dissipated(np, CHAIN.strips, NOMINAL.water, links)
+        taken += CHAIN.dt * residual_network.dissipated(np, CHAIN.strips, NOMINAL.water, links)
         memory = list(made.end(CHAIN, None, None, None))
-        assert (memory[-2] >= 0).all() and (given <= learned.ETA * taken + 1e-5).all()
+        assert (memory[-2] >= 0).all() and (given <= residual_hooks.ETA * taken + 1e-5).all()
     assert (given != 0).all()
 
 
@@ -118,19 +119,19 @@ def test_numpy_jax_and_single_fish_agree():
 
 def test_a_wake_that_is_told_nothing_of_itself_takes_one_step_as_well_as_two_halves():
     rng = np.random.default_rng(8)
-    k = chain.Links([], [], *(list(rng.normal(0, 1, (N, 20))) for _ in range(3)), [])
-    m, net = residual.motion(np, residual.panels(CHAIN), k), wild(2).net
+    k = planar_chain.Links([], [], *(list(rng.normal(0, 1, (N, 20))) for _ in range(3)), [])
+    m, net = residual_network.motion(np, residual_network.panels(CHAIN), k), wild(2).net
     net.wake[:, 3 * N + 1 :] = 0.0
-    z = list(rng.uniform(-1, 1, (residual.WAKES, 20)))
-    once = residual.wake_step(np, net, m, z, 0.02)
-    twice = residual.wake_step(np, net, m, residual.wake_step(np, net, m, z, 0.01), 0.01)
+    z = list(rng.uniform(-1, 1, (residual_network.WAKES, 20)))
+    once = residual_network.wake_step(np, net, m, z, 0.02)
+    twice = residual_network.wake_step(np, net, m, residual_network.wake_step(np, net, m, z, 0.01), 0.01)
     np.testing.assert_allclose(twice, once, rtol=0, atol=1e-12)
     assert np.abs(np.array(once) - z).max() > 1e-3
 
 
 def test_products_mirror_as_the_force_that_they_make():
     """Of every pair of features exactly one kind, so that the bilinear part needs no second branch."""
-    even, odd = residual.products(N)
+    even, odd = residual_network.products(N)
     assert len(even[0]) + len(odd[0]) == (3 * N + 1) * (3 * N + 2) // 2
     sign = np.array([*[1] * (N + 1), *[-1] * (2 * N)])
     assert (sign[even[0]] * sign[even[1]] == 1).all() and (sign[odd[0]] * sign[odd[1]] == -1).all()
@@ -155,7 +156,9 @@ def test_a_model_comes_back_as_it_was_saved(tmp_path):
     model = made(wild(), band={"speed": [0.01, 0.03, 1.5]}, found={"linear": {"condition": 3.0, "parameters": {}}})
     back = HydroModel.load(model.save(tmp_path))
     q, v, memory, flow = states(10, 4)
-    kept = learned.Residual(*(type(part)(*(np.asarray(a, np.float32).astype(float) for a in part)) for part in model.learnt))
+    kept = residual_hooks.Residual(
+        *(type(part)(*(np.asarray(a, np.float32).astype(float) for a in part)) for part in model.learnt)
+    )
     np.testing.assert_array_equal(step(np, back.learnt, q, v, memory, flow), step(np, kept, q, v, memory, flow))
     assert back.base == model.base and back.band == model.band and back.found == model.found and back.slip == 1.0
     assert back.memory_size == SIZE and back.base_only.learnt is None and back.base_only.memory_size == 0

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from fishmj import console, controllers, engines, interrupt
-from fishmj.engines import tanks
+from fishmj.engines import lbm
 from fishmj.errors import UsageError
-from fishmj.evaluate import figures, rank, rank_command, statistics, trials, two_waters
+from fishmj.evaluate import figures, statistics, trials
 from fishmj.flow import stack
 from fishmj.hydro_fit.__main__ import main
-from fishmj.hydro_fit.model import HydroModel
-from fishmj.lbm_oracle.domain import preset
+from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
+from fishmj.studies.rank_waters import command as rank_command
+from fishmj.studies.rank_waters import compare_waters, rank
+from fishmj.water.model import HydroModel
 
 ROBOT = load_robot("fish")
 KEY = "rmse_after_arrival"
@@ -91,7 +93,7 @@ def test_the_worst_controller_decides_the_gap():
 
 
 def test_too_few_trials_tell_nobody_apart():
-    few = lambda w: {name: x[: statistics.APART - 1] for name, x in w.items()}  # noqa: E731
+    few = lambda w: {name: x[: statistics.APART - 1] for name, x in w.items()}
     found = rank.judged(KEY, [few(water(dob=0.1, pi=0.9))], [few(water(dob=0.1, pi=0.9))])
     assert found["counted"] == 0 and found["passed"]["tau"] is None and np.isnan(found["tau"])
 
@@ -112,18 +114,18 @@ def test_a_controller_without_a_whole_trial_cannot_be_told_unless_another_fails(
 
 def test_every_beginning_of_the_order_is_spread_over_speeds_and_directions():
     plan = trials()
-    order = two_waters.spread(plan).items
+    order = compare_waters.spread(plan).items
     assert sorted(order) == sorted(plan.items) and all(t.repeat == 0 for t in order[:24])
     assert len({(t.speed, t.los) for t in order[:24]}) == 24
     assert len({t.los for t in order[:8]}) == 8 and [t.speed for t in order[:6]] == [0.1, 0.2, 0.3] * 2
     four = trials(speeds=[0.1, 0.2], los_deg=[0, 90, 180, 270], repeats=1)
-    assert sorted(two_waters.spread(four).items) == sorted(four.items), "also where the counts share a factor"
+    assert sorted(compare_waters.spread(four).items) == sorted(four.items), "also where the counts share a factor"
 
 
 def test_the_figures_of_a_whole_trial_are_the_judges():
     plan = trials(speeds=[0.1], los_deg=[0, 180], repeats=1)
-    result = two_waters.in_surrogate(ROBOT)(controllers.make("paper", ROBOT), plan, lambda k: None)
-    mine, decided = two_waters.figures(result), figures(result)
+    result = compare_waters.in_surrogate(ROBOT)(controllers.make("paper", ROBOT), plan, lambda k: None)
+    mine, decided = compare_waters.figures(result), figures(result)
     np.testing.assert_array_equal(mine["rmse_after_arrival"], decided["rmse_after_arrival"])
     np.testing.assert_array_equal(mine["rmse_holding"], decided["rmse_last20"])
 
@@ -149,7 +151,7 @@ class MadeUp:
 @pytest.fixture
 def solver(monkeypatch):
     made = type("Fresh", (MadeUp,), {})
-    monkeypatch.setattr(tanks, "Engine", made)
+    monkeypatch.setattr(lbm, "Engine", made)
     return made
 
 
@@ -204,17 +206,17 @@ def test_the_solver_is_asked_again_a_part_of_a_cell_away_and_both_are_kept(tmp_p
         first, again = (run["pd"][KEY] for run in found["by_trial"]["solver"])
         assert 1e-4 < np.abs(np.subtract(first, again)).max() < 0.02, "the fish began a few mm elsewhere"
         swum = [run["pd"][KEY][0] for run in found["by_trial"]["surrogate"]]
-        assert len(set(swum)) == 1 + two_waters.OFTEN and np.ptp(swum) < 0.02, "in the surrogate, too, each time"
+        assert len(set(swum)) == 1 + compare_waters.OFTEN and np.ptp(swum) < 0.02, "in the surrogate, too, each time"
         assert found[KEY]["controllers"][0]["repeats"] == pytest.approx([np.mean(np.subtract(again, first))])
     assert "solver again" in capsys.readouterr().out
 
 
 def test_the_same_water_twice_has_no_gap(solver, tmp_path):
     brains = [controllers.make(name, ROBOT) for name in ("pd", "paper")]
-    plan = two_waters.spread(trials(repeats=1, duration=2.0, speeds=[0.2]))
-    solved = two_waters.in_solver(ROBOT, tmp_path, domain="laptop", slip=1.0, device="cpu", tanks=8)
-    _, a = two_waters.solve(brains, plan, solved, group=8)
-    b = two_waters.swim(brains, plan, two_waters.in_surrogate(ROBOT))
+    plan = compare_waters.spread(trials(repeats=1, duration=2.0, speeds=[0.2]))
+    solved = compare_waters.in_solver(ROBOT, tmp_path, domain="laptop", slip=1.0, device="cpu", tanks=8)
+    _, a = compare_waters.solve(brains, plan, solved, group=8)
+    b = compare_waters.swim(brains, plan, compare_waters.in_surrogate(ROBOT))
     found = rank.judged(KEY, *([{name: figures[KEY] for name, figures in water.items()}] for water in (a, b)))
     assert found["gap_max"] == pytest.approx(0, abs=1e-12), "targets, flows, fish, latencies and noise are the same"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from fishmj import console
-from fishmj.campaign import plan
-from fishmj.campaign.segment import Segment
+from fishmj.campaign.data import plan
+from fishmj.campaign.data.segment import Segment
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.mjcf import load_robot

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
+from fishmj.dynamics import planar_chain
 from fishmj.engines import batch, mjx, planar
 from fishmj.errors import ConfigError, InjectionError, MissingExtra
 from fishmj.flow import Flow, stack
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.inject import inject
-from fishmj.hydro_fit.passive import PlanarWater
-from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.mjcf.model import reference_pose, reference_qpos
+from fishmj.water.injection import inject
+from fishmj.water.planar import PlanarWater
+from fishmj.water.spatial import FreeWater
 
 
 def gait(t, n):
@@ -23,10 +23,10 @@ def gait(t, n):
 
 def closed_form(robot, q, v, attached, seconds, flow, ambient):
     """The reference: rows of (q, v, attached) after every step of the gait."""
-    ch, sw = chain.chain_of(robot), chain.nominal(robot)
+    ch, sw = planar_chain.chain_of(robot), planar_chain.nominal(robot)
     q, v, rows = list(q), list(v), []
     for i in range(round(seconds / ch.dt)):
-        s = chain.step(np, ch, sw, q, v, attached, gait(i * ch.dt, ch.n - 1), flow, ambient)
+        s = planar_chain.step(np, ch, sw, q, v, attached, gait(i * ch.dt, ch.n - 1), flow, ambient)
         q, v, attached = s.q, s.v, s.attached
         rows.append([*q, *v, attached])
     return np.array(rows)
@@ -112,7 +112,7 @@ def test_the_callback_slot_is_guarded():
 def randomised(robot, count):
     """A batch of unequal fish in unequal turbulent flows with busy commands: arguments of `advance`."""
     rng = np.random.default_rng(8)
-    scale = lambda a, r: a * rng.uniform(1 - r, 1 + r, a.shape)  # noqa: E731
+    scale = lambda a, r: a * rng.uniform(1 - r, 1 + r, a.shape)
     p = engines.nominal_params(robot, count)
     p = p._replace(mass=scale(p.mass, 0.1), kp=scale(p.kp, 0.1), kv=scale(p.kv, 0.05), kb=scale(p.kb, 0.05))
     p = p._replace(water=scale(p.water, 0.2))
@@ -254,7 +254,7 @@ def test_free_fish_rights_itself(axis):
 def test_free_fish_conserves_energy_without_drag_to_first_order():
     """Kirchhoff's terms in three dimensions do no work: the energy error of 0.5 s falls with the step."""
     robot, errors = mjcf.load_robot("fish"), []
-    idle = chain.nominal(robot)
+    idle = planar_chain.nominal(robot)
     water_of = idle.water._replace(cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)
     for dt in (0.002, 0.001, 0.0005):
         model, water = mjcf.build(robot, "free"), FreeWater(robot, idle._replace(water=water_of))

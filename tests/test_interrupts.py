@@ -15,7 +15,7 @@ import pytest
 
 from fishmj import console, evaluate, interrupt
 from fishmj.evaluate import __main__ as judge
-from fishmj.hydro_fit.fit.loop import Loop
+from fishmj.hydro_fit.fit.descent import Loop
 
 AT = {"train": 3.0, "gap bench": 5.0, "gap find": 2.0, "evaluate": 1.0, "hydro_fit fit": 4.0}  # s; the campaign's are random
 SLOW = 3.0  # times the 5 s of the campaign: for a busy machine

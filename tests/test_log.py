@@ -11,7 +11,7 @@ from synthetic import whole_trial
 from fishmj import log
 from fishmj.errors import LogError, StoreError, UnknownName
 from fishmj.log import check, toml
-from fishmj.log.archive import HALF_ERROR, narrow
+from fishmj.log.npz_tables import HALF_ERROR, narrow
 
 
 @pytest.fixture

@@ -55,6 +55,6 @@ def test_nothing_is_kept_where_nothing_can_be_written(bare):
 def test_a_second_process_compiles_nothing_again(tmp_path):
     env = {key: value for key, value in os.environ.items() if key != machine_code.JAX}
     env |= {"FISHMJ_CACHE": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    begin = lambda: subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)  # noqa: E731
+    begin = lambda: subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)
     (hits, misses), (hits_again, misses_again) = (map(int, begin().stdout.split()) for _ in range(2))
     assert hits == 0 and misses > 0 and (hits_again, misses_again) == (misses, 0)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fishmj import log
-from fishmj.gap import fetch
 from fishmj.log import importers, regimes, replicates, timebase
 from fishmj.store import sha256
+from fishmj.studies.measured_robots import fetch
 
 ROOT = Path(os.environ.get("FISHMJ_MEASURED", ""))
 pytestmark = pytest.mark.skipif(

@@ -8,11 +8,11 @@ import pytest
 
 from fishmj import mjcf
 from fishmj.calib import read_toml, resolve
+from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.inject import inject
-from fishmj.hydro_fit.passive import PlanarWater, world_matrix
 from fishmj.mjcf.model import ROOTS, personalise, reference_pose, reference_qpos
+from fishmj.water.injection import inject
+from fishmj.water.planar import PlanarWater, world_matrix
 
 ROBOTS = ("fish", "tendon_fish")
 
@@ -39,17 +39,19 @@ def random_state(rng, n):
 def test_chain_mass_matrix_and_bias_equal_mujoco(robot):
     model = mjcf.build(robot)
     data = mujoco.MjData(model)
-    ch, sw = chain.chain_of(robot), chain.nominal(robot)
+    ch, sw = planar_chain.chain_of(robot), planar_chain.nominal(robot)
     rng, dense = np.random.default_rng(1), np.zeros((model.nv, model.nv))
     for _ in range(50):
         q, v = random_state(rng, ch.n)
         data.qpos[:], data.qvel[:] = q, v
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, dense)
-        k = chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
-        np.testing.assert_allclose(world_matrix(ch, q[2], chain.mass_matrix(ch, sw, k, water=False)), dense, rtol=0, atol=1e-12)
-        bias = chain.gather(ch, k, chain.bias_forces(ch, sw, k, water=False))
-        np.testing.assert_allclose(chain.generalised(np, ch, q[2], bias), -data.qfrc_bias, rtol=0, atol=1e-12)
+        k = planar_chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
+        np.testing.assert_allclose(
+            world_matrix(ch, q[2], planar_chain.mass_matrix(ch, sw, k, water=False)), dense, rtol=0, atol=1e-12
+        )
+        bias = planar_chain.gather(ch, k, planar_chain.bias_forces(ch, sw, k, water=False))
+        np.testing.assert_allclose(planar_chain.generalised(np, ch, q[2], bias), -data.qfrc_bias, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", robots(), ids=lambda r: r.name)
@@ -66,8 +68,8 @@ def test_in_water_the_mass_matrix_is_the_chains(robot):
             for _ in range(2):
                 mujoco.mj_forward(model, data)
                 mujoco.mj_fullM(model, data, dense)
-                k = chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
-                np.testing.assert_allclose(world_matrix(ch, q[2], chain.mass_matrix(ch, sw, k)), dense, rtol=0, atol=1e-12)
+                k = planar_chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
+                np.testing.assert_allclose(world_matrix(ch, q[2], planar_chain.mass_matrix(ch, sw, k)), dense, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("root", ROOTS)
@@ -151,14 +153,14 @@ def test_tendon_fish_swims_at_about_its_measured_speeds():
     """
     robot = mjcf.load_robot("tendon_fish")
     seen = read_toml(resolve("tendon_fish"))["measured"]
-    ch, sw = chain.chain_of(robot), chain.nominal(robot)
+    ch, sw = planar_chain.chain_of(robot), planar_chain.nominal(robot)
     for i, real in enumerate(seen["speed"]):
         f, lag = seen["beat_hz"][i], np.radians(seen["fin_lag_deg"][i])
         tail, fin = np.radians(seen["tail_amplitude_deg"][i]), np.radians(seen["fin_amplitude_deg"][i])
         q, v, attached, track = [0.0] * 5, [0.0] * 5, 0.5, []
         for step in range(round(8 / ch.dt)):
             phase = 2 * np.pi * f * step * ch.dt
-            s = chain.step(
+            s = planar_chain.step(
                 np, ch, sw, q, v, attached, [tail * np.sin(phase), fin * np.sin(phase - lag)], [(0.0, 0.0)] * 3, (0.0, 0.0)
             )
             q, v, attached = s.q, s.v, s.attached

@@ -7,15 +7,15 @@ import warp as wp
 
 from fishmj import mjcf
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
-from fishmj.lbm_oracle import audit, delta
-from fishmj.lbm_oracle.body import Body, Water
-from fishmj.lbm_oracle.boundary import slip_here
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import added_mass, virtual_mass
-from fishmj.lbm_oracle.gait import Gait
-from fishmj.lbm_oracle.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
-from fishmj.lbm_oracle.run import Run
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed import delta, momentum_budget
+from fishmj.lbm_oracle.immersed.body import Body, Water
+from fishmj.lbm_oracle.immersed.boundary import slip_here
+from fishmj.lbm_oracle.immersed.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
+from fishmj.lbm_oracle.run.gait import Gait
+from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf.skin import posed, skin
 
 wp.config.quiet = True
@@ -186,7 +186,7 @@ def test_slip_means_the_same_friction_on_every_grid():
 
 
 def test_force_on_the_cells_is_the_force_on_the_markers(bent):
-    cells, markers = audit.exchange(bent[0])
+    cells, markers = momentum_budget.exchange(bent[0])
     np.testing.assert_allclose(cells, markers, atol=2e-6 * np.abs(markers).max())
 
 
@@ -269,8 +269,8 @@ def test_explicit_coupling_of_a_neutral_thin_tailed_fish_diverges_and_says_where
 
 
 def test_implicit_coupling_conserves_momentum_and_needs_the_inside_water():
-    good = audit.drift(beat(pond("cpu"), 1.0))
-    bad = audit.drift(beat(pond("cpu", interior=False), 1.0))
+    good = momentum_budget.drift(beat(pond("cpu"), 1.0))
+    bad = momentum_budget.drift(beat(pond("cpu", interior=False), 1.0))
     assert good < 0.03
     assert bad > 10 * good
 

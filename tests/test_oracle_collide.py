@@ -5,12 +5,12 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from hypothesis import given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from fishmj.lbm_oracle import collide  # noqa: E402
-from fishmj.lbm_oracle.lattice import CS2, VELOCITIES, WEIGHTS, mirrored, opposite, vec6  # noqa: E402
-from fishmj.lbm_oracle.units import Lattice  # noqa: E402
+from fishmj.lbm_oracle.fluid import collide
+from fishmj.lbm_oracle.fluid.lattice import CS2, VELOCITIES, WEIGHTS, mirrored, opposite, vec6
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 
 pytestmark = pytest.mark.oracle
 
@@ -54,7 +54,7 @@ def test_populations_are_the_hermite_series_of_their_moments():
     recursion = np.einsum("a,bc->abc", u, stress) + np.einsum("b,ac->abc", u, stress) + np.einsum("c,ab->abc", u, stress)
     a3 = rho * np.einsum("a,b,c->abc", v, v, v) + recursion
     series = drho + 3 * rho * c @ v + 4.5 * np.einsum("iab,ab->i", np.einsum("ia,ib->iab", c, c) - CS2 * np.eye(3), a2)
-    third = lambda a, b: (c[:, a] ** 2 - CS2) * c[:, b]  # noqa: E731
+    third = lambda a, b: (c[:, a] ** 2 - CS2) * c[:, b]
     for a, b, d in ((0, 1, 2), (0, 2, 1), (1, 0, 2)):  # H_aab with H_ddb, for each b
         for sign in (1, -1):
             h = third(a, b) + sign * third(d, b)

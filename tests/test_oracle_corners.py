@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fishmj.errors import SimDiverged
-from fishmj.lbm_oracle.body import Body
-from fishmj.lbm_oracle.corners import Corners
-from fishmj.lbm_oracle.markers import fish_markers
+from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 
 @pytest.fixture(params=["planar", "free"])

@@ -11,21 +11,21 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj import console  # noqa: E402
-from fishmj.errors import ConfigError, StoreError, UsageError  # noqa: E402
-from fishmj.lbm_oracle import swim  # noqa: E402
-from fishmj.lbm_oracle.cases import same_physics  # noqa: E402
-from fishmj.lbm_oracle.domain import Domain  # noqa: E402
-from fishmj.lbm_oracle.fluid import Fluid  # noqa: E402
-from fishmj.lbm_oracle.record_fields import Recorder  # noqa: E402
-from fishmj.lbm_oracle.run import Run  # noqa: E402
-from fishmj.lbm_oracle.slices import Slice, read_slice, slices_in, write_slice  # noqa: E402
-from fishmj.lbm_oracle.stage import Stage  # noqa: E402
-from fishmj.lbm_oracle.units import Lattice  # noqa: E402
-from fishmj.lbm_oracle.volume import turning, write_box  # noqa: E402
-from fishmj.lbm_oracle.vorticity import plane_of, slice_of  # noqa: E402
-from fishmj.log import read_trial  # noqa: E402
-from fishmj.store import Manifest, write_npz  # noqa: E402
+from fishmj import console
+from fishmj.errors import ConfigError, StoreError, UsageError
+from fishmj.lbm_oracle.cases import same_physics
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.output.record_fields import Recorder
+from fishmj.lbm_oracle.output.slices import Slice, read_slice, slices_in, write_slice
+from fishmj.lbm_oracle.output.vorticity import plane_of, slice_of
+from fishmj.lbm_oracle.output.vtk import turning, write_box
+from fishmj.lbm_oracle.run import swim
+from fishmj.lbm_oracle.run.domain import Domain
+from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.log import read_trial
+from fishmj.store import Manifest, write_npz
 
 pytestmark = pytest.mark.oracle
 wp.config.quiet = True
@@ -186,7 +186,7 @@ def test_a_box_for_paraview_holds_the_field_in_vtks_order_to_eleven_bits(tmp_pat
 
 def test_q_is_positive_in_a_turning_core_and_negative_in_a_strained_one():
     x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), indexing="ij")
-    flat = lambda u, v: np.repeat(np.stack([u, v, 0 * u], -1)[:, :, None], 3, 2)  # noqa: E731
+    flat = lambda u, v: np.repeat(np.stack([u, v, 0 * u], -1)[:, :, None], 3, 2)
     omega, q = turning(flat(-2 * y, 2 * x), 0.25)
     np.testing.assert_allclose(omega, 4, atol=1e-12)
     np.testing.assert_allclose(q, 4, atol=1e-12)  # |W|^2 / 2 = (2^2 + 2^2) / 2

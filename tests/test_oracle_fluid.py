@@ -5,13 +5,13 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.errors import ConfigError  # noqa: E402
-from fishmj.flow import Flow  # noqa: E402
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries, channel  # noqa: E402
-from fishmj.lbm_oracle.domain import Follower, margin, preset  # noqa: E402
-from fishmj.lbm_oracle.fluid import Fluid  # noqa: E402
-from fishmj.lbm_oracle.lattice import VELOCITIES  # noqa: E402
-from fishmj.lbm_oracle.units import Lattice  # noqa: E402
+from fishmj.errors import ConfigError
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries, channel
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.run.domain import Follower, margin, preset
 
 pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
@@ -109,7 +109,7 @@ def test_the_same_start_gives_the_same_bits():
 
 def test_a_restored_fluid_goes_on_bit_for_bit():
     flow = Flow(speed=0.2, direction=1.0, turbulence="default", seed=4)
-    make = lambda: Fluid(WATER, (16, 14, 6), boundaries=channel(sponge=3), flow=flow)  # noqa: E731
+    make = lambda: Fluid(WATER, (16, 14, 6), boundaries=channel(sponge=3), flow=flow)
     water, other = make(), make()
     water.run(7)
     water.shift((1, -1, 0))
@@ -195,7 +195,7 @@ def test_the_background_is_the_flow_that_every_water_sees(turbulence):
 def test_a_window_that_moves_sees_the_same_water():
     """A vortex in a stream: the window that follows and the one that stays agree where both look."""
     flow = Flow(speed=0.2, turbulence="none")
-    make = lambda: Fluid(WATER, (48, 40, 4), boundaries=channel(sponge=6), flow=flow)  # noqa: E731
+    make = lambda: Fluid(WATER, (48, 40, 4), boundaries=channel(sponge=6), flow=flow)
     stays, moves = make(), make()
     x, y = np.meshgrid(np.arange(48) - 22.0, np.arange(40) - 19.5, indexing="ij")
     u = np.zeros((48, 40, 4, 3))

@@ -7,15 +7,17 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj import console  # noqa: E402
-from fishmj.errors import ConfigError, OracleUnstable, UnknownName  # noqa: E402
-from fishmj.lbm_oracle import __main__ as verbs  # noqa: E402
-from fishmj.lbm_oracle import cases, converge, guard, ladder  # noqa: E402
-from fishmj.lbm_oracle.boundaries import PERIODIC, Axis, Boundaries  # noqa: E402
-from fishmj.lbm_oracle.device import device_of  # noqa: E402
-from fishmj.lbm_oracle.domain import preset  # noqa: E402
-from fishmj.lbm_oracle.fluid import Fluid  # noqa: E402
-from fishmj.lbm_oracle.units import Lattice  # noqa: E402
+from fishmj import console
+from fishmj.errors import ConfigError, OracleUnstable, UnknownName
+from fishmj.lbm_oracle import __main__ as verbs
+from fishmj.lbm_oracle import cases
+from fishmj.lbm_oracle.cases import converge, validate
+from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.run import stability
+from fishmj.lbm_oracle.run.domain import preset
 
 pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
@@ -24,21 +26,21 @@ ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
 def test_fault_8_an_unstable_oracle_is_refused_with_the_set_up_that_would_pass():
     domain = preset("paper")
     with pytest.raises(OracleUnstable, match=r"Mach 0.35 at 1 m/s .* dt = 0.003333 s") as error:
-        guard.check(domain, speed=1.0)
+        stability.check(domain, speed=1.0)
     assert error.value.limit == "mach" and {line.what for line in error.value.figures} >= {"tau", "cells", "memory"}
-    guard.check(domain.changed(dx=0.02, dt=0.02 / 6), speed=1.0)
+    stability.check(domain.changed(dx=0.02, dt=0.02 / 6), speed=1.0)
     with pytest.raises(OracleUnstable, match="tau = 0.50003"):
-        guard.check(domain, speed=0.3, subgrid="none")
+        stability.check(domain, speed=0.3, subgrid="none")
     with pytest.raises(OracleUnstable, match="Space them by 0.02 m"):
-        guard.check(domain, speed=0.3, spacing=0.05)
+        stability.check(domain, speed=0.3, spacing=0.05)
     with pytest.raises(OracleUnstable, match="2.0 cells from a face"):
-        guard.check(domain, speed=0.3, clearance=2.0)
-    assert guard.check(domain, speed=0.3) == [] and "Mach 0.17" in guard.check(domain, speed=0.5)[0]
+        stability.check(domain, speed=0.3, clearance=2.0)
+    assert stability.check(domain, speed=0.3) == [] and "Mach 0.17" in stability.check(domain, speed=0.5)[0]
 
 
 @pytest.mark.parametrize("spoil, limit", [(np.nan, "lost"), (0.5, "speed")])
 def test_fault_9_the_watch_stops_a_fluid_that_blows_up(spoil, limit):
-    water, watch = Fluid(ONE, (12, 10, 8), subgrid="none"), guard.Watch()
+    water, watch = Fluid(ONE, (12, 10, 8), subgrid="none"), stability.Watch()
     water.impose(np.full((12, 10, 8, 3), 0.01))
     water.run(50)
     assert watch.after_step(water) and watch.fastest > 0
@@ -98,7 +100,7 @@ def test_known_answers_of_the_fluid(name):
 def test_a_missed_check_exits_with_one(monkeypatch, capsys):
     wrong = cases.Case("wrong", 0, "none", "none", True, lambda device: [cases.below("nan", float("nan"), 1.0)])
     monkeypatch.setattr(cases, "known", lambda: {"wrong": wrong})
-    assert ladder.main(["wrong", "--json"]) == console.FAILED_CHECK
+    assert validate.main(["wrong", "--json"]) == console.FAILED_CHECK
     assert '"verdict": "MISS"' in capsys.readouterr().out
 
 
@@ -109,6 +111,6 @@ def test_the_convergence_command_finds_second_order(capsys):
 
 def test_unknown_cases_and_verbs_are_named():
     with pytest.raises(UnknownName, match="poiseuille"):
-        ladder.main(["poisseuille"])
+        validate.main(["poisseuille"])
     with pytest.raises(UnknownName, match="cases"):
         verbs.main(["case"])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.domain import preset
-from fishmj.lbm_oracle.inside import Points
-from fishmj.lbm_oracle.stage import Stage
+from fishmj.lbm_oracle.immersed.interior import Points
+from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.setup import Stage
 from fishmj.mjcf import geometry_of, load_robot
 
 SMALL = preset("laptop").changed(depth=0.4)

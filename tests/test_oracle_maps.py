@@ -8,12 +8,13 @@ import pytest
 from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, StoreError, UsageError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle import drift, forcemap, tracers
-from fishmj.lbm_oracle.averages import average
-from fishmj.lbm_oracle.domain import Domain
-from fishmj.lbm_oracle.force_points import Plan, Point, Table, loads, measure
-from fishmj.lbm_oracle.run import LeftDomain, Run
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.output.block_average import average
+from fishmj.lbm_oracle.run.domain import Domain
+from fishmj.lbm_oracle.run.run import LeftDomain, Run
+from fishmj.studies.drifters import drift, tracers
+from fishmj.studies.force_maps import forcemap
+from fishmj.studies.force_maps.force_points import Plan, Point, Table, loads, measure
 
 TINY = Domain(name="tiny", shape=(56, 44, 16), dx=0.02, dt=0.004, sponge=4)
 PLAN = Plan(settle=0.4, seconds=0.6, length=0.5)
@@ -161,7 +162,7 @@ def test_a_marker_in_rigid_rotation_goes_round_and_turns_with_the_water():
 
 
 def test_shear_turns_a_marker_with_half_its_vorticity():
-    shear = lambda p: np.stack([0.3 - 0.4 * p[:, 1], 0 * p[:, 0], 0 * p[:, 0]], -1)  # noqa: E731
+    shear = lambda p: np.stack([0.3 - 0.4 * p[:, 1], 0 * p[:, 0], 0 * p[:, 0]], -1)
     assert tracers.spin(shear, np.array([[0.1, 0.2, 0.0]]), 0.05)[0] == pytest.approx(0.2)
 
 

@@ -5,19 +5,19 @@ import pytest
 import warp as wp
 
 from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
-from fishmj.lbm_oracle import state
-from fishmj.lbm_oracle.ball import ball
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
-from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.domain import Domain
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.gait import Gait
-from fishmj.lbm_oracle.markers import sphere_markers
-from fishmj.lbm_oracle.run import LeftDomain, Run
-from fishmj.lbm_oracle.stage import Stage
-from fishmj.lbm_oracle.substep import checkpoint
-from fishmj.lbm_oracle.tanks import Tanks
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed import snapshot
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.free_sphere import ball
+from fishmj.lbm_oracle.immersed.markers import sphere_markers
+from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.domain import Domain
+from fishmj.lbm_oracle.run.gait import Gait
+from fishmj.lbm_oracle.run.run import LeftDomain, Run
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.time_refinement import checkpoint
 from fishmj.log import read_trial, write_trial
 
 wp.config.quiet = True
@@ -29,22 +29,22 @@ wp.config.quiet = True
 def test_a_restored_run_continues_to_the_bit(tmp_path):
     one = pond("cpu")
     beat(one, 0.1, every=1000)
-    path = state.save(tmp_path / "here.safetensors", one, why="test")
+    path = snapshot.save(tmp_path / "here.safetensors", one, why="test")
     beat(one, 0.1, every=1000)
     two = pond("cpu")
-    assert state.load(path, two)["why"] == "test"
+    assert snapshot.load(path, two)["why"] == "test"
     beat(two, 0.1, every=1000)
-    for name, value in state.snapshot(one).items():
-        np.testing.assert_array_equal(state.snapshot(two)[name], value, err_msg=name)
+    for name, value in snapshot.snapshot(one).items():
+        np.testing.assert_array_equal(snapshot.snapshot(two)[name], value, err_msg=name)
 
 
 def test_a_state_of_another_grid_or_a_damaged_one_is_refused(tmp_path):
-    path = state.save(tmp_path / "here.safetensors", pond("cpu"))
+    path = snapshot.save(tmp_path / "here.safetensors", pond("cpu"))
     with pytest.raises(ConfigError, match="use its grid"):
-        state.load(path, pond("cpu", dt=0.002))
+        snapshot.load(path, pond("cpu", dt=0.002))
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(StoreError):
-        state.load(path, pond("cpu"))
+        snapshot.load(path, pond("cpu"))
 
 
 def test_a_segment_can_start_from_any_fish_in_developed_water():
@@ -53,7 +53,7 @@ def test_a_segment_can_start_from_any_fish_in_developed_water():
     water = spun.fluid.snapshot()
     fresh = pond("cpu")
     pose, speed = np.array([0.5, 0.3, 1.0, 0.2, 0.1, -0.2]), np.array([0.2, 0.1, 0.0, 0, 0, 0])
-    state.reseed(fresh, pose, speed, water=water)
+    snapshot.reseed(fresh, pose, speed, water=water)
     np.testing.assert_array_equal(fresh.fluid.f.numpy(), water["f"])
     velocity = fresh.step()
     assert np.isfinite(velocity).all()

@@ -4,7 +4,7 @@ import pytest
 
 from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle import speeds
+from fishmj.studies.solver_grid import speeds
 
 CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]
 

@@ -5,15 +5,15 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.flow import Flow  # noqa: E402
-from fishmj.lbm_oracle import collide  # noqa: E402
-from fishmj.lbm_oracle.body import Body  # noqa: E402
-from fishmj.lbm_oracle.boundaries import channel  # noqa: E402
-from fishmj.lbm_oracle.coupling import Coupled  # noqa: E402
-from fishmj.lbm_oracle.fluid import BLEND, Fluid  # noqa: E402
-from fishmj.lbm_oracle.lattice import VELOCITIES, WEIGHTS, vec6  # noqa: E402
-from fishmj.lbm_oracle.markers import fish_markers  # noqa: E402
-from fishmj.lbm_oracle.units import Lattice  # noqa: E402
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid import collide
+from fishmj.lbm_oracle.fluid.domain_faces import channel
+from fishmj.lbm_oracle.fluid.fluid import BLEND, Fluid
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, WEIGHTS, vec6
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 pytestmark = pytest.mark.oracle
 DX, DT = 0.02, 0.004  # the paper's grid
@@ -133,7 +133,7 @@ def collided(f: np.ndarray, slopes: np.ndarray, tau: float, blend: float) -> np.
     mixed = np.einsum("a,bc->abc", u, p)
     a3 = rho * np.einsum("a,b,c->abc", u, u, u) + mixed + mixed.transpose(1, 0, 2) + mixed.transpose(1, 2, 0)
     series = drho + 3 * rho * c @ u + 4.5 * np.einsum("iab,ab->i", np.einsum("ia,ib->iab", c, c) - third, a2)
-    hermite = lambda a, b: (c[:, a] ** 2 - 1 / 3) * c[:, b]  # noqa: E731
+    hermite = lambda a, b: (c[:, a] ** 2 - 1 / 3) * c[:, b]
     for a, b, d in ((0, 1, 2), (0, 2, 1), (1, 0, 2)):
         for sign in (1, -1):
             h = hermite(a, b) + sign * hermite(d, b)

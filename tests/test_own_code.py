@@ -18,7 +18,7 @@ from fishmj.effects.calibration import Fitted, Interval
 from fishmj.engines import own_effects, with_effects
 from fishmj.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.evaluate.__main__ import main as evaluate
-from fishmj.gap.plant import main as plant
+from fishmj.gap.commands.hide import main as plant
 from fishmj.log import read_trial, write_dataset
 from fishmj.mjcf.description import load_robot
 from fishmj.tasks.course import Launch
@@ -303,7 +303,7 @@ def test_the_own_task_is_one_definition_for_numpy_and_jax(line):
 def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
     from fishmj.policy import Policy
     from fishmj.train.__main__ import options, settings_from
-    from fishmj.train.learner import algorithm, environment
+    from fishmj.train.build import algorithm, environment
     from fishmj.train.run import Run
     from fishmj.train.settings import change
 
@@ -342,7 +342,7 @@ def test_a_wrong_algorithm_is_one_line_before_it_trains(monkeypatch, change, sai
 
     import jax
 
-    from fishmj.train.learner import algorithm
+    from fishmj.train.build import algorithm
     from fishmj.train.settings import change as changed
     from fishmj.train.settings import preset
 
@@ -368,14 +368,14 @@ def test_effects_of_the_catalogue_pass_the_check_of_own_effects():
 
 
 def test_an_own_effect_joins_the_catalogue_and_acts_in_the_engines(catalogue):
-    from fishmj.gap.plants.fish import Fish
+    from fishmj.gap.models.swimming_fish import Fish
     from fishmj.sim import Sim
 
     (weed,) = own_effects.join([f"{EXAMPLE}:WEED"])
     assert effects.get("weed") is weed and own_effects.join([f"{EXAMPLE}:WEED"]) == [weed]
     robot = with_effects(load_robot("fish"), ["weed"])
     grown = type(robot)(**{**vars(robot), "effects": (Fitted("weed", {"drag": Interval(15.0, 15.0, 15.0)}),)})
-    wave = lambda t: 0.4 * np.sin(2 * np.pi * t - np.array([0.0, 1.0, 2.0]))  # noqa: E731
+    wave = lambda t: 0.4 * np.sin(2 * np.pi * t - np.array([0.0, 1.0, 2.0]))
     plain, null, slow = (Sim(r).run(wave, 3.0).table("truth")["x"] for r in (load_robot("fish"), robot, grown))
     np.testing.assert_allclose(null, plain, atol=1e-6)
     assert abs(slow[-1]) < 0.9 * abs(plain[-1])
@@ -464,15 +464,23 @@ def test_an_own_effect_on_sensors_is_put_onto_logs_and_one_before_them_is_not(tm
 
 
 @pytest.mark.parametrize(
-    "verb", ["evaluate.__main__", "train.__main__", "gap.find", "gap.apply", "gap.check", "gap.next_experiment"]
+    "verb",
+    [
+        "evaluate.__main__",
+        "train.__main__",
+        "gap.commands.find",
+        "gap.commands.apply",
+        "gap.commands.check",
+        "gap.commands.next_experiment",
+    ],
 )
 def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, capsys):
     needed = {
         "evaluate.__main__": ["pd"],
-        "gap.find": ["D"],
-        "gap.apply": ["R"],
-        "gap.check": ["M", "--data", "D"],
-        "gap.next_experiment": ["R"],
+        "gap.commands.find": ["D"],
+        "gap.commands.apply": ["R"],
+        "gap.commands.check": ["M", "--data", "D"],
+        "gap.commands.next_experiment": ["R"],
     }
     main = importlib.import_module(f"fishmj.{verb}").main
     assert "no module 'nowhere_9'" in refused(main, [*needed.get(verb, []), "--effects", "nowhere_9:X"], capsys)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
+from fishmj.dynamics import planar_chain
 from fishmj.engines import planar
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow, stack
-from fishmj.hydro_fit import chain
 from fishmj.mjcf.model import reference_qpos
 
 ROBOT = mjcf.load_robot("fish")
@@ -87,7 +87,7 @@ def test_jax_sees_the_same_arrivals():
 @pytest.mark.parametrize("name", ["fish", "tendon_fish"])
 def test_link_centres_are_where_mujoco_has_them(name):
     robot = mjcf.load_robot(name)
-    model, ch = mjcf.build(robot), chain.chain_of(robot)
+    model, ch = mjcf.build(robot), planar_chain.chain_of(robot)
     data, rng = mujoco.MjData(model), np.random.default_rng(2)
     for _ in range(20):
         q = np.concatenate([rng.uniform(-2, 2, 2), rng.uniform(-3, 3, 1), rng.uniform(-1, 1, robot.n_joints)])

@@ -109,7 +109,7 @@ def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
     pond.step()
     before = log.stacked(pond.trial().tables["flow"], "u#x")[-1] + 0.2
     from fishmj.flow import sample
-    from fishmj.play.pond import _centres
+    from fishmj.play.live_session import _centres
 
     pond.set_flow(0.2 + 1e-9, math.pi)
     tick = np.array([pond.count * 10])

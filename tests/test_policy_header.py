@@ -62,7 +62,7 @@ def longer(factor: float):
 
 
 def test_training_writes_the_whole_header():
-    from fishmj.train.learner import policy_of
+    from fishmj.train.build import policy_of
     from fishmj.train.settings import preset
 
     actor = [(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))]

@@ -22,8 +22,8 @@ from fishmj.mjcf.identity import identity
 from fishmj.mjcf.skin import posed, skin
 from fishmj.replay import track, write_html, write_mp4, write_png
 from fishmj.replay.__main__ import main
-from fishmj.replay.film import TopView
 from fishmj.replay.scene import robot_of, unlike
+from fishmj.replay.video import TopView
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ from test_replay import data_of, needs_browser, visit
 
 from fishmj import log
 from fishmj.errors import ConfigError, StoreError
-from fishmj.lbm_oracle.slices import INDEX, SCHEMA, Slice, write_slice
+from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, Slice, write_slice
 from fishmj.mjcf import load_robot
 from fishmj.replay import track, write_html
 from fishmj.replay.__main__ import main
-from fishmj.replay.film import TopView
+from fishmj.replay.video import TopView
 from fishmj.replay.wake import colours, page_data, read_wake, strongest
 from fishmj.store import write_json
 
@@ -110,7 +110,7 @@ def test_a_film_draws_the_streaks_beside_the_fish(trial, folder):
     plain = TopView([trial], size=(640, 560))
     for time in (0.4, 2.6):
         image, q = view.frame(time).astype(int), view.tracks[0].q[round(time * 50)]
-        at = lambda side, image=image, q=q: image[tuple(np.round(view.view.pixel(q[:2] + [0.05, side])).astype(int)[::-1])]  # noqa: E731
+        at = lambda side, image=image, q=q: image[tuple(np.round(view.view.pixel(q[:2] + [0.05, side])).astype(int)[::-1])]
         assert at(SIDE)[2] > 180 > 100 > at(SIDE)[0] and at(-SIDE)[0] > 180 > 120 > at(-SIDE)[2]  # BGR
         assert np.abs(image - plain.frame(time)).max() > 100
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.hydro_fit import chain
+from fishmj.dynamics import planar_chain
 from fishmj.mjcf.model import build_spec
 from fishmj.sim import bus_command
 
@@ -17,14 +17,14 @@ def servo_in_air(robot):
     """The built fish, in air, as (step(target) -> (angle, torque, power) of every joint)."""
     model = mjcf.build(robot)
     model.opt.timestep = DT
-    data, sw = mujoco.MjData(model), chain.nominal(robot)
+    data, sw = mujoco.MjData(model), planar_chain.nominal(robot)
 
     def step(target):
         v = data.qvel.copy()
         data.ctrl[:] = target
         mujoco.mj_step(model, data)
         drive = data.actuator_force.copy()
-        return data.qpos[3:].copy(), drive - sw.kb * v[3:], chain.electrical_power(np, sw, v, drive)
+        return data.qpos[3:].copy(), drive - sw.kb * v[3:], planar_chain.electrical_power(np, sw, v, drive)
 
     return step, data
 
@@ -136,7 +136,7 @@ def test_bus_command_is_quantised_and_clamped():
 def test_power_formula_is_voltage_times_current():
     """P = V i with V = drive R / K, i = (V - K w) / R, K^2 / R = kb; braking gives nothing back."""
     servo = mjcf.load_robot("fish").servo
-    sw = chain.nominal(mjcf.load_robot("fish"))
+    sw = planar_chain.nominal(mjcf.load_robot("fish"))
     kb = servo.kb
     rng = np.random.default_rng(0)
     for drive, rate in rng.normal(size=(50, 2)) * [1.0, 3.0]:
@@ -144,6 +144,6 @@ def test_power_formula_is_voltage_times_current():
         resistance = constant**2 / kb
         volt = drive * resistance / constant
         expected = max(volt * (volt - constant * rate) / resistance, 0.0)
-        power = chain.electrical_power(np, sw, [0, 0, 0, rate, 0, 0], [drive, 0.0, 0.0])
+        power = planar_chain.electrical_power(np, sw, [0, 0, 0, rate, 0, 0], [drive, 0.0, 0.0])
         assert power == pytest.approx(expected, rel=1e-9, abs=1e-12)
     assert kb == pytest.approx(servo.constant**2 / servo.resistance, rel=2e-3)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
+from fishmj.dynamics import planar_chain
 from fishmj.engines import planar
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow, stack
-from fishmj.hydro_fit import chain
 from fishmj.log import read_trial, stacked, write_trial
 from fishmj.sim import WATERS, Sim, bus_command
 
@@ -22,14 +22,14 @@ def odd_fish(robot):
     """One randomised fish as (FishParams of one, Swimmer)."""
     rng = np.random.default_rng(5)
     p = engines.nominal_params(robot, 1)
-    scale = lambda a: a * rng.uniform(0.9, 1.1, a.shape)  # noqa: E731
+    scale = lambda a: a * rng.uniform(0.9, 1.1, a.shape)
     p = p._replace(mass=scale(p.mass), kp=scale(p.kp), kv=scale(p.kv), kb=scale(p.kb), water=scale(p.water))
     p = p._replace(zero=rng.uniform(-0.08, 0.08, p.zero.shape), delay=np.array([13], np.int32))
-    one = lambda a: [float(x) for x in a[0]]  # noqa: E731
+    one = lambda a: [float(x) for x in a[0]]
     n = len(robot.links)
     w = one(p.water)
-    water = chain.terms.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
-    return p, chain.Swimmer(*(one(a) for a in p[:5]), water)
+    water = planar_chain.terms.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
+    return p, planar_chain.Swimmer(*(one(a) for a in p[:5]), water)
 
 
 @pytest.mark.parametrize("turbulence", ["default", "gust"])

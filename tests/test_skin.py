@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fishmj.hydro_fit import chain
+from fishmj.dynamics import planar_chain
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.skin import posed, skin
 
@@ -47,12 +47,12 @@ def test_bending_keeps_the_volume(robot):
 
 
 def test_nose_and_tail_tip_move_with_their_links(robot):
-    g, ch = geometry_of(robot), chain.chain_of(robot)
+    g, ch = geometry_of(robot), planar_chain.chain_of(robot)
     s = skin(robot, details=False)
     rng = np.random.default_rng(0)
     for _ in range(5):
         q = np.concatenate([rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)])
-        links = chain.kinematics(np, ch, list(q), [0.0] * 6, [(0.0, 0.0)] * 4)
+        links = planar_chain.kinematics(np, ch, list(q), [0.0] * 6, [(0.0, 0.0)] * 4)
         c, sn = np.cos(q[2]), np.sin(q[2])
         origin = np.zeros(2)
         for i in range(3):

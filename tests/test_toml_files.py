@@ -8,10 +8,10 @@ import pytest
 from fishmj.calib import read_toml, resolve
 from fishmj.effects import calibration
 from fishmj.errors import FishmjError, UnknownName
-from fishmj.hydro_fit.model import HydroModel
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.toml import dumps
 from fishmj.mjcf import load_robot
+from fishmj.water.model import HydroModel
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -17,9 +17,9 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.policy import Policy
 from fishmj.store import write_json
 from fishmj.tasks.env import Options, StationHold
-from fishmj.train import together
+from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
-from fishmj.train.learner import policy_of
+from fishmj.train.build import policy_of
 from fishmj.train.networks import mlp
 from fishmj.train.run import Run, go_on, is_better, learner_of
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
@@ -74,7 +74,7 @@ def test_an_assessment_is_finite_and_the_same_each_time(learner):
 
 
 def test_the_best_policy_is_the_one_that_stays_and_then_the_one_that_holds():
-    made = lambda stayed, rmse: {"stayed": stayed, "rmse_last10": rmse}  # noqa: E731
+    made = lambda stayed, rmse: {"stayed": stayed, "rmse_last10": rmse}
     assert is_better(made(0.1, 2.0), None)
     assert is_better(made(0.9, 0.5), made(0.8, 0.1)) and not is_better(made(0.8, 0.1), made(0.9, 0.5))
     assert is_better(made(0.992, 0.04), made(1.0, 0.05)) and not is_better(made(1.0, 0.05), made(0.992, 0.04))
@@ -139,7 +139,7 @@ def test_a_resumed_run_reads_its_own_settings(tmp_path, capsys):
     """Nothing is said again but where it is; what is said again and differs is refused with both values."""
     out, n = str(tmp_path / "run"), 2048
     small = ["--preset", "quick", "--engine", "compiled", "--hidden", "8", "--envs", "64", "--memory", "2", "--seed", "3"]
-    run = lambda *argv: console.run(main, ["--out", out, *argv, "--json"])  # noqa: E731
+    run = lambda *argv: console.run(main, ["--out", out, *argv, "--json"])
     assert run(*small, "--steps", str(n)) == 0
     for line, said in (
         ("--envs 32", "algorithm.envs = 32, the run has 64"),
@@ -182,15 +182,15 @@ def test_a_training_of_one_iteration_shows_its_rate_at_its_end():
 def test_seeds_trained_together_are_the_seeds_trained_alone(learner, tmp_path, monkeypatch):
     """Two iterations and an assessment of two seeds side by side, then each by itself."""
     settings, n = calm_run(assess_every=2 * 8192), 2 * 8192
-    monkeypatch.setattr(together, "learner_of", lambda settings: learner)
-    judge = together.Lane.judge
+    monkeypatch.setattr(multi_seed, "learner_of", lambda settings: learner)
+    judge = multi_seed.Lane.judge
 
     def judge_and_stop(lane, *args):
         judge(lane, *args)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(together.Lane, "judge", judge_and_stop)
-    found = together.train_together(settings, [0, 3], tmp_path / "both")
+    monkeypatch.setattr(multi_seed.Lane, "judge", judge_and_stop)
+    found = multi_seed.train_together(settings, [0, 3], tmp_path / "both")
     for seed, one in zip((0, 3), found, strict=True):
         alone = StopAt(change(settings, seed=seed), tmp_path / f"{seed}", n, learner=learner)
         made = alone.go()

@@ -108,8 +108,8 @@ def test_sac_critic_loss_is_the_squared_distance_to_the_bellman_target(ended):
     obs, ahead = rng.normal(size=(2, 1, 7)).astype(np.float32)
     memory = sac.Memory(obs, np.array([[0.7]], np.float32), np.array([1.5]), ahead, np.array([ended]), jnp.int32(1), jnp.int32(0))
     targets = jax.tree.map(lambda a: a + 0.1, t.critics)
-    relu = lambda x: np.maximum(x, 0)  # noqa: E731
-    q = lambda critics, i, s, a: numpy_mlp([(w[i], b[i]) for w, b in critics], np.append(s, a)[None], relu)[0, 0]  # noqa: E731
+    relu = lambda x: np.maximum(x, 0)
+    q = lambda critics, i, s, a: numpy_mlp([(w[i], b[i]) for w, b in critics], np.append(s, a)[None], relu)[0, 0]
     y = 1.5 + 0.99 * (1 - ended) * min(q(targets, i, ahead, np.tanh(0.4)) for i in (0, 1))
     expected = sum((q(t.critics, i, obs, 0.7) - y) ** 2 for i in (0, 1))
     carry = (actor, t.critics, targets, jnp.float32(-40.0), t.optimisers)
@@ -138,7 +138,7 @@ def test_learners_find_the_way_to_zero(make):
     learner = make()
     t, x = learner.init(jax.random.key(0)), np.linspace(-1, 1, 21)
     best = np.clip(-x / 0.3, -1, 1)
-    miss = lambda t: np.abs(learner.act(t.actor, Point().see(jnp.asarray(x)))[:, 0] - best).mean()  # noqa: E731
+    miss = lambda t: np.abs(learner.act(t.actor, Point().see(jnp.asarray(x)))[:, 0] - best).mean()
     before = miss(t)
     for _ in range(4000 // learner.steps_per_iteration):
         t, _ = learner.iterate(t)

@@ -13,7 +13,7 @@ from fishmj.gym.vector import FishVectorEnv
 from fishmj.policy import Policy
 from fishmj.store import read_tensors
 from fishmj.train.__main__ import main
-from fishmj.train.learner import policy_of
+from fishmj.train.build import policy_of
 from fishmj.train.networks import scale
 from fishmj.train.settings import Settings
 
@@ -98,7 +98,7 @@ def test_dropped_steps_never_reach_the_replay_memory():
 
     memory = SoundReplay(40, Box(-1, 1, (2,)), Box(-1, 1, (1,)), device="cpu", n_envs=4)
     number = np.arange(4.0)
-    rows = lambda lost: (  # noqa: E731
+    rows = lambda lost: (
         *(np.tile(number[:, None], (1, k)) for k in (2, 2, 1)), number, np.zeros(4), [{"diverged": i in lost} for i in range(4)],
     )  # fmt: skip
     memory.add(*rows([0, 2]))

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fishmj import mjcf
+from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import ConfigError
-from fishmj.hydro_fit import chain, terms
 
 ROBOT = mjcf.load_robot("fish")
-CHAIN = chain.chain_of(ROBOT)
-NOMINAL = chain.nominal(ROBOT)
+CHAIN = planar_chain.chain_of(ROBOT)
+NOMINAL = planar_chain.nominal(ROBOT)
 N = CHAIN.n
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -45,24 +45,24 @@ def draw_coefficients(rng):
 
 def generalised_water(water, q, v, attached, flow, ambient, parts=None):
     """Generalised explicit water force over (x, y, psi, j), component list; `parts` picks some of the terms."""
-    k = chain.kinematics(np, CHAIN, q, v, flow)
+    k = planar_chain.kinematics(np, CHAIN, q, v, flow)
     sw = NOMINAL._replace(water=water)
     if parts is None:
-        forces = chain.water_forces(np, CHAIN, sw, k, q[2], ambient, attached)
+        forces = planar_chain.water_forces(np, CHAIN, sw, k, q[2], ambient, attached)
     else:
         forces = [parts(i, k.u[i], k.w[i], k.omega[i], attached) for i in range(N)]
-    return chain.generalised(np, CHAIN, q[2], chain.gather(CHAIN, k, forces))
+    return planar_chain.generalised(np, CHAIN, q[2], planar_chain.gather(CHAIN, k, forces))
 
 
 def dissipative(water):
     """Drag, head form and trailing edge of each link."""
 
     def parts(i, u, w, omega, attached):
-        out = [terms.resistive(np, CHAIN.strips, water, i, u, w, omega)]
+        out = [strip_forces.resistive(np, CHAIN.strips, water, i, u, w, omega)]
         if i == 0:
-            out.append((terms.head_form(np, CHAIN.strips, water, u), 0.0, 0.0))
+            out.append((strip_forces.head_form(np, CHAIN.strips, water, u), 0.0, 0.0))
         if i == N - 1:
-            out.append(terms.trailing_edge(np, CHAIN.strips, water, u, w, omega, attached))
+            out.append(strip_forces.trailing_edge(np, CHAIN.strips, water, u, w, omega, attached))
         return tuple(sum(c) for c in zip(*out, strict=True))
 
     return parts
@@ -87,30 +87,30 @@ def test_reactive_part_does_no_net_work(seed):
     With Q = -M_a a + Q_r: power Q_r v + d/dt(v M_a v)/2 - v M_a a = v dM_a/dt v / 2 + Q_r v must vanish.
     """
     q, v, _, _, _ = states(seed, 20)
-    k = chain.kinematics(np, CHAIN, q, v, [(0.0, 0.0)] * N)
-    parts = lambda i, u, w, omega, x: tuple(  # noqa: E731
-        a + b for a, b in zip(terms.reactive(CHAIN.strips, NOMINAL.water, i, u, w, omega), bias[i], strict=True)
+    k = planar_chain.kinematics(np, CHAIN, q, v, [(0.0, 0.0)] * N)
+    parts = lambda i, u, w, omega, x: tuple(
+        a + b for a, b in zip(strip_forces.reactive(CHAIN.strips, NOMINAL.water, i, u, w, omega), bias[i], strict=True)
     )
-    bias = chain.bias_forces(CHAIN, NOMINAL, k, rigid=False)
+    bias = planar_chain.bias_forces(CHAIN, NOMINAL, k, rigid=False)
     force = generalised_water(NOMINAL.water, q, v, None, [(0.0, 0.0)] * N, None, parts)
     power = sum(f * r for f, r in zip(force, v, strict=True))
 
     def energy(q):
-        k = chain.kinematics(np, CHAIN, q, v, [(0.0, 0.0)] * N)
-        m = chain.mass_matrix(CHAIN, NOMINAL, k, rigid=False)
+        k = planar_chain.kinematics(np, CHAIN, q, v, [(0.0, 0.0)] * N)
+        m = planar_chain.mass_matrix(CHAIN, NOMINAL, k, rigid=False)
         c, s = np.cos(q[2]), np.sin(q[2])
         head = [c * v[0] + s * v[1], c * v[1] - s * v[0], *np.cumsum(np.stack(v[2:]), 0)]
         return sum(m[max(r, j)][min(r, j)] * head[r] * head[j] for r in range(N + 2) for j in range(N + 2)) / 2
 
     eps = 1e-6
-    shift = lambda sign: [a + sign * eps * b for a, b in zip(q, v, strict=True)]  # noqa: E731
+    shift = lambda sign: [a + sign * eps * b for a, b in zip(q, v, strict=True)]
     rate = (energy(shift(1)) - energy(shift(-1))) / (2 * eps)  # v dM_a/dt v / 2
     np.testing.assert_allclose(power + rate, 0, atol=1e-6 * (1 + np.abs(rate).max()))
 
 
 def step(q, v, attached, target, flow, ambient, xp=np, dt=None):
     ch = CHAIN if dt is None else CHAIN._replace(dt=dt)
-    return chain.step(xp, ch, NOMINAL, q, v, attached, target, flow, ambient)
+    return planar_chain.step(xp, ch, NOMINAL, q, v, attached, target, flow, ambient)
 
 
 def targets(seed, count):
@@ -134,7 +134,7 @@ def test_rotation_invariance(seed):
     """Turning tank, flow and fish together turns the result."""
     q, v, attached, flow, ambient = states(seed, 8)
     t, angle = targets(seed, 8), np.random.default_rng([seed, 3]).uniform(-np.pi, np.pi)
-    turn = lambda a: (np.cos(angle) * a[0] - np.sin(angle) * a[1], np.sin(angle) * a[0] + np.cos(angle) * a[1])  # noqa: E731
+    turn = lambda a: (np.cos(angle) * a[0] - np.sin(angle) * a[1], np.sin(angle) * a[0] + np.cos(angle) * a[1])
     one = step(q, v, attached, t, flow, ambient)
     two = step([*turn(q), q[2] + angle, *q[3:]], [*turn(v), *v[2:]], attached, t, [turn(f) for f in flow], turn(ambient))
     np.testing.assert_allclose(two.v, [*turn(one.v), *one.v[2:]], rtol=0, atol=1e-10)
@@ -146,7 +146,7 @@ def test_rotation_invariance(seed):
 def test_mirrored_fish_mirrors_its_force(seed):
     q, v, attached, flow, ambient = states(seed, 8)
     t = targets(seed, 8)
-    flip = lambda a: [a[0], -a[1], *(-x for x in a[2:])]  # noqa: E731
+    flip = lambda a: [a[0], -a[1], *(-x for x in a[2:])]
     one = step(q, v, attached, t, flow, ambient)
     two = step(flip(q), flip(v), attached, [-x for x in t], [flip(f) for f in flow], flip(ambient))
     for name in ("q", "v", "applied"):
@@ -221,28 +221,28 @@ def test_energy_never_grows_without_servos(seed):
     ch, x, last = CHAIN._replace(dt=2.5e-4), attached[0], np.inf
     for i in range(200):
         if i % 20 == 0:
-            k = chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * N)
-            m = chain.mass_matrix(ch, limp, k)
+            k = planar_chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * N)
+            m = planar_chain.mass_matrix(ch, limp, k)
             c, s = np.cos(q[2]), np.sin(q[2])
             head = [c * v[0] + s * v[1], c * v[1] - s * v[0], *np.cumsum(v[2:])]
             energy = sum(m[max(r, j)][min(r, j)] * head[r] * head[j] for r in range(N + 2) for j in range(N + 2)) / 2
             assert energy < last * (1 + 1e-3)
             last = energy
-        s = chain.step(np, ch, limp, q, v, x, [0.0] * 3, [(0.0, 0.0)] * N, (0.0, 0.0))
+        s = planar_chain.step(np, ch, limp, q, v, x, [0.0] * 3, [(0.0, 0.0)] * N, (0.0, 0.0))
         q, v, x = s.q, s.v, s.attached
 
 
 @given(SEEDS)
 def test_attachment_stays_between_stalled_and_attached(seed):
     q, v, attached, flow, _ = states(seed, 50)
-    k = chain.kinematics(np, CHAIN, q, v, flow)
+    k = planar_chain.kinematics(np, CHAIN, q, v, flow)
     for dt in (0.004, 1.0):
-        x = terms.attachment(np, CHAIN.strips, NOMINAL.water, k.u[-1], k.w[-1], k.omega[-1], attached, dt)
+        x = strip_forces.attachment(np, CHAIN.strips, NOMINAL.water, k.u[-1], k.w[-1], k.omega[-1], attached, dt)
         assert (x >= 0).all() and (x <= 1).all()
 
 
 def test_coefficients_that_feed_energy_are_refused():
     with pytest.raises(ConfigError, match="can feed energy"):
-        terms.coefficients(dict(ROBOT.water, lift_a=0.1, lift_b=0.2), N)
+        strip_forces.coefficients(dict(ROBOT.water, lift_a=0.1, lift_b=0.2), N)
     with pytest.raises(ConfigError, match="one value a link"):
-        terms.coefficients(dict(ROBOT.water, k=[0.9]), N)
+        strip_forces.coefficients(dict(ROBOT.water, k=[0.9]), N)

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.hydro_fit import chain, passive, terms
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.water import planar
 
 ROOT = Path(__file__).parent.parent
 MANUAL = (ROOT / "docs" / "water.md").read_text(encoding="utf-8")
 ROBOT = mjcf.load_robot("fish")
-CHAIN, FISH = chain.chain_of(ROBOT), chain.nominal(ROBOT)
+CHAIN, FISH = planar_chain.chain_of(ROBOT), planar_chain.nominal(ROBOT)
 STILL = [(0.0, 0.0)] * CHAIN.n
 
 
@@ -33,7 +34,7 @@ def test_the_example_prints_the_figures_of_the_manual(tmp_path):
 
 def test_the_manual_states_every_coefficient_with_its_value():
     stated = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", MANUAL, re.MULTILINE))
-    water = terms.Coefficients._field_defaults | {key: value for key, value in ROBOT.water.items() if key != "model"}
+    water = strip_forces.Coefficients._field_defaults | {key: value for key, value in ROBOT.water.items() if key != "model"}
     assert stated.keys() == water.keys()
     for key, text in stated.items():
         assert [float(n) for n in re.findall(r"\d+\.?\d*", text)] == np.atleast_1d(water[key]).tolist(), key
@@ -47,13 +48,15 @@ def lagged(dt, share=1.0):
     ch, q, v, late = CHAIN._replace(dt=dt), np.zeros(6), np.zeros(6), np.zeros(6)
     joints = np.arange(3, 6)
     for n in range(500):
-        k = chain.kinematics(np, ch, q, v, STILL)
-        drive = chain.servo_drive(np, ch, FISH, q, v, [0.3] * 3)
-        water = chain.water_forces(np, ch, FISH, k, q[2], (0.0, 0.0), 0.5)
-        both = zip(water, chain.bias_forces(ch, FISH, k, water=False), strict=True)
-        force = np.array(chain.generalised(np, ch, q[2], chain.gather(ch, k, [np.add(*pair) for pair in both])))
+        k = planar_chain.kinematics(np, ch, q, v, STILL)
+        drive = planar_chain.servo_drive(np, ch, FISH, q, v, [0.3] * 3)
+        water = planar_chain.water_forces(np, ch, FISH, k, q[2], (0.0, 0.0), 0.5)
+        both = zip(water, planar_chain.bias_forces(ch, FISH, k, water=False), strict=True)
+        force = np.array(planar_chain.generalised(np, ch, q[2], planar_chain.gather(ch, k, [np.add(*pair) for pair in both])))
         force[joints] += drive - np.array(FISH.kb) * v[joints]
-        own, added = (passive.world_matrix(ch, q[2], chain.mass_matrix(ch, FISH, k, rigid=r, water=not r)) for r in (True, False))
+        own, added = (
+            planar.world_matrix(ch, q[2], planar_chain.mass_matrix(ch, FISH, k, rigid=r, water=not r)) for r in (True, False)
+        )
         own[joints, joints] += dt * np.array(FISH.kb)
         late = (1 - share) * late + share * np.linalg.solve(own, force - added @ late)
         v = v + dt * late
@@ -77,9 +80,9 @@ def test_under_relaxation_only_helps_below_the_stability_bound():
 def test_added_mass_is_twenty_times_the_fishs_own_in_some_direction():
     rng, largest = np.random.default_rng(0), []
     for _ in range(300):
-        k = chain.kinematics(np, CHAIN, [0.0, 0.0, 0.0, *rng.uniform(-1.05, 1.05, 3)], [0.0] * 6, STILL)
+        k = planar_chain.kinematics(np, CHAIN, [0.0, 0.0, 0.0, *rng.uniform(-1.05, 1.05, 3)], [0.0] * 6, STILL)
         own, added = (
-            passive.world_matrix(CHAIN, 0.0, chain.mass_matrix(CHAIN, FISH, k, rigid=r, water=not r)) for r in (True, False)
+            planar.world_matrix(CHAIN, 0.0, planar_chain.mass_matrix(CHAIN, FISH, k, rigid=r, water=not r)) for r in (True, False)
         )
         largest.append(np.linalg.eigvals(np.linalg.solve(own, added)).real.max())
     assert 18 < min(largest) and max(largest) < 22.1

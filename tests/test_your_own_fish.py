@@ -10,10 +10,10 @@ from fishmj.errors import ConfigError
 from fishmj.hydro_fit import check
 from fishmj.hydro_fit.__main__ import records_of
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.hydro_fit.model import HydroModel
 from fishmj.mjcf.description import load_robot
-from fishmj.train.learner import robot_for
+from fishmj.train.build import robot_for
 from fishmj.train.settings import change, preset
+from fishmj.water.model import HydroModel
 
 ROOT = Path(__file__).parent.parent
 FISH = load_robot("tendon_fish")

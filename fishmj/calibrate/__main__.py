@@ -82,7 +82,7 @@ def options(verb: str) -> console.Parser:
 
 def score(argv: list[str]) -> int:
     """Fitted numbers against the sealed ones."""
-    from fishmj.campaign import hidden_score
+    from fishmj.studies.hidden_lbm import score as hidden_score
 
     return hidden_score.main(argv)
 
@@ -92,9 +92,9 @@ def drawn(argv: list[str]) -> int:
     from fishmj.calibrate.check import gathered, one
     from fishmj.calibrate.kept import Kept
     from fishmj.calibrate.logs import Logs
-    from fishmj.campaign.hidden_trials import hidden, trials, truth
-    from fishmj.gap.plants.bench import Bench
+    from fishmj.gap.models.test_stand import Bench
     from fishmj.gap.watch import shown
+    from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
 
     about = (
         f"Calibrate robots drawn anew, whose numbers are known: errors and coverage. Those that are done are kept in {CHECKED}"

@@ -3,9 +3,9 @@
 import numpy as np
 
 from fishmj.calibrate import latency, servo
+from fishmj.calibrate.bias import widened
 from fishmj.calibrate.logs import Logs
-from fishmj.calibrate.systematic import widened
-from fishmj.gap.plants.bench import Bench
+from fishmj.gap.models.test_stand import Bench
 
 Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 

@@ -17,8 +17,8 @@ from fishmj.calibrate.least_squares import Estimate
 from fishmj.calibrate.logs import Logs
 from fishmj.calibrate.servo import Found
 from fishmj.errors import LogError
-from fishmj.gap.records import Record
-from fishmj.log.lag import lag_between
+from fishmj.gap.records.records import Record
+from fishmj.log.delay import lag_between
 from fishmj.log.timebase import Audit, audit
 
 SWIMS = ("gait", "gait_slow", "gait_fast", "turn_left")

@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.calib import calib_folder
 from fishmj.errors import LogError
-from fishmj.gap.records import Record, Sensor, record_of
+from fishmj.gap.records.records import Record, Sensor, record_of
 from fishmj.log import Trial
 from fishmj.log.dataset import take
 from fishmj.log.trial import stacked
@@ -39,7 +39,7 @@ class Logs(NamedTuple):
 
     def of(self, medium: str, signals) -> list[str]:
         """Names of the trials of some signals in one medium, repeats together."""
-        wanted = lambda t: t.value("medium", "water") == medium and t.value("excitation", "") in signals  # noqa: E731
+        wanted = lambda t: t.value("medium", "water") == medium and t.value("excitation", "") in signals
         return [name for name, trial in self.trials.items() if wanted(trial)]
 
     def bench(self) -> list[str]:

@@ -57,7 +57,7 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     inertia_sd = inertia * sqrt(scatter**2 + (mass_sd / total) ** 2)
     described = described_as(robot, masses, com)
     extra = inertia - _yaw_inertia(described)
-    repeats = lambda table, key: len(measurements.numbers(page, table, key, path))  # noqa: E731
+    repeats = lambda table, key: len(measurements.numbers(page, table, key, path))
     found = {
         "mass": _estimate("mass", "kg", total, mass_sd, repeats("scales", robot.links[0].name)),
         "com": _estimate("com", "m", com, com_sd, repeats("balance", "at")),

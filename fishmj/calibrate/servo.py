@@ -12,8 +12,8 @@ import numpy as np
 from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, Tick, fit
 from fishmj.calibrate.logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.errors import LogError
-from fishmj.gap.plants.bench import CONSTANTS, Bench
-from fishmj.gap.records import Record
+from fishmj.gap.models.test_stand import CONSTANTS, Bench
+from fishmj.gap.records.records import Record
 from fishmj.gap.watch import Bar, Bars, silent
 
 FREE = ("kp", "kd", "friction", "command_latency")

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import console, interrupt
+from fishmj.calibrate.bias import table
 from fishmj.calibrate.kept import Kept
 from fishmj.calibrate.least_squares import Estimate
-from fishmj.calibrate.systematic import table
 from fishmj.errors import LogError, UnknownName
 from fishmj.log import Trial
 from fishmj.log.trial import Table
@@ -193,7 +193,7 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folde
     from dataclasses import replace
 
     from fishmj import excitation
-    from fishmj.campaign.hidden import jobs, swum, trial_of
+    from fishmj.campaign.hidden_lbm.hidden import jobs, swum, trial_of
     from fishmj.excitation import PERIOD
 
     whats = [excitation.get(name) for name in WINDOW]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.calibrate.overlay import DESIRED, MEASURED, SIMULATED, pyplot_of
+from fishmj.calibrate.fit_plots import DESIRED, MEASURED, SIMULATED, pyplot_of
 from fishmj.calibrate.slip import COAST, RISE, WINDOW, Profile, profile
 
 TICKS = (0.0, 0.002, 0.01, 0.02, 0.05, 0.2, 1.0)  # 1 - s

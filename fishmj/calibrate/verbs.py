@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from fishmj import console
-from fishmj.calibrate import latency, mass, model, overlay, servo, slip, slip_picture
+from fishmj.calibrate import fit_plots, latency, mass, model, servo, slip, slip_picture
+from fishmj.calibrate.bias import widened
 from fishmj.calibrate.least_squares import Estimate
 from fishmj.calibrate.logs import Logs, read
-from fishmj.calibrate.systematic import widened
 from fishmj.errors import LogError
-from fishmj.gap.doors import of_this_robot
-from fishmj.gap.plants.bench import Bench
-from fishmj.gap.records import record_of
+from fishmj.gap.commands.doors import of_this_robot
+from fishmj.gap.models.test_stand import Bench
+from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown
 from fishmj.gap.workflow import compiled
 from fishmj.mjcf.description import Robot, load_robot
@@ -74,7 +74,7 @@ def run_servo(args) -> Answer:
         for m, fit in found.alone.items()
     ]
     left = [
-        {"signal": s, "medium": m, "trials": len(part), "RMS left [deg]": overlay.rms(found, part)}
+        {"signal": s, "medium": m, "trials": len(part), "RMS left [deg]": fit_plots.rms(found, part)}
         for s, m in sorted({(r.excitation, r.medium) for r in found.records})
         if (part := [r for r in found.records if (r.excitation, r.medium) == (s, m)])
     ]
@@ -83,8 +83,8 @@ def run_servo(args) -> Answer:
     console.say(*said(logs), console.table(rows(estimates)), "", both, "", console.table(left))
     console.say("", console.table(found.hull), *([found.words] if found.words else []))
     tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left, "Hull and water": found.hull}
-    picture = overlay.draw(found, args.report / "overlay.png")
-    page = overlay.report(args.report, "Servo calibration", tables, picture, said(logs, found.words))
+    picture = fit_plots.draw(found, args.report / "overlay.png")
+    page = fit_plots.report(args.report, "Servo calibration", tables, picture, said(logs, found.words))
     if args.out:
         text, s = model.start(args.out, args.model), plant.robot.servo
         kp, kd = estimates["kp"].value, estimates["kd"].value
@@ -115,7 +115,7 @@ def run_latency(args) -> Answer:
     findings = sorted(f for f in every if not f.startswith("pose drifts"))  # a fish that speeds up recoils later and later
     console.say(*said(logs), console.table(lags), "", *findings, console.table(rows(estimates)))
     tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
-    page = overlay.report(args.report, "Latency calibration", tables, None, said(logs))
+    page = fit_plots.report(args.report, "Latency calibration", tables, None, said(logs))
     if "camera_latency" not in estimates:
         needs = " and ".join(latency.ABRUPT)
         console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
@@ -150,7 +150,7 @@ def run_slip(args) -> Answer:
         )
     tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
     picture = slip_picture.draw(found, args.report / "slip.png")
-    page = overlay.report(
+    page = fit_plots.report(
         args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), slip_picture.WORDS
     )
     if args.out:
@@ -189,7 +189,9 @@ def run_mass(args) -> Answer:
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
         model.write(args.out, text, "mass", found.estimates, beyond, args.data)
-    overlay.report(args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)])
+    fit_plots.report(
+        args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)]
+    )
     return {"estimates": plain(found.estimates), "links": links}
 
 

@@ -8,12 +8,12 @@ main = console.Group(
     __doc__ or "",
     {
         "hidden": Command(
-            "fishmj.campaign.hidden_command",
+            "fishmj.studies.hidden_lbm.command",
             "data sets in which effects are hidden",
             "fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --out runs/hidden --truth truth.json",
         ),
         "hidden_trials": Command(
-            "fishmj.campaign.hidden_trials",
+            "fishmj.studies.hidden_lbm.calibration_trials",
             "calibration trials of a robot drawn anew, its numbers sealed",
             "fishmj campaign hidden_trials --water second --out runs/trials",
         ),

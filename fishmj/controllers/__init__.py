@@ -66,7 +66,7 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path:
         from fishmj.controllers.learned import Learned
 
         return Learned(robot, name, any_command_path)
-    from fishmj.controllers.drift import Drift
+    from fishmj.controllers.passive import Drift
 
     return Drift(robot)
 
@@ -103,11 +103,11 @@ def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = Fa
 def _classical(robot: Robot, name: str, options: dict) -> Controller:
     from fishmj.controllers.adrc import Adrc
     from fishmj.controllers.cpg import Cpg, Rates
-    from fishmj.controllers.gait import Throttle
-    from fishmj.controllers.helm import Helm
+    from fishmj.controllers.estimator import Navigator
+    from fishmj.controllers.gait_table import Throttle
+    from fishmj.controllers.heading_speed import Helm
+    from fishmj.controllers.line_of_sight import Pursuit
     from fishmj.controllers.observer import FlowObserver
-    from fishmj.controllers.pursuit import Pursuit
-    from fishmj.controllers.sense import Navigator
 
     gait, k = gains_of("gait"), gains_of(name, options)
     lag = np.radians(gait["lag_deg"])

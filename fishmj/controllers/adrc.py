@@ -14,8 +14,8 @@ saturates the loop); inside `hover_radius` the gait idles at `hover_speed`.
 import numpy as np
 
 from fishmj.controllers.cpg import Cpg
-from fishmj.controllers.gait import Throttle
-from fishmj.controllers.sense import Navigator
+from fishmj.controllers.estimator import Navigator
+from fishmj.controllers.gait_table import Throttle
 from fishmj.units import wrap
 
 

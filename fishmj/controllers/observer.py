@@ -12,9 +12,9 @@ Course = direction of W, speed = the part of W along it.
 
 import numpy as np
 
-from fishmj.controllers.helm import Helm
-from fishmj.controllers.pursuit import capped
-from fishmj.controllers.sense import Navigator, turned
+from fishmj.controllers.estimator import Navigator, turned
+from fishmj.controllers.heading_speed import Helm
+from fishmj.controllers.line_of_sight import capped
 from fishmj.units import wrap
 
 

@@ -1,6 +1,6 @@
 """The doctor: findings about machine, packages, devices and traps, and what follows from them."""
 
-from fishmj.doctor import devices, machine, packages, traps
+from fishmj.doctor import devices, known_issues, machine, packages
 from fishmj.doctor.finding import Finding
 
 
@@ -30,5 +30,5 @@ def verdicts(findings: list[Finding]) -> list[Finding]:
 
 def examine() -> list[Finding]:
     """All findings, in the order of the report."""
-    findings = [*machine.findings(), *packages.findings(), *devices.findings(), *machine.surroundings(), *traps.findings()]
+    findings = [*machine.findings(), *packages.findings(), *devices.findings(), *machine.surroundings(), *known_issues.findings()]
     return [*findings, *verdicts(findings)]

@@ -87,7 +87,7 @@ def fitted(active: Active, row, low=None, high=None, provenance: str = "", hash:
     """A calibration from an Active and rows (P,) of values and, where known, of the ends of their intervals."""
     low, high = row if low is None else low, row if high is None else high
     intervals = {key: Interval(*map(float, x)) for key, *x in zip(active.names, row, low, high, strict=True)}
-    named = lambda e: {p.name: intervals[e.name, p.name] for p in e.parameters}  # noqa: E731
+    named = lambda e: {p.name: intervals[e.name, p.name] for p in e.parameters}
     return tuple(Fitted(e.name, named(e), provenance, hash) for e in active.effects)
 
 
@@ -132,7 +132,7 @@ def _interval(entry, parameter, where: str) -> Interval:
 
 
 def _text(fitted: Fitted) -> str:
-    quoted = lambda text: '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'  # noqa: E731
+    quoted = lambda text: '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
     lines = ["[[effect]]", *(f"{key} = {quoted(getattr(fitted, key))}" for key in ("name", "provenance", "hash"))]
     for name, x in fitted.parameters.items():
         lines.append(f"parameters.{name} = {{ value = {float(x.value)!r}, low = {float(x.low)!r}, high = {float(x.high)!r} }}")

@@ -17,7 +17,7 @@ AT_REST = (0.0, 0.0)  # z rad, w rad/s of the step before
 
 def rub(xp, friction, g, memory, h: float):
     """(Gear, memory) of one joint; friction(s) is the largest friction torque [N m] at a sliding speed s [rad/s]."""
-    clip = lambda way: xp.minimum(xp.maximum(way, -GIVE), GIVE)  # noqa: E731
+    clip = lambda way: xp.minimum(xp.maximum(way, -GIVE), GIVE)
     z, before = memory
     way = z + h * g.rate
     z = clip(way)

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.calib import constant
-from fishmj.engines.added import Added, bus_rows, in_water, with_effects
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.engines.extensions import Added, bus_rows, in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
-from fishmj.hydro_fit import chain, terms
 from fishmj.mjcf.description import Robot, load_robot
 
 NAMES = ("planar", "compiled", "batch", "mjx")
@@ -64,15 +64,15 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
     return import_module(f"fishmj.engines.{name}").Engine(load_robot(robot), **options)
 
 
-def flat_water(c: terms.Coefficients) -> np.ndarray:
+def flat_water(c: strip_forces.Coefficients) -> np.ndarray:
     """Coefficients as one row, in the order that `swimmer` reads."""
     return np.array([*c.k, *c.cn, *c[2:]], float)
 
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:
     """The calibrated fish, `batch` times, without randomisation (NumPy)."""
-    s, added = chain.nominal(robot), Added.of(robot)
-    rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))  # noqa: E731
+    s, added = planar_chain.nominal(robot), Added.of(robot)
+    rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))
     delay = round((robot.timing.command_latency + added.late(np, added.row, "command")) / robot.timing.physics_dt)
     return FishParams(
         mass=rows(s.mass),
@@ -86,14 +86,14 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
     )
 
 
-def swimmer(params: FishParams) -> chain.Swimmer:
+def swimmer(params: FishParams) -> planar_chain.Swimmer:
     """Component lists for the closed form from (B, ...) arrays."""
-    columns = lambda a: [a[..., i] for i in range(a.shape[-1])]  # noqa: E731
+    columns = lambda a: [a[..., i] for i in range(a.shape[-1])]
     n = params.mass.shape[-1]
     w = columns(params.water)
-    water = terms.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
+    water = strip_forces.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
     mass, kp, kv, kb, zero = (columns(a) for a in params[:5])
-    return chain.Swimmer(mass, kp, kv, kb, zero, water)
+    return planar_chain.Swimmer(mass, kp, kv, kb, zero, water)
 
 
 def at_rest(robot: Robot, pose) -> FishState:

@@ -15,12 +15,12 @@ from mujoco.batch import Batch
 
 from fishmj import mjcf
 from fishmj.cores import usable_cores
+from fishmj.dynamics import planar_chain
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
-from fishmj.engines.added import Added, stacked
+from fishmj.engines.extensions import Added, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.errors import MissingExtra, SimDiverged
 from fishmj.flow import Current, sample
-from fishmj.hydro_fit import chain
 from fishmj.mjcf.description import Robot, load_robot
 
 SMALLEST = 16  # fish below which a second thread does not pay
@@ -41,7 +41,7 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", threads: int | None = None, evaluator: str | None = None):
         self.robot = load_robot(robot)
-        model, ch = mjcf.build(self.robot, bare=True), chain.chain_of(self.robot)
+        model, ch = mjcf.build(self.robot, bare=True), planar_chain.chain_of(self.robot)
         self.steps, self.ticks = ticks_per(self.robot)
         evaluate = evaluator_of(self.robot, ch, evaluator)
         self.shoals = [Shoal(self.robot, model, ch, evaluate) for _ in range(threads or usable_cores())]
@@ -78,14 +78,14 @@ class Engine:
                 term="state",
                 states=bad,
             )
-        join = lambda trees: type(trees[0])(*(np.concatenate(leaves) for leaves in zip(*trees, strict=True)))  # noqa: E731
+        join = lambda trees: type(trees[0])(*(np.concatenate(leaves) for leaves in zip(*trees, strict=True)))
         return join([r[0] for r in results]), join([r[1] for r in results])
 
 
 class Shoal:
     """The fish of one thread and their persistent MuJoCo batch."""
 
-    def __init__(self, robot: Robot, model, ch: chain.Chain, evaluate):
+    def __init__(self, robot: Robot, model, ch: planar_chain.Chain, evaluate):
         self.model, self.chain, self.evaluate = model, ch, evaluate
         self.steps, _ = ticks_per(robot)
         self.ramp = robot.timing.command_path == "move_time"
@@ -102,7 +102,7 @@ class Shoal:
         memory = np.array(state.memory, float)
         before = batch.warning[:, :, 1].copy()  # counters; column 0 is the last degree of freedom
         q, v, ctrl, applied = batch.qpos, batch.qvel, batch.ctrl, batch.qfrc_applied
-        blank = lambda n: np.empty((count, length, n))  # noqa: E731
+        blank = lambda n: np.empty((count, length, n))
         out = Trace(blank(3), blank(joints), blank(joints), blank(3), np.zeros((count, length)))
         for k in range(length):
             buffer = np.concatenate([buffer[:, 1:], commands[:, k : k + 1]], 1)
@@ -135,7 +135,7 @@ class Shoal:
         return self._batch
 
 
-def evaluator_of(robot: Robot, ch: chain.Chain, name: str | None):
+def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None):
     """f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), float64."""
     if name is None and Added.of(robot).learnt is not None:
         name = "jax"  # a network as straight-line code takes minutes to compile
@@ -152,16 +152,16 @@ def evaluator_of(robot: Robot, ch: chain.Chain, name: str | None):
     return _jax_evaluator(ch, Added.of(robot))
 
 
-def _jax_evaluator(ch: chain.Chain, added: Added):
+def _jax_evaluator(ch: planar_chain.Chain, added: Added):
     import jax
     import jax.numpy as jnp
 
     @jax.jit
     def forces(q, v, attached, params, target, flow, ambient, memory):
-        columns = lambda a: [a[:, i] for i in range(a.shape[1])]  # noqa: E731
+        columns = lambda a: [a[:, i] for i in range(a.shape[1])]
         links, hooks = [columns(flow[:, i]) for i in range(ch.n)], added.hooks(jnp, columns(params.effects), columns(memory))
         around = (columns(target), links, columns(ambient))
-        s = chain.step(jnp, ch, swimmer(params), columns(q), columns(v), attached, *around, hooks)
+        s = planar_chain.step(jnp, ch, swimmer(params), columns(q), columns(v), attached, *around, hooks)
         return jnp.stack(s.applied, -1), s.attached, s.power, stacked(jnp, s.memory, memory)
 
     def evaluate(*arguments):

@@ -117,7 +117,7 @@ class Graph:
         """Numbers of the outputs of `jaxpr` applied to `args`, nested jaxprs inlined."""
         env = dict(zip(jaxpr.constvars, (self.constant(c) for c in consts), strict=True))
         env.update(zip(jaxpr.invars, args, strict=True))
-        read = lambda atom: self.constant(atom.val) if hasattr(atom, "val") else env[atom]  # noqa: E731
+        read = lambda atom: self.constant(atom.val) if hasattr(atom, "val") else env[atom]
         for eqn in jaxpr.eqns:
             op, inputs = eqn.primitive.name, [read(atom) for atom in eqn.invars]
             nested = next((eqn.params[k] for k in ("jaxpr", "call_jaxpr") if k in eqn.params), None)

@@ -20,14 +20,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.cores import usable_cores
-from fishmj.engines import FishParams, FishState, Trace, approx, check_commands, native, rows_of, ticks_per
-from fishmj.engines.added import Added
+from fishmj.dynamics import strip_forces
+from fishmj.engines import (
+    FishParams,
+    FishState,
+    Trace,
+    check_commands,
+    fast_math,
+    numba_build,
+    rows_of,
+    ticks_per,
+)
+from fishmj.engines.extensions import Added
 from fishmj.errors import ConfigError
 from fishmj.flow import Current
-from fishmj.hydro_fit import terms
 from fishmj.mjcf.description import Robot, load_robot
 
-WATER = len(terms.Coefficients._fields) - 2  # coefficients of a water besides k and cn of each link
+WATER = len(strip_forces.Coefficients._fields) - 2  # coefficients of a water besides k and cn of each link
 CHUNK = 8  # blocks of native.LANES fish that a thread must have for it to pay
 
 
@@ -54,11 +63,11 @@ class Engine:
     jittable = True  # through a host callback, CPU only
 
     def __init__(self, robot: "Robot | str" = "fish", threads: int | None = None, dtype: str = "float32"):
-        if dtype not in approx.PRECISIONS:
-            raise ConfigError(f"compiled engine: dtype = {dtype!r}; choose one of {', '.join(approx.PRECISIONS)}")
+        if dtype not in fast_math.PRECISIONS:
+            raise ConfigError(f"compiled engine: dtype = {dtype!r}; choose one of {', '.join(fast_math.PRECISIONS)}")
         if threads is not None and threads < 1:
             raise ConfigError(f"compiled engine: threads = {threads}; needs at least 1")
-        native.require_numba()
+        numba_build.require_numba()
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.steps, self.ticks = ticks_per(self.robot)
         self.buffer, self.added = rows_of(self.robot), Added.of(self.robot)
@@ -74,11 +83,11 @@ class Engine:
 
     @cached_property
     def _advance(self):
-        return native.load(self.robot, "advance", approx.PRECISIONS[self.dtype.name]).advance
+        return numba_build.load(self.robot, "advance", fast_math.PRECISIONS[self.dtype.name]).advance
 
     @cached_property
     def _evaluate(self):
-        return native.load(self.robot, "evaluate", approx.DOUBLE).evaluate
+        return numba_build.load(self.robot, "evaluate", fast_math.DOUBLE).evaluate
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
         """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
@@ -96,7 +105,7 @@ class Engine:
     def _advance_numpy(self, state, commands, params, current, tick):
         batch, ticks, joints = commands.shape
         real, read = self.dtype, _reader(batch, self.dtype)
-        fresh = lambda *args: np.array(read(*args))  # noqa: E731  the loop writes into its state
+        fresh = lambda *args: np.array(read(*args))  # the loop writes into its state
         q, v = fresh("state.q", state.q, joints + 3), fresh("state.v", state.v, joints + 3)
         attached, buffer = fresh("state.attached", state.attached), fresh("state.buffer", state.buffer, self.buffer, joints)
         memory = fresh("state.memory", state.memory, len(self.added.memory))
@@ -144,9 +153,9 @@ class Engine:
 
     def _share(self, batch: int, kernel, arguments: tuple) -> None:
         """Run `kernel(first, stop, *arguments)` over all fish, whole blocks to each thread."""
-        blocks = -(-batch // native.LANES)
+        blocks = -(-batch // numba_build.LANES)
         workers = max(1, min(self.threads, blocks // CHUNK))
-        edges = [native.LANES * (blocks * i // workers) for i in range(workers)] + [batch]
+        edges = [numba_build.LANES * (blocks * i // workers) for i in range(workers)] + [batch]
         others = [self._threads().submit(kernel, a, b, *arguments) for a, b in zip(edges[1:-1], edges[2:], strict=True)]
         kernel(edges[0], edges[1], *arguments)
         for other in others:

@@ -13,11 +13,11 @@ from jax import lax
 from mujoco import mjx
 
 from fishmj import mjcf
+from fishmj.dynamics import planar_chain
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
-from fishmj.engines.added import Added, stacked
+from fishmj.engines.extensions import Added, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.flow import Current, sample
-from fishmj.hydro_fit import chain
 from fishmj.mjcf.description import Robot, load_robot
 
 
@@ -31,7 +31,7 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         self.robot, self.unroll = load_robot(robot), unroll
-        self.chain, self.added = chain.chain_of(self.robot), Added.of(self.robot)
+        self.chain, self.added = planar_chain.chain_of(self.robot), Added.of(self.robot)
         model = mjcf.build(self.robot, bare=True)
         self.model, self.blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         self.steps, self.ticks = ticks_per(self.robot)
@@ -47,7 +47,7 @@ class Engine:
         check_commands(commands, self.robot.n_joints)
         fields, sw = self.fields(params), swimmer(params)
         commands = quantise(jnp, self.robot, commands)
-        columns = lambda a: [a[:, i] for i in range(a.shape[1])]  # noqa: E731
+        columns = lambda a: [a[:, i] for i in range(a.shape[1])]
 
         def one_tick(carry, command):
             q, v, attached, buffer, memory, tick = carry
@@ -59,7 +59,9 @@ class Engine:
             def one_step(inner, target):
                 q, v, attached, memory, power = inner
                 hooks = self.added.hooks(jnp, columns(params.effects), columns(memory))
-                s = chain.step(jnp, self.chain, sw, columns(q), columns(v), attached, columns(target), links, ambient, hooks)
+                s = planar_chain.step(
+                    jnp, self.chain, sw, columns(q), columns(v), attached, columns(target), links, ambient, hooks
+                )
                 q, v = self._step(fields, q, v, target, jnp.stack(s.applied, -1))
                 return (q, v, s.attached, stacked(jnp, s.memory, memory), power + s.power), None
 

@@ -14,13 +14,13 @@ from importlib.util import find_spec
 import numpy as np
 
 from fishmj import effects, plugins
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Active, Effect
 from fishmj.effects.commands import delivered
 from fishmj.effects.effect import CLOCKS, Parameter
 from fishmj.effects.sites import Seen
 from fishmj.errors import OwnCodeError
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.hooks import Effects
 from fishmj.mjcf.description import load_robot
 from fishmj.names import is_name
 
@@ -95,7 +95,7 @@ def _declared(effect: Effect, what: str) -> None:
 def _fish() -> tuple:
     """Chain, swimmer and the arguments of a step for FISH random states of the nominal fish."""
     robot, rng = load_robot("fish"), np.random.default_rng(0)
-    ch, sw = chain.chain_of(robot), chain.nominal(robot)
+    ch, sw = planar_chain.chain_of(robot), planar_chain.nominal(robot)
     q, v = rng.normal(size=(ch.n + 2, FISH)), 3 * rng.normal(size=(ch.n + 2, FISH))
     flow, ambient = 0.3 * rng.normal(size=(ch.n, 2, FISH)), 0.1 * rng.normal(size=(2, FISH))
     return ch, sw, (list(q), list(v), rng.uniform(size=FISH), list(rng.normal(size=(ch.n - 1, FISH))), list(flow), ambient)
@@ -108,7 +108,7 @@ def _step(active: Active, what: str, given, row, memory, wet: float = 1.0):
     def take():
         hooks = Effects(np, active, [np.float64(x) for x in row], list(memory), wet)
         target = [hooks.session.command(j, value, ch.dt) for j, value in enumerate(given[3])]
-        return chain.step(np, ch, sw, *given[:3], target, *given[4:], hooks)
+        return planar_chain.step(np, ch, sw, *given[:3], target, *given[4:], hooks)
 
     return plugins.call(f"{what}: a step with parameters {[round(float(x), 6) for x in row]}", take)
 
@@ -119,7 +119,7 @@ def _identity(active: Active, what: str) -> None:
     for wet in (1.0, 0.0):
         given, memory = first, active.memory
         for k in range(STEPS):
-            plain = chain.step(np, ch, sw, *given)
+            plain = planar_chain.step(np, ch, sw, *given)
             same = _step(active, what, given, active.null, memory, wet)
             for field in FIELDS:
                 a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
@@ -152,7 +152,7 @@ def _finite(active: Active, what: str) -> None:
     ch, sw, given = _fish()
     (effect,), memory = active.effects, list(active.memory)
     memory[:2] = 3.0, 600.0  # A that the servos draw; s, ten minutes into a session
-    plain = chain.step(np, ch, sw, *given)
+    plain = planar_chain.step(np, ch, sw, *given)
     for where, size in _sizes(effect.parameters):
         with np.errstate(all="ignore"):
             found = _step(active, what, given, size, memory)
@@ -167,7 +167,7 @@ def _finite(active: Active, what: str) -> None:
 
 def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:
     """Rows at which an effect is tried."""
-    row = lambda pick: [float(pick(p)) for p in parameters]  # noqa: E731
+    row = lambda pick: [float(pick(p)) for p in parameters]
     typical = [
         ("its smaller typical size", row(lambda p: p.typical[0])),
         ("its larger typical size", row(lambda p: p.typical[1])),
@@ -182,7 +182,7 @@ def _traced(active: Active, what: str) -> None:
     from fishmj.engines import codegen
 
     ch, sw, _ = _fish()
-    several = lambda letter, n: [f"{letter}{i}" for i in range(n)]  # noqa: E731
+    several = lambda letter, n: [f"{letter}{i}" for i in range(n)]
     names = [several("q", ch.n + 2), several("w", ch.n + 2), "a", several("c", ch.n - 1)]
     names += [several("p", len(active.null)), several("m", len(active.memory))]
 
@@ -190,7 +190,7 @@ def _traced(active: Active, what: str) -> None:
         q, v, attached, target, parameters, memory = values
         hooks = Effects(jnp, active, parameters, memory)
         target = [hooks.session.command(j, value, ch.dt) for j, value in enumerate(target)]
-        s = chain.step(jnp, ch, sw, q, v, attached, target, [(0.1, 0.0)] * ch.n, (0.0, 0.0), hooks)
+        s = planar_chain.step(jnp, ch, sw, q, v, attached, target, [(0.1, 0.0)] * ch.n, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, s.power, *s.memory]
 
     plugins.call(f"{what}: compiled engines cannot follow it; use xp, arithmetic and xp.where", codegen.trace, take, names)

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import centres
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
-from fishmj.engines.added import Added, stacked
+from fishmj.engines.extensions import Added, stacked
 from fishmj.flow import Current, sample
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.hooks import centres
 from fishmj.mjcf.description import Robot, load_robot
 
 
@@ -24,7 +24,7 @@ def quantise(xp, robot: Robot, commands):
     return xp.round(xp.minimum(xp.maximum(commands, -s.range), s.range) / s.resolution) * s.resolution
 
 
-def link_centres(xp, ch: chain.Chain, q):
+def link_centres(xp, ch: planar_chain.Chain, q):
     """World positions of the link centres, (B, N, 2) m, from q (B, nv)."""
     columns = [q[..., i] for i in range(q.shape[-1])]
     return xp.stack([xp.stack(centre, -1) for centre in centres(xp, ch, columns)], -2)
@@ -59,7 +59,7 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         robot = load_robot(robot)
-        self.robot, self.chain, self.unroll = robot, chain.chain_of(robot), unroll
+        self.robot, self.chain, self.unroll = robot, planar_chain.chain_of(robot), unroll
         self.added = Added.of(robot)
         self.steps, self.ticks = ticks_per(robot)
         self.ramp = robot.timing.command_path == "move_time"
@@ -74,7 +74,7 @@ class Engine:
         check_commands(commands, self.robot.n_joints)
         sw = swimmer(params)
         commands = quantise(jnp, self.robot, commands)
-        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731
+        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
 
         def one_tick(carry, inputs):
             state, tick = carry
@@ -87,7 +87,7 @@ class Engine:
             def one_step(inner, target):
                 q, v, attached, memory, power = inner
                 hooks = self.added.hooks(jnp, split(params.effects), split(memory))
-                s = chain.step(jnp, self.chain, sw, q, v, attached, split(target), flow, ambient, hooks)
+                s = planar_chain.step(jnp, self.chain, sw, q, v, attached, split(target), flow, ambient, hooks)
                 return (tuple(s.q), tuple(s.v), s.attached, stacked(jnp, s.memory, memory), power + s.power), None
 
             start = (split(state.q), split(state.v), state.attached, state.memory, jnp.zeros_like(state.attached))

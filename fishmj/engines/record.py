@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.engines.solo import reported
+from fishmj.engines.single import reported
 from fishmj.errors import LogError, SimDiverged
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity

@@ -14,9 +14,9 @@ from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
-from fishmj.hydro_fit.model import shipped
-from fishmj.lbm_oracle.domain import NAMES, preset
+from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
+from fishmj.water.model import shipped
 
 WATERS = ("structured", "surrogate", "lbm")
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
@@ -131,7 +131,7 @@ def main(argv: list[str]) -> int:
         console.warn(note)
     affordable(robot, trials, len(brains))
     if args.water == "lbm":
-        from fishmj.lbm_oracle import cost as solver_cost
+        from fishmj.lbm_oracle.run import cost as solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
         work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
@@ -221,7 +221,7 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
         options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
-        seen = lambda k: bar.update(k * robot.timing.control_dt)  # noqa: E731
+        seen = lambda k: bar.update(k * robot.timing.control_dt)
         return tank.judge(brain, robot, trials, args.out, progress=seen, **options)
 
 

@@ -72,8 +72,8 @@ def run(
 
 def _result(brain, robot, trials, body, start, target, rows) -> Result:
     """Rows of control steps as arrays; the start is tick 0."""
-    join = lambda i: np.concatenate([row[i] for row in rows], 1)  # noqa: E731
-    first = lambda x, like: np.concatenate([np.broadcast_to(x, (len(start), like.shape[2]))[:, None], like], 1)  # noqa: E731
+    join = lambda i: np.concatenate([row[i] for row in rows], 1)
+    first = lambda x, like: np.concatenate([np.broadcast_to(x, (len(start), like.shape[2]))[:, None], like], 1)
     pose, joint, rate, velocity = first(start, join(0)), first(0.0, join(1)), first(0.0, join(2)), first(0.0, join(3))
     out = task.outside(np, pose)
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])

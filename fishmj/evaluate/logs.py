@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
 from fishmj.evaluate.result import Result
 from fishmj.flow import sample, stack
-from fishmj.hydro_fit.chain import chain_of
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by

@@ -35,7 +35,7 @@ UNITS = {
 
 def figures(r: Result) -> dict[str, np.ndarray]:
     """Key -> (n,) one figure a trial."""
-    window = lambda key: constant("protocol", key)  # noqa: E731
+    window = lambda key: constant("protocol", key)
     end = window("arrival_time")
     first = arrival_tick(r)
     arrived = first >= 0
@@ -72,7 +72,7 @@ def rheotaxis(r: Result) -> tuple[np.ndarray, np.ndarray]:
     off = wrap(np, heading - r.trials.upstream)
     inside = (r.t >= start) & (r.t <= end + 1e-9) & (np.arange(len(r.t)) < r.left[:, None])
     count = np.where((r.t[-1] >= end - 1e-9) & inside.any(1), inside.sum(1), np.nan)
-    mean = lambda x: np.sum(x * inside, 1) / count  # noqa: E731
+    mean = lambda x: np.sum(x * inside, 1) / count
     return mean(np.cos(off)), 1 - mean(np.abs(off)) / (np.pi / 2)
 
 

@@ -128,7 +128,7 @@ def trials(
     Raises:
         ConfigError, UnknownName: a setting that cannot be.
     """
-    get = lambda key: constant("protocol", key)  # noqa: E731
+    get = lambda key: constant("protocol", key)
     speeds = tuple(get("speeds") if speeds is None else speeds)
     los_deg = tuple(get("bearings_deg") if los_deg is None else los_deg)
     repeats = get("repeats") if repeats is None else repeats
@@ -145,7 +145,7 @@ def trials(
         raise ConfigError(f"trials: seed = {seed}; expected 0 or more")
     if not 1 <= duration <= 600:
         raise ConfigError(f"trials: duration = {duration} s; expected 1 to 600 s, usually 60")
-    key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))  # noqa: E731
+    key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))
     items = tuple(
         Trial(float(u), float(np.radians(b)), r, (*key(u, b), r)) for u, b, r in product(speeds, los_deg, range(repeats))
     )

@@ -28,7 +28,7 @@ def condition(result: Result) -> str:
     t = result.trials
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
-    switch = lambda on: "on" if on else "off"  # noqa: E731
+    switch = lambda on: "on" if on else "off"
     return (
         f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
         f"command path {result.robot.timing.command_path}, start heading {t.heading}, "

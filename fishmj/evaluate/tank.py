@@ -58,7 +58,7 @@ def judge(
     Raises:
         OracleUnstable, ConfigError: the set-up would not run.
     """
-    from fishmj.engines.tanks import Engine
+    from fishmj.engines.lbm import Engine
 
     steps = round(trials.duration / robot.timing.control_dt)
     label = "_".join(filter(None, (fingerprint(brain, robot, trials, domain, slip), variation.name)))
@@ -119,7 +119,7 @@ def name_of(brain, item) -> str:
 
 def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -> str:
     """Eight characters that change with anything that would change a trial's outcome."""
-    from fishmj.engines.tanks import HELD
+    from fishmj.engines.lbm import HELD
 
     what = {
         "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],

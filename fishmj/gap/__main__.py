@@ -10,28 +10,30 @@ main = console.Group(
     __doc__ or "",
     {
         "find": Command(
-            "fishmj.gap.find",
+            "fishmj.gap.commands.find",
             "what is missing, with its size, its rivals and the gap before and after",
             "fishmj gap find logs --out report",
         ),
         "plant": Command(
-            "fishmj.gap.plant", "data in which an effect is hidden", "fishmj gap plant coulomb_friction=0.1 --out logs"
+            "fishmj.gap.commands.hide", "data in which an effect is hidden", "fishmj gap plant coulomb_friction=0.1 --out logs"
         ),
-        "next": Command("fishmj.gap.next_experiment", "the next most informative experiment", "fishmj gap next report"),
-        "apply": Command("fishmj.gap.apply", "the next version of the model, reversible", "fishmj gap apply report"),
+        "next": Command("fishmj.gap.commands.next_experiment", "the next most informative experiment", "fishmj gap next report"),
+        "apply": Command("fishmj.gap.commands.apply", "the next version of the model, reversible", "fishmj gap apply report"),
         "check": Command(
-            "fishmj.gap.check",
+            "fishmj.gap.commands.check",
             "whether a version still closes the gap that it was written for",
             "fishmj gap check model.toml --data logs",
         ),
         "bench": Command(
-            "fishmj.gap.bench.command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
+            "fishmj.studies.gap_benchmark.command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
         ),
         "fetch": Command(
-            "fishmj.gap.fetch", "a public data set, every file checked", "fishmj gap fetch tail_fish --out data/tail_fish"
+            "fishmj.studies.measured_robots.fetch",
+            "a public data set, every file checked",
+            "fishmj gap fetch tail_fish --out data/tail_fish",
         ),
         "measured": Command(
-            "fishmj.gap.measured.command", "the workflow on measured data of real robots", "fishmj gap measured all"
+            "fishmj.studies.measured_robots.command", "the workflow on measured data of real robots", "fishmj gap measured all"
         ),
     },
 )

@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.gap import weighing
-from fishmj.gap.decide import decide
-from fishmj.gap.evidence import Evidence
-from fishmj.gap.features import Layout
-from fishmj.gap.folds import split
-from fishmj.gap.gates import Gates, frozen
-from fishmj.gap.null_runs import Null
-from fishmj.gap.records import Record, record_of
-from fishmj.gap.search import Found, find
+from fishmj.gap.decide.decide import decide
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records import mass_properties
+from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.search.cross_validation import split
+from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.stepwise import Found, find
+from fishmj.gap.thresholds import Gates, frozen
 from fishmj.gap.verdict import Verdict, said
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import level, title
@@ -82,26 +82,26 @@ def investigate(
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
-    weighed = weighing.sensor(page or {}, plant)
-    e = evidence_of(plant, weighing.with_page(seen, weighed), null, bars)
+    weighed = mass_properties.sensor(page or {}, plant)
+    e = evidence_of(plant, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
     with bars(gates.most + 1, "search", "rounds") as bar:
         found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):
-        from fishmj.gap.fallback import challenged
+        from fishmj.gap.terms import challenged
 
         verdict = challenged(plant, e, found, verdict)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
     if further and verdict.answer == "CLASS":
-        from fishmj.gap.advice import advised
+        from fishmj.gap.experiment.advice import advised
 
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null, bars)
     if further and verdict.answer == "UNEXPLAINED":
-        from fishmj.gap.fallback import described
+        from fishmj.gap.terms import described
 
         say("which force would it be?")
         verdict = replace(verdict, terms=described(plant, e, null, seed))

@@ -29,7 +29,7 @@ def rules_of(task: Any, options: dict) -> Rules:
     unknown = sorted(set(options) - general - special)
     if unknown:
         raise ConfigError(f"gym: unknown option {unknown[0]!r}; known: {', '.join(sorted(general | special))}")
-    pick = lambda names: {k: v for k, v in options.items() if k in names}  # noqa: E731
+    pick = lambda names: {k: v for k, v in options.items() if k in names}
     return Rules(task, Setting(**pick(general)), **pick(special))
 
 

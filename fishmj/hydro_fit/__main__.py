@@ -8,10 +8,10 @@ from fishmj import console, interrupt
 from fishmj.console import Command
 from fishmj.errors import ConfigError, StoreError, TooMuch
 from fishmj.hydro_fit.dataset import Dataset, open_dataset
-from fishmj.hydro_fit.model import FOLDERS, HydroModel, robot_hash
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
+from fishmj.water.model import FOLDERS, HydroModel, robot_hash
 
 _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
@@ -104,7 +104,7 @@ def _passed_on(args) -> list[str]:
 
 def collect(argv: list[str]) -> int:
     """Hand over to the campaign."""
-    from fishmj.campaign import command
+    from fishmj.campaign.data import command
 
     return command.main(argv)
 
@@ -138,10 +138,10 @@ def fitted_parts(data: Dataset, robot: Robot, slip: float) -> tuple[list[Record]
 
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
-    from fishmj.hydro_fit.fit.dealt import several
-    from fishmj.hydro_fit.fit.keep import keep, standing_model
-    from fishmj.hydro_fit.fit.prior import flat
-    from fishmj.hydro_fit.fit.recipe import Fit, Settings
+    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.pipeline import Fit, Settings
+    from fishmj.hydro_fit.fit.promote import keep, standing_model
+    from fishmj.water.prior import flat
 
     several()
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
@@ -177,7 +177,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 def chosen(robot: Robot, args) -> HydroModel:
     """The model that is judged."""
     if args.prior:
-        from fishmj.hydro_fit.ablation import unfitted
+        from fishmj.studies.water_ablation.ablation import unfitted
 
         return unfitted(robot)
     place = Path(args.out or FOLDERS[0]) / f"{robot.name}.toml"
@@ -241,10 +241,10 @@ def check(robot: Robot, folder: Path, args) -> dict:
 
 def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit import ablation_table
-    from fishmj.hydro_fit.ablation import table
-    from fishmj.hydro_fit.fit.dealt import several
-    from fishmj.hydro_fit.fit.recipe import Settings
+    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.pipeline import Settings
+    from fishmj.studies.water_ablation import ablation_table
+    from fishmj.studies.water_ablation.ablation import table
 
     several()
     data = open_dataset(folder)
@@ -253,7 +253,7 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
     about = {"sha256": data.sha256, "folder": folder.name, "slip": args.slip}
     given = {"names": args.rows, "seeds": args.seeds}
     with console.Progress(1.0, f"ablation {folder.name}") as bar:
-        told = lambda share, what: bar.update(share, at=what)  # noqa: E731
+        told = lambda share, what: bar.update(share, at=what)
         rows = table(robot, *parts, settings=Settings(), dataset=about, folder=out, report=told, **given)
     console.say(console.table(ablation_table.cells(rows)))
     console.say(*(f"wrote {path}" for path in ablation_table.write(out, rows, about)))
@@ -279,7 +279,7 @@ WRITTEN = {
 COMMANDS = {
     "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
     "collect": Command(
-        "fishmj.campaign.command",
+        "fishmj.campaign.data.command",
         "segments of the flow solver that a water is fitted to",
         "fishmj hydro_fit collect --preview --out runs/preview",
     ),
@@ -307,17 +307,17 @@ COMMANDS = {
         "fishmj hydro_fit ablation --data data/hydro/swift --seeds 0,1,2",
     ),
     "hybrid": Command(
-        "fishmj.campaign.hybrid_trial",
+        "fishmj.campaign.hybrid.trial",
         "a surrogate corrected by the solver while it swims",
         "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
     ),
     "correct": Command(
-        "fishmj.campaign.rounds_command",
+        "fishmj.campaign.dagger.command",
         "rounds of a policy's own states, solved and refitted",
         "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
     ),
     "rank": Command(
-        "fishmj.evaluate.rank_command",
+        "fishmj.studies.rank_waters.command",
         "controllers in the solver and in the fitted water, on the same trials",
         "fishmj hydro_fit rank pd pi --domain laptop --device cpu --trials 6 --seconds 10",
     ),

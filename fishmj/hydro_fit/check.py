@@ -20,16 +20,16 @@ from typing import Any
 
 import numpy as np
 
+from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.fit import band, begin
-from fishmj.hydro_fit.fit.newton import flaps, thrusts, tow_drag
-from fishmj.hydro_fit.fit.prior import flat
+from fishmj.hydro_fit.fit import prediction_interval, wake_warmup
+from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
+from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, fleet_of, is_free, padded, recorded
-from fishmj.hydro_fit.fit.rows import attachment, base_force, rows_of
-from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
+from fishmj.water.model import HydroModel
+from fishmj.water.prior import flat
 
 SETTLED, FREERUN = 4.0, 10.0  # s
 SHORTEST = 1.5  # s, of a free run, and before one
@@ -54,11 +54,11 @@ class Swum:
 
     def __init__(self, model: HydroModel, robot: Robot, records: Sequence[Record]):
         self.records = [r for r in records if is_free(r)]
-        ch, tick = chain.chain_of(robot), records[0].tick
+        ch, tick = planar_chain.chain_of(robot), records[0].tick
         swim, water = Swim(ch, model.swimmer(robot)), flat(model.base)
         self.fleet = fleet_of(ch, robot, self.records, seconds=1e6)
         self.track = swim.run(self.fleet, water, model.learnt)
-        self.members = band.of_members(swim, self.fleet, model.members, model.learnt)
+        self.members = prediction_interval.of_members(swim, self.fleet, model.members, model.learnt)
         self.late = _from(self.fleet, self.track, round(SETTLED / tick))
         self.seen = _from(self.fleet, recorded(self.fleet), round(SETTLED / tick))
         self.cruise, self.cruise_track = self._freerun(ch, robot, swim, model)
@@ -77,10 +77,10 @@ class Swum:
         rows = rows_of(ch, chosen)
         starts = np.array([span.start for span in rows.spans()]) + skip
         attached = attachment(rows, ch.strips, model.base, tick)[starts]
-        memory = None if model.learnt is None else begin.walk(ch, rows, model.base, model.learnt, tick).memory[starts]
+        memory = None if model.learnt is None else wake_warmup.walk(ch, rows, model.base, model.learnt, tick).memory[starts]
         whole = fleet_of(ch, robot, chosen, seconds=1e6)
         stop = skip + round(FREERUN / tick)
-        cut = lambda a: a[:, skip:stop]  # noqa: E731
+        cut = lambda a: a[:, skip:stop]
         states = (whole.q[:, skip : stop + 1], whole.v[:, skip : stop + 1])
         fleet = Fleet._make([*states, *(cut(a) for a in whole[2:-1]), whole.source])
         if memory is not None:
@@ -125,8 +125,11 @@ def judge(model: HydroModel, robot: Robot, records: Sequence[Record], repeats: S
     got["freerun_position_error"] = float(far[np.arange(len(far)), last].mean())
     n["freerun_position_error"] = len(far)
     got["guard_rate"], n["guard_rate"] = float(swum.track.outside.mean()), len(swum.fleet.q)
-    cover = band.covered(
-        band.means(swum.track, swum.fleet), swum.members, band.means(recorded(swum.fleet), swum.fleet), model.band
+    cover = prediction_interval.covered(
+        prediction_interval.means(swum.track, swum.fleet),
+        swum.members,
+        prediction_interval.means(recorded(swum.fleet), swum.fleet),
+        model.band,
     )
     own = repeatability(robot, repeats) if repeats else {}
     tolerance = {key: max(stated, 2 * own.get(key, 0.0)) for key, stated in STATED.items()}
@@ -157,7 +160,7 @@ def errors(swum: "Swum | Any", late: dict[str, np.ndarray]) -> tuple[dict[str, f
     speed = np.abs(late["surge"] - seen["surge"])[straight] / np.maximum(np.abs(seen["surge"][straight]), SLOW)
     yaw = np.abs(late["yaw_rate"] - seen["yaw_rate"])
     power = np.abs(late["power"] - seen["power"])[gait] / np.maximum(seen["power"][gait], WEAK)
-    mean = lambda a: float(np.mean(a)) if len(a) else float("nan")  # noqa: E731
+    mean = lambda a: float(np.mean(a)) if len(a) else float("nan")
     figures = {
         "speed_error_mean": mean(speed),
         "speed_error_max": float(speed.max()) if len(speed) else float("nan"),
@@ -183,11 +186,11 @@ def _thrust(model: HydroModel, robot: Robot, held: Sequence[Record]) -> float:
     """Mean error of the mean thrust of held fish, over the tow drag."""
     if not held:
         return float("nan")
-    ch, tick = chain.chain_of(robot), held[0].tick
+    ch, tick = planar_chain.chain_of(robot), held[0].tick
     rows = rows_of(ch, held)
     force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
     if model.learnt is not None:
-        force = force + begin.walk(ch, rows, model.base, model.learnt, tick).force
+        force = force + wake_warmup.walk(ch, rows, model.base, model.learnt, tick).force
     return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
 
 
@@ -200,7 +203,7 @@ class _Pair:
 
 def repeatability(robot: Robot, repeats: Sequence[tuple[Record, Record]]) -> dict[str, float]:
     """The same figures between the solver's own repeats: how exactly there is anything to agree with."""
-    ch = chain.chain_of(robot)
+    ch = planar_chain.chain_of(robot)
     out: dict[str, float] = {}
     free = [(a, b) for a, b in repeats if is_free(a) and len(a.q) == len(b.q)]
     if free:

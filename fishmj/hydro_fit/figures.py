@@ -5,7 +5,7 @@ import io
 import numpy as np
 
 from fishmj.hydro_fit.check import GAITS, Swum
-from fishmj.hydro_fit.fit.band import CHANNELS, half_width, means
+from fishmj.hydro_fit.fit.prediction_interval import CHANNELS, half_width, means
 from fishmj.hydro_fit.fit.rollout import recorded
 
 LABELS = {"speed": "speed along the body [m/s]", "yaw_rate": "yaw rate [rad/s]", "power": "servo power [W]"}

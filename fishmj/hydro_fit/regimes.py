@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.fit import begin
-from fishmj.hydro_fit.fit.newton import tow_drag
-from fishmj.hydro_fit.fit.rows import Rows, added, attachment, base_force, rows_of
-from fishmj.hydro_fit.model import HydroModel
+from fishmj.dynamics import planar_chain
+from fishmj.hydro_fit.fit import wake_warmup
+from fishmj.hydro_fit.fit.gauss_newton import tow_drag
+from fishmj.hydro_fit.fit.regression_rows import Rows, added, attachment, base_force, rows_of
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
+from fishmj.water.model import HydroModel
 
 NAMES = {
     "gait": "cruise",
@@ -39,15 +39,15 @@ def regimes(records: Sequence[Record], rows: Rows) -> np.ndarray:
     return out
 
 
-def model_force(model: HydroModel, ch: chain.Chain, rows: Rows, tick: float) -> np.ndarray:
+def model_force(model: HydroModel, ch: planar_chain.Chain, rows: Rows, tick: float) -> np.ndarray:
     """(3, N, M), with the force of the acceleration."""
     force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
-    return force if model.learnt is None else force + begin.walk(ch, rows, model.base, model.learnt, tick).force
+    return force if model.learnt is None else force + wake_warmup.walk(ch, rows, model.base, model.learnt, tick).force
 
 
 def by_regime(model: HydroModel, robot: Robot, records: Sequence[Record]) -> list[dict]:
     """One row a regime and link: R2 and NRMSE of F_t, F_n and the moment, without the acceleration's part, and mean thrust."""
-    ch, tick = chain.chain_of(robot), records[0].tick
+    ch, tick = planar_chain.chain_of(robot), records[0].tick
     rows = rows_of(ch, records)
     got, label = model_force(model, ch, rows, tick), regimes(records, rows)
     inertia = np.stack([model.base.k[i] * added(rows, ch.strips, i) for i in range(ch.n)], 1)
@@ -69,7 +69,7 @@ def by_regime(model: HydroModel, robot: Robot, records: Sequence[Record]) -> lis
 
 def static_map(model: HydroModel, robot: Robot, records: Sequence[Record]) -> dict[str, np.ndarray]:
     """Mean forces in head axes of held fish by seconds, over the angle of attack of the head."""
-    ch = chain.chain_of(robot)
+    ch = planar_chain.chain_of(robot)
     held = [r for r in records if r.meta["block"] == "static"]
     if not held:
         return {}
@@ -90,7 +90,7 @@ def static_map(model: HydroModel, robot: Robot, records: Sequence[Record]) -> di
     return {key: np.array(values) for key, values in points.items()}
 
 
-def _lever(ch: chain.Chain, turn, t, n, m) -> float:
+def _lever(ch: planar_chain.Chain, turn, t, n, m) -> float:
     """Moment of the links behind the head about the reference point."""
     x = y = total = 0.0
     for i in range(1, ch.n):

@@ -7,11 +7,11 @@ import numpy as np
 
 from fishmj import console
 from fishmj.hydro_fit import check, figures, regimes
-from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
 from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_json, write_text
+from fishmj.water.model import HydroModel
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;color:#222}
 h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2rem}.quiet{color:#5a6270}img{max-width:100%}
@@ -86,7 +86,7 @@ def free_runs(swum: check.Swum) -> list[dict]:
             for a, b in ((swum.cruise_track.q, swum.cruise.q), (swum.cruise_track.v, swum.cruise.v))
         ]
         seen = swum.cruise.v[part, 1 : ticks + 1]
-        rms = lambda a: float(np.sqrt(np.mean(a**2)))  # noqa: E731
+        rms = lambda a: float(np.sqrt(np.mean(a**2)))
         row = {"s": seconds, "n": int(part.sum()), "position [m]": float(np.linalg.norm(off[0][:, -1, :2], axis=-1).mean())}
         row |= {"velocity NRMSE": rms(off[1][..., :2]) / max(rms(seen[..., :2]), 1e-6)}
         out.append(

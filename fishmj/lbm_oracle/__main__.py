@@ -8,35 +8,37 @@ main = console.Group(
     __doc__ or "",
     {
         "cases": Command(
-            "fishmj.lbm_oracle.ladder", "known answers, each beside its reference", "fishmj lbm_oracle cases poiseuille couette"
+            "fishmj.lbm_oracle.cases.validate",
+            "known answers, each beside its reference",
+            "fishmj lbm_oracle cases poiseuille couette",
         ),
         "converge": Command(
-            "fishmj.lbm_oracle.converge",
+            "fishmj.lbm_oracle.cases.converge",
             "order of convergence of the fluid on closed solutions",
             "fishmj lbm_oracle converge --device cpu",
         ),
         "converge fish": Command(
-            "fishmj.lbm_oracle.converge_fish",
+            "fishmj.studies.solver_grid.converge_fish",
             "cruise speed, drag and broadside force of the fish over grid, time step and slip ratio",
             "fishmj lbm_oracle converge fish --what drag --grids 0.02 0.01 --out runs/converge",
         ),
         "swim": Command(
-            "fishmj.lbm_oracle.swim",
+            "fishmj.lbm_oracle.run.swim",
             "a gait, free or tethered; writes a trial folder",
             "fishmj lbm_oracle swim --preset laptop --beats 5 --out runs/a --fields runs/a_fields",
         ),
         "speeds": Command(
-            "fishmj.lbm_oracle.speeds",
+            "fishmj.studies.solver_grid.speeds",
             "speed of the free fish over beat frequency, slip ratio and depth",
             "fishmj lbm_oracle speeds --preset laptop --frequencies 1 --slips 1 --out runs/speeds",
         ),
         "forcemap": Command(
-            "fishmj.lbm_oracle.forcemap",
+            "fishmj.studies.force_maps.forcemap",
             "steady forces on a held fish over joint angle and angle of attack",
             "fishmj lbm_oracle forcemap --domain laptop --what joint --speeds 0.3 --out runs/forcemap",
         ),
         "drift": Command(
-            "fishmj.lbm_oracle.drift",
+            "fishmj.studies.drifters.drift",
             "passive markers in a turbulent current: tracks, headings, spread",
             "fishmj lbm_oracle drift --water flow --n 4 --out runs/drift",
         ),

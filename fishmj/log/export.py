@@ -26,12 +26,12 @@ import numpy as np
 from fishmj import __version__, names
 from fishmj.errors import LogError, MissingExtra, StoreError
 from fishmj.log import check, foxglove, measurements, toml
-from fishmj.log.archive import row_place
-from fishmj.log.bundle import read_bundle
 from fishmj.log.columns import unit
+from fishmj.log.compact import read_bundle
 from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
+from fishmj.log.npz_tables import row_place
 from fishmj.log.schema import SCHEMA, TABLES, table_spec
 from fishmj.log.trial import Trial, stacked
 from fishmj.store import put_in_place, write_text

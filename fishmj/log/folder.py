@@ -14,11 +14,11 @@ import numpy as np
 from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import check, toml
-from fishmj.log.archive import read_archive, row_place, write_archive
+from fishmj.log.csv_tables import read_csv, read_text, write_csv
 from fishmj.log.limits import listed, quoted
+from fishmj.log.npz_tables import read_archive, row_place, write_archive
 from fishmj.log.plausible import of_meta
 from fishmj.log.schema import SCHEMA, TABLES
-from fishmj.log.text import read_csv, read_text, write_csv
 from fishmj.log.trial import Table, Trial
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text

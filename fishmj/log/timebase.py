@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.lag import Lag, lag_between
+from fishmj.log.delay import Lag, lag_between
 from fishmj.log.trial import Table, Trial, gaps, stacked
 
 PAUSE = 10.0  # s; a longer step is a pause: no rate and no lost row is counted in it

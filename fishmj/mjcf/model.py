@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from fishmj.errors import ConfigError, InjectionError, UnknownName
-from fishmj.mjcf import outline
+from fishmj.mjcf import visual_geometry
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.units import G
@@ -80,10 +80,10 @@ def build_spec(
         else:
             _add_servo(spec, body, robot, f"j{i}")
         if ellipsoid:
-            outline.add_ellipsoid(body, geometry, i)
+            visual_geometry.add_ellipsoid(body, geometry, i)
             body.gravcomp = 1.0  # buoyancy, which MuJoCo's fluid leaves out; no righting moment
         if not bare:
-            outline.add_link(spec, body, robot, geometry, i)
+            visual_geometry.add_link(spec, body, robot, geometry, i)
         parent = body
     return spec
 
@@ -94,7 +94,7 @@ def _options(spec, robot: Robot, root: str, ellipsoid: bool) -> None:
     spec.option.gravity = [0, 0, -G if root == "free" else 0.0]
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     if ellipsoid:
-        spec.option.density, spec.option.viscosity = robot.density_water, outline.DYNAMIC_VISCOSITY
+        spec.option.density, spec.option.viscosity = robot.density_water, visual_geometry.DYNAMIC_VISCOSITY
 
 
 def _add_root(body, root: str) -> None:

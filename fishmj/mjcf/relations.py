@@ -229,7 +229,7 @@ def _of_a_data_sheet(s: Mapping[str, float]) -> str:
     torque, speed = s["torque"] * KG_CM, S_PER_60_DEG / s["speed_no_load"]
     heavy = f"{s['torque']:g} kg cm is {torque:.4g} N m"
     slow = f"{s['speed_no_load']:g} s/60 deg is {speed:.4g} rad/s"
-    fits = lambda t, w: t / w <= 1.05 * s["kd"]  # noqa: E731
+    fits = lambda t, w: t / w <= 1.05 * s["kd"]
     possible = 0.03 <= s["speed_no_load"] <= 0.7  # s/60 deg, of servos
     if possible and fits(s["torque"], speed):
         return f"{slow}: is that its unit? or "

@@ -8,7 +8,7 @@ from fishmj.mjcf.geometry import geometry_of
 
 def solids(robot: Robot) -> tuple[Solid, ...]:
     """One solid a link, nose first: the same hull and fin plates as in the robot's MuJoCo model."""
-    from fishmj.mjcf.outline import fin_plates, loft
+    from fishmj.mjcf.visual_geometry import fin_plates, loft
 
     g, out = geometry_of(robot), []
     for i, (link, front) in enumerate(zip(robot.links, [g.reference, *g.origin[1:]], strict=True)):

@@ -130,7 +130,7 @@ def _name(text: str, _known: Known) -> str:
 
 def _size(low: float, high: float) -> tuple[Callable[[str, Known], float], Callable[[Known], str]]:
     """A length of the body, between shares of the fish's length."""
-    bounds = lambda known: (low * known["length"], high * known["length"])  # noqa: E731
+    bounds = lambda known: (low * known["length"], high * known["length"])
     return (
         lambda text, known: quantity("length", *bounds(known))(text),
         lambda known: "{:.3g} to {:.3g} m".format(*bounds(known)),
@@ -149,7 +149,7 @@ def _mass_range(known: Known) -> tuple[float, float]:
 
 
 (_height, _heights), (_width, _widths), (_tail, _tails) = _size(*HEIGHT), _size(*WIDTH), _size(*TAIL)
-_fixed = lambda text: lambda _known: text  # noqa: E731
+_fixed = lambda text: lambda _known: text
 NAME = Question("name", "NAME", "Name of the fish", _name, _fixed("my_fish"), _fixed("letters, digits, _ . -"))
 QUESTIONS = (
     NAME,

@@ -145,7 +145,7 @@ def _water(water: dict) -> list[str]:
         "ke": "momentum at the trailing edge",
         "stations": "strips a link",
     }
-    text = lambda v: f'"{v}"' if isinstance(v, str) else str(v)  # noqa: E731
+    text = lambda v: f'"{v}"' if isinstance(v, str) else str(v)
     rows = [f"{key} = {text(value)}" + (f"  # {notes[key]}" if key in notes else "") for key, value in water.items()]
     return ["[water]                      # prior: values from the literature (docs/water.md), fitted to no flow", *rows]
 

@@ -102,7 +102,7 @@ def _notes(view: View, unit: float, asked: str | None) -> list[str]:
         lines = [f"nose: {view.nose}, because {view.why}; --nose {other} turns it"]
     else:
         lines = [f"nose: {view.nose}, as --nose says" + (f", although {view.why}: look at the picture" if view.why else "")]
-    place = lambda fin: f"{'above' if fin.above else 'below'} at {unit * fin.start:.3f} to {unit * fin.end:.3f} m"  # noqa: E731
+    place = lambda fin: f"{'above' if fin.above else 'below'} at {unit * fin.start:.3f} to {unit * fin.end:.3f} m"
     if view.fins:
         which = ", ".join(f"{place(fin)} ({unit * fin.reach:.2g} m high)" for fin in view.fins)
         lines.append(f"fins left out of the hull, from the nose: {which}; --sections takes a hull with them")
@@ -256,7 +256,7 @@ def _view(mask: np.ndarray, nose: str | None, path: Path) -> View:
 
 def _overlay(cv2, picture, mask, view: View, sections) -> bytes:
     """The picture with the hull, its sections, what was left out and both ends drawn on it, as PNG."""
-    point = lambda x, y: tuple(int(round(v)) for v in view.tip + x * view.axis + y * view.up)  # noqa: E731
+    point = lambda x, y: tuple(int(round(v)) for v in view.tip + x * view.axis + y * view.up)
     hull, orange, violet = view.hull, np.array([80.0, 200.0, 255.0]), np.array([220.0, 60.0, 200.0])
     top, bottom = ([point(*pair) for pair in zip(hull.x, edge, strict=True)] for edge in (hull.top, hull.bottom))
     inside = np.zeros(mask.shape, np.uint8)

@@ -64,7 +64,7 @@ def _link(axes: Any, robot: Robot, i: int, front: float, column: int, scale: flo
     """Link i from the side (column 1, heights) or from above (column 2, widths); its plate is hatched."""
     rows, link = drawn_sections(robot, i), robot.links[i]
     least = 0.002 * robot.length  # a plate is seen from above, too
-    around = lambda x, half: (np.r_[x, x[::-1]], np.r_[level + half, level - half[::-1]])  # noqa: E731
+    around = lambda x, half: (np.r_[x, x[::-1]], np.r_[level + half, level - half[::-1]])
     x, half = front + rows[:, 0], np.maximum(rows[:, column] * scale / 2, least)
     axes.fill(*around(x, half), color=colour_of(robot, i), zorder=2, **EDGE)
     if column == 1 and link.fin_from is not None and link.fin_from < link.length:

@@ -19,7 +19,7 @@ from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.play.keyboard import Keyboard, press
-from fishmj.play.pond import Pond
+from fishmj.play.live_session import Pond
 from fishmj.replay.live import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fishmj.controllers import Controller
-from fishmj.play.pond import Pond
+from fishmj.play.live_session import Pond
 
 SPEED_STEP, TURN_STEP, TARGET_STEP = 0.02, np.pi / 12, 0.1  # m/s, rad, m a key press
 REACH = 1.5  # m, the target stays in |x|, |y| <= REACH

@@ -4,8 +4,8 @@ from fishmj.replay import write_html, write_mp4
 write_html([read_trial("runs/a"), read_trial("runs/b")], "replay.html")
 """
 
-from fishmj.replay.film import write_mp4, write_png
 from fishmj.replay.html import write_html
 from fishmj.replay.scene import Track, track
+from fishmj.replay.video import write_mp4, write_png
 
 __all__ = ["Track", "track", "write_html", "write_mp4", "write_png"]

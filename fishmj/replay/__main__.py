@@ -7,9 +7,9 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.log import Trial, read_trial
 from fishmj.mjcf.description import load_robot
-from fishmj.replay.film import write_mp4, write_png
 from fishmj.replay.html import write_html
 from fishmj.replay.scene import named_robot, robot_of, unlike
+from fishmj.replay.video import write_mp4, write_png
 
 PAGE = Path("replay.html")
 EXAMPLES = """examples:

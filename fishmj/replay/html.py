@@ -66,10 +66,10 @@ def write_html(
 
 def page(title: str, data: dict) -> str:
     """The whole document as text."""
-    read = lambda name: _lines((_PAGE / name).read_text(encoding="utf-8"))  # noqa: E731
+    read = lambda name: _lines((_PAGE / name).read_text(encoding="utf-8"))
     text, ours = read("page.html"), {"@STYLE@": read("style.css"), "@VIEWER@": _lines(viewer_bundle())}
     ours["@PLAYER@"] = "\n".join(read(name) for name in SCRIPTS)
-    fill = lambda part, given: "".join(given.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", part))  # noqa: E731
+    fill = lambda part, given: "".join(given.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", part))
     scripts = [fill(found, ours) for found in re.findall(r"<script>(.*?)</script>", text, re.DOTALL)]
     return fill(text, {**ours, "@POLICY@": pages.policy(scripts), "@TITLE@": pages.escaped(title), "@DATA@": pages.data(data)})
 

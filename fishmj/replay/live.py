@@ -176,7 +176,7 @@ def ring(radius: float, thick: float, n: int = 64, m: int = 10) -> tuple[np.ndar
     reach = radius + thick * np.cos(b)
     vertices = np.stack([reach * np.cos(a), reach * np.sin(a), thick * np.sin(b)], -1).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
-    corner = lambda di, dj: ((i + di) % n * m + (j + dj) % m).ravel()  # noqa: E731
+    corner = lambda di, dj: ((i + di) % n * m + (j + dj) % m).ravel()
     one, two = (corner(0, 0), corner(1, 0), corner(0, 1)), (corner(0, 1), corner(1, 0), corner(1, 1))
     return vertices, np.concatenate([np.stack(one, 1), np.stack(two, 1)])
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import ConfigError, MissingExtra, StoreError
-from fishmj.lbm_oracle.slices import Slice, read_slice, slices_in
+from fishmj.lbm_oracle.output.slices import Slice, read_slice, slices_in
 from fishmj.log import Trial
 from fishmj.replay.scene import Track
 

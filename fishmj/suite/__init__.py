@@ -57,7 +57,7 @@ def register() -> None:
     for name, factory in _OWN.items():
         if name not in _dm.fish.SUITE:
             _dm.fish.SUITE.add("fishmj")(factory)
-    with_own = lambda pairs: tuple(sorted({*pairs, *ALL_TASKS}))  # noqa: E731
+    with_own = lambda pairs: tuple(sorted({*pairs, *ALL_TASKS}))
     _dm.ALL_TASKS, _dm.EXTRA, _dm.REWARD_VIZ = (with_own(pairs) for pairs in (_dm.ALL_TASKS, _dm.EXTRA, _dm.REWARD_VIZ))
     names = (*_dm.TASKS_BY_DOMAIN[fish.DOMAIN], *_OWN)
     _dm.TASKS_BY_DOMAIN[fish.DOMAIN] = tuple(dict.fromkeys(names))

@@ -19,16 +19,16 @@ from dm_control.mujoco import wrapper
 from dm_control.rl import control
 
 from fishmj import engines
+from fishmj.dynamics import planar_chain as chain
 from fishmj.engines import FishParams
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.inject import inject
-from fishmj.hydro_fit.wrench import FreeWater
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.tasks.scene import TARGET, build_scene
+from fishmj.water.injection import inject
+from fishmj.water.spatial import FreeWater
 
 PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
 
@@ -267,7 +267,7 @@ def evaluator(robot: Robot, ch: chain.Chain):
 def in_numpy(ch: chain.Chain, q, v, attached, params, target, flow, ambient, memory, *, added: "engines.Added | None" = None):
     """(applied (1, nv), attached (1,), power (1,), memory (1, M)) of one fish, batch axis of 1 on every argument."""
     one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
-    line = lambda a: [float(x) for x in a[0]]  # noqa: E731
+    line = lambda a: [float(x) for x in a[0]]
     hooks = None if added is None else added.hooks(np, line(params.effects), line(memory))
     s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient), hooks)
     return np.array([s.applied]), np.array([s.attached]), np.array([s.power]), np.array([s.memory], float).reshape(1, -1)

@@ -113,7 +113,7 @@ class FigureEight:
 def _arc_table() -> tuple[np.ndarray, np.ndarray]:
     """(p, s): parameter and arc length along one cycle; Simpson's rule between the points."""
     p = np.linspace(0, 2 * pi, POINTS)
-    rate = lambda p: np.hypot(np.cos(2 * p), np.cos(p))  # noqa: E731  ds/dp
+    rate = lambda p: np.hypot(np.cos(2 * p), np.cos(p))  # ds/dp
     middle = (p[1:] + p[:-1]) / 2
     pieces = (rate(p[1:]) + 4 * rate(middle) + rate(p[:-1])) / 6 * np.diff(p)
     return p, np.concatenate([[0.0], np.cumsum(pieces)])

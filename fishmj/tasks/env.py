@@ -161,12 +161,12 @@ class StationHold:
         )  # fmt: skip
         done = terminated | truncated | bad
         keep = ("current", "key", "reward", "terminated", "truncated", "distance", "diverged", "final_obs", "final_privileged")
-        pick = lambda new, old: jnp.where(done.reshape((n,) + (1,) * (old.ndim - 1)), new, old)  # noqa: E731
+        pick = lambda new, old: jnp.where(done.reshape((n,) + (1,) * (old.ndim - 1)), new, old)
         mixed = {f: jax.tree.map(pick, getattr(fresh, f), getattr(moved, f)) for f in EnvState._fields if f not in keep}
         each = {
             f: pick(getattr(fresh.current, f), getattr(moved.current, f)) for f in Current._fields[:5]
         }  # not the shared table
-        finite = lambda a: jnp.where(bad[:, None], 0.0, a)  # noqa: E731
+        finite = lambda a: jnp.where(bad[:, None], 0.0, a)
         return moved._replace(
             **mixed, current=moved.current._replace(**each), final_obs=finite(obs), final_privileged=finite(moved.privileged),
             reward=jnp.where(bad, 0.0, gain), distance=jnp.where(bad, 0.0, distance),
@@ -206,7 +206,7 @@ class StationHold:
         zero, joints = jnp.zeros((n,)), jnp.zeros((n, self.n_act))
         q = jnp.concatenate([start.pose, params.zero], -1)
         rest = jax.tree.map(jnp.float32, engines.at_rest(self.robot, np.zeros((1, 3))))
-        spread = lambda a: jnp.tile(a, (n,) + (1,) * (a.ndim - 1))  # noqa: E731
+        spread = lambda a: jnp.tile(a, (n,) + (1,) * (a.ndim - 1))
         fish = FishState(q, jnp.zeros_like(q), zero + 0.5, spread(rest.buffer), spread(rest.memory))
         history = jnp.repeat(start.pose[:, None], self.length, 1)
         no = jnp.zeros((n,), bool)
@@ -242,7 +242,7 @@ class StationHold:
         """Noise-free target and flow in the true body frame, true velocity and the time left: for critics only."""
         q, v = state.fish.q, state.fish.v
         c, s = jnp.cos(q[:, 2]), jnp.sin(q[:, 2])
-        body = lambda x, y: jnp.stack([c * x + s * y, c * y - s * x], -1)  # noqa: E731
+        body = lambda x, y: jnp.stack([c * x + s * y, c * y - s * x], -1)
         goal = body(*(state.target - q[:, :2]).T)
         here = jnp.concatenate([goal, body(v[:, 0], v[:, 1]), v[:, 2:3], q[:, 3:], v[:, 3:]], -1)
         left = (self.limit - state.count)[:, None] / self.limit

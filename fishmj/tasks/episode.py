@@ -228,8 +228,8 @@ class Episodes:
     def _advance(self, commands) -> tuple[FishState, engines.Trace, np.ndarray]:
         """The engine's step; fish that diverge are frozen at rest where they were, and flagged."""
         tick = self.count * self.rules.ticks
-        go = lambda fish: self.engine.advance(fish, commands, self.scenario.params, self.scenario.current, tick)  # noqa: E731
-        numpy = lambda out: type(out)(*(np.asarray(a, float) for a in out))  # noqa: E731
+        go = lambda fish: self.engine.advance(fish, commands, self.scenario.params, self.scenario.current, tick)
+        numpy = lambda out: type(out)(*(np.asarray(a, float) for a in out))
         diverged = np.zeros(self.n, bool)
         try:
             fish, trace = go(self.fish)

@@ -25,7 +25,7 @@ NOTE = (
 
 def sigmas(joints: int, strength: float = 1.0) -> dict[str, float]:
     """Standard deviation of the noise of every column, in its unit; strength: factor on the task's."""
-    get = lambda key: strength * constant("noise", key)  # noqa: E731
+    get = lambda key: strength * constant("noise", key)
     angle, rate = radians(get("joint_deg")), get("joint_rate")
     each = {f"{letter}{i + 1}": value for letter, value in (("j", angle), ("w", rate)) for i in range(joints)}
     return {"x": get("position"), "y": get("position"), "yaw": get("yaw"), **each}

@@ -11,7 +11,7 @@ from math import ceil
 
 from fishmj.effects import Active
 from fishmj.effects.sites import Seen
-from fishmj.engines.added import Added
+from fishmj.engines.extensions import Added
 from fishmj.mjcf.description import Robot
 
 
@@ -24,7 +24,7 @@ class Sensors:
 
     def __init__(self, robot: Robot):
         self.added, self.tick = Added.of(robot), robot.timing.bus_dt
-        whole = lambda seconds: ceil(seconds / self.tick - 1e-6)  # noqa: E731
+        whole = lambda seconds: ceil(seconds / self.tick - 1e-6)
         self.behind = whole(self.added.latest("joint"))
         self.slow = whole(self.added.latest("velocity"))
         self.frames = whole(self.added.latest("pose")) + self.slow

@@ -63,8 +63,8 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     """
     n, j, m = len(robot.links), robot.n_joints, n_fish(robot)
     p, added = nominal_params(robot, 1), Added.of(robot)
-    span = lambda a, b: 2 * uniforms[:, a:b] - 1  # noqa: E731
-    get = lambda key: constant("randomisation", key)  # noqa: E731
+    span = lambda a, b: 2 * uniforms[:, a:b] - 1
+    get = lambda key: constant("randomisation", key)
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
     delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, m - 2], strength)
     camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, m - 1], strength)

@@ -36,7 +36,7 @@ def options() -> console.Parser:
     about += " The paper is the one on zero-shot sim-to-real station holding (docs/paper_errata.md)."
     p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
-    of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())  # noqa: E731
+    of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())
     preset = "set of defaults. quick: PPO for a CPU; paper: PPO, the paper's network, for a GPU; paper-sac: the paper's algorithm"
     preset += " and budget (default: quick on a CPU, else paper)"
     add("--preset", choices=tuple(PRESETS), help=preset)
@@ -206,7 +206,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
             raise ConfigError(f"{every} is there already; add --force to overwrite it, or choose another --out")
         found = dict.fromkeys(seeds, every)
     else:
-        alone = lambda seed: args.out or Path("runs") / f"{settings.preset}-{algo}-{seed}"  # noqa: E731
+        alone = lambda seed: args.out or Path("runs") / f"{settings.preset}-{algo}-{seed}"
         apart = bool(args.out) and len(seeds) > 1
         found = {seed: alone(seed) / f"seed-{seed}" if apart else alone(seed) for seed in seeds}
     for folder in dict.fromkeys(found.values()):
@@ -251,7 +251,7 @@ def main(argv: list[str]) -> int:
     results = []
     learner = None
     if args.together:
-        from fishmj.train.together import train_together
+        from fishmj.train.multi_seed import train_together
 
         results, seeds = train_together(settings, seeds, folders[seeds[0]]), []
     for seed in seeds:

@@ -8,7 +8,7 @@ Operations are those of the matrix products: 2 a weight forwards, 6 forwards and
 from fishmj import cost
 from fishmj.cores import usable_cores
 from fishmj.mjcf.description import load_robot
-from fishmj.train.learner import made, pick_engine
+from fishmj.train.build import made, pick_engine
 from fishmj.train.settings import Settings
 
 CPU, GPU = "cpu", "gpu"

@@ -74,7 +74,7 @@ class OwnAlgorithm:
         return plugins.call(f"{self.what}: act", self.mine.act, actor, obs)
 
     def _check(self, training) -> None:
-        from fishmj.train.learner import policy_of
+        from fishmj.train.build import policy_of
 
         try:
             policy = policy_of(training.actor, self.settings, {})

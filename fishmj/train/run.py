@@ -16,10 +16,10 @@ import numpy as np
 
 from fishmj import console, interrupt, store
 from fishmj.errors import ConfigError, SimDiverged
-from fishmj.train.assess import Assessment
-from fishmj.train.board import Board
-from fishmj.train.endure import stop_on_signal, when_there_is_room
-from fishmj.train.learner import algorithm, environment, pick_engine, policy_of
+from fishmj.train.build import algorithm, environment, pick_engine, policy_of
+from fishmj.train.evaluate_policy import Assessment
+from fishmj.train.interruptions import stop_on_signal, when_there_is_room
+from fishmj.train.metrics_log import Board
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
@@ -86,7 +86,7 @@ class Run:
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
         with stop_on_signal(self._last_words) as asked, self.bar as bar:
-            write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)  # noqa: E731
+            write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)
             if self._assessment_is_due():
                 self._judge(board, write)
             while self.done < s.steps and not asked:
@@ -235,7 +235,7 @@ def go_on(folder: Path, done: int, settings: Settings) -> str:
 def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:
     """Whether an assessment beats the best so far: staying in the tank counts first (99 % will do), then holding close; under a
     reward of the task's own its return alone."""
-    rank = lambda f: (f["return"],) if own_reward else (min(0.99, f["stayed"]), -f["rmse_last10"])  # noqa: E731
+    rank = lambda f: (f["return"],) if own_reward else (min(0.99, f["stayed"]), -f["rmse_last10"])
     return best is None or rank(figures) >= rank(best)
 
 

@@ -117,7 +117,7 @@ class SAC:
 
     def store(self, m: Memory, obs, action, reward, ahead, ended) -> Memory:
         """Append one transition a fish."""
-        put = lambda a, rows: jax.lax.dynamic_update_slice_in_dim(a, rows, m.head, 0)  # noqa: E731
+        put = lambda a, rows: jax.lax.dynamic_update_slice_in_dim(a, rows, m.head, 0)
         n, size = self.config.envs, self.capacity
         filled = (put(m.obs, obs), put(m.action, action), put(m.reward, reward), put(m.ahead, ahead), put(m.ended, ended))
         return Memory(*filled, jnp.minimum(m.size + n, size), (m.head + n) % size)
@@ -170,8 +170,8 @@ class SAC:
             m = self.store(t.memory, *(a[rows] for a in seen))
             carry = (t.actor, t.critics, t.targets, t.log_alpha, t.optimisers)  # without m: a branch would copy it
             keys = jax.random.split(k_learn, self.per_step)
-            learn = lambda carry: jax.lax.scan(partial(self.learn, m), carry, keys)  # noqa: E731
-            wait = lambda carry: (carry, jnp.zeros(self.per_step))  # noqa: E731
+            learn = lambda carry: jax.lax.scan(partial(self.learn, m), carry, keys)
+            wait = lambda carry: (carry, jnp.zeros(self.per_step))
             (actor, critics, targets, log_alpha, optimisers), loss = jax.lax.cond(warm, wait, learn, carry)
             done = env.terminated | env.truncated | env.diverged
             late = (env.count > self.env.limit // 2) & ~done
@@ -193,7 +193,7 @@ class SAC:
 
 def paper_config() -> Config:
     """The paper's networks and budget; its silent hyperparameters are the algorithm's published defaults."""
-    get = lambda key: constant("training", key)  # noqa: E731
+    get = lambda key: constant("training", key)
     return Config(
         hidden=tuple(get("actor")),
         batch=get("batch"),

@@ -15,8 +15,8 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import MissingExtra
-from fishmj.train.assess import Assessment
-from fishmj.train.learner import environment, made, pick_engine
+from fishmj.train.build import environment, made, pick_engine
+from fishmj.train.evaluate_policy import Assessment
 from fishmj.train.networks import forward, input_scale
 from fishmj.train.run import Run
 from fishmj.train.sac import Config, paper_config
@@ -117,7 +117,7 @@ class StableSAC:
 
     def _taken(self) -> Training:
         """The learner as NumPy arrays (copies)."""
-        take = lambda t: t.detach().cpu().numpy().copy()  # noqa: E731
+        take = lambda t: t.detach().cpu().numpy().copy()
         m, actor = self.model, self.model.actor
         tensors = {f"policy.{k}": take(v) for k, v in m.policy.state_dict().items()}
         tensors["log_alpha"] = take(m.log_ent_coef)

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from fishmj.gym.spaces import observation_space
 from fishmj.gym.vector import FishVectorEnv
 from fishmj.tasks.station_hold import visible
-from fishmj.train.learner import pick_engine, robot_for
+from fishmj.train.build import pick_engine, robot_for
 from fishmj.train.networks import scale
 from fishmj.train.settings import Settings
 

@@ -94,13 +94,13 @@ def change(settings: Settings, **changes) -> Settings:
 
 def as_dict(settings: Settings) -> dict:
     """Plain types, for JSON."""
-    listed = lambda v: list(v) if isinstance(v, tuple) else v  # noqa: E731
+    listed = lambda v: list(v) if isinstance(v, tuple) else v
     return {k: {a: listed(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in asdict(settings).items()}
 
 
 def from_dict(table: dict) -> Settings:
     """The inverse of `as_dict`."""
-    tupled = lambda v: tuple(v) if isinstance(v, list) else v  # noqa: E731
+    tupled = lambda v: tuple(v) if isinstance(v, list) else v
     values: dict[str, Any] = {k: {a: tupled(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in table.items()}
     return Settings(**values)
 

@@ -7,7 +7,7 @@ def command(xp, p, value, memory, h):
     """c' = c_0 + (c - c_0) min(1, t / T_m), restarted from where it is at each new command. Exact for steps."""
     start, target, clock = memory
     safe = xp.where(p.move_time > 0.0, p.move_time, 1.0)
-    reached = lambda since: xp.where(since < p.move_time, since / safe, 1.0)  # noqa: E731
+    reached = lambda since: xp.where(since < p.move_time, since / safe, 1.0)
     fresh = xp.abs(value - target) > 0.0
     start = xp.where(fresh, start + (target - start) * reached(clock), start)
     clock = xp.minimum(xp.where(fresh, h, clock + h), 10.0)  # s; a ramp is over long before

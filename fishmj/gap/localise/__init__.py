@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.gap.localise.beat import Beat, Rates, beat, by_rate
 from fishmj.gap.localise.comparison import Comparison, compared
-from fishmj.gap.localise.frame import Frame, Side, frame, side, stretches
+from fishmj.gap.localise.harmonics import Beat, Rates, beat, by_rate
 from fishmj.gap.localise.lags import Lags, lags
 from fishmj.gap.localise.regimes import KINDS, kinds, shares
+from fishmj.gap.localise.world_or_body import Frame, Side, frame, side, stretches
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]
 THIRDS = 3
@@ -52,7 +52,7 @@ class Localisation:
     @property
     def text(self) -> str:
         """The paragraph."""
-        from fishmj.gap.localise.words import paragraph
+        from fishmj.gap.localise.narrative import paragraph
 
         return paragraph(self)
 

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.gap.features import Layout
-from fishmj.gap.records import Record
+from fishmj.gap.records.records import Record
+from fishmj.gap.records.residual import Layout
 
 
 class Comparison(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.gap.localise.comparison import Comparison
-from fishmj.gap.records import Record
+from fishmj.gap.records.records import Record
 from fishmj.log import Trial, numbered
 from fishmj.log.regimes import label
 

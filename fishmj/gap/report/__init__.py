@@ -6,9 +6,9 @@ write(inquiry, folder)          report.html, report.json, verdict.json
 
 from pathlib import Path
 
-from fishmj.gap.gates import Gates
-from fishmj.gap.report.material import Material, gathered, plain
+from fishmj.gap.report.report_data import Material, gathered, plain
 from fishmj.gap.report.sections import html
+from fishmj.gap.thresholds import Gates
 from fishmj.gap.workflow import Inquiry
 from fishmj.store import write_json, write_text
 

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from fishmj.gap.growth import Curve
 from fishmj.gap.localise import Localisation
+from fishmj.gap.localise.error_growth import Curve
 from fishmj.gap.report.drawing import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
-from fishmj.gap.report.material import Part, Round
+from fishmj.gap.report.report_data import Part, Round
 from fishmj.gap.report.words import LETTERS
 from fishmj.gap.wording import level, number
 

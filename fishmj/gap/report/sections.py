@@ -5,10 +5,10 @@ import re
 import numpy as np
 
 from fishmj import __version__
-from fishmj.gap.localise.words import nothing
+from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
 from fishmj.gap.report.drawing import style
-from fishmj.gap.report.material import Material, Round, parted
+from fishmj.gap.report.report_data import Material, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
 from fishmj.gap.report.traces import traces
 from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, meaning, next_step
@@ -80,7 +80,7 @@ def figures(m: Material) -> list[str]:
 def gap(m: Material) -> str:
     """Before and after."""
     channels = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
-    pair = lambda both: f"{level(both[0])} → {level(both[1])}" if m.comparison.changed else level(both[0])  # noqa: E731
+    pair = lambda both: f"{level(both[0])} → {level(both[1])}" if m.comparison.changed else level(both[0])
     heads = "".join(f'<th class="n">{escape(p.name)}</th>' for p in m.parts)
     whole = "".join(f'<td class="n"><b>{pair((p.before, p.after))}</b></td>' for p in m.parts)
     rows = [f'<tr><td class="name">all</td>{whole}</tr>']

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.features import Block
 from fishmj.gap.localise import Comparison
+from fishmj.gap.records.residual import Block
 from fishmj.gap.report.drawing import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
 from fishmj.pages import drawn
 

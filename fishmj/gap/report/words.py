@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
-from fishmj.gap.fallback.outdone import LEAD, outdone
-from fishmj.gap.gates import rest_allowed
-from fishmj.gap.report.material import Material
-from fishmj.gap.spared import misformed
+from fishmj.gap.report.report_data import Material
+from fishmj.gap.search.outlier_records import misformed
+from fishmj.gap.terms.stronger import LEAD, outdone
+from fishmj.gap.thresholds import rest_allowed
 from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, title
 
@@ -105,7 +105,7 @@ def gates(m: Material) -> list[Gate]:
     """Every gate with its figure and its threshold; after the first that stops the search, none is asked."""
     v, g, first = m.inquiry.verdict, m.gates, m.inquiry.found.steps[0] if m.inquiry.found.steps else None
     checks, accepted = v.gates, bool(first and first.accepted)
-    had = lambda key: float(checks.get(key, float("nan")))  # noqa: E731
+    had = lambda key: float(checks.get(key, float("nan")))
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
     rows = (
         ("gap", "Is there more than null runs reach?")

@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit import chain
-from fishmj.hydro_fit.fit import band
-from fishmj.hydro_fit.fit.prior import flat
+from fishmj.hydro_fit.fit import prediction_interval
 from fishmj.hydro_fit.fit.rollout import Swim, fleet_of, is_free, recorded
-from fishmj.hydro_fit.model import HydroModel
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
+from fishmj.water.model import HydroModel
+from fishmj.water.prior import flat
 
 LEAST = 40  # swims: with fewer the factor hangs on the worst few
 
@@ -44,13 +44,13 @@ def calibrated(model: HydroModel, robot: Robot, records: Sequence[Record], about
 
 
 def _scaled(model: HydroModel, robot: Robot, swims: Sequence[Record]) -> dict[str, list[float]]:
-    ch = chain.chain_of(robot)
+    ch = planar_chain.chain_of(robot)
     swim, fleet = Swim(ch, model.swimmer(robot)), fleet_of(ch, robot, swims, seconds=1e6)
-    mean = band.means(swim.run(fleet, flat(model.base), model.learnt), fleet)
-    members = band.of_members(swim, fleet, model.members, model.learnt)
-    seen, out = band.means(recorded(fleet), fleet), {}
-    for channel in band.CHANNELS:
+    mean = prediction_interval.means(swim.run(fleet, flat(model.base), model.learnt), fleet)
+    members = prediction_interval.of_members(swim, fleet, model.members, model.learnt)
+    seen, out = prediction_interval.means(recorded(fleet), fleet), {}
+    for channel in prediction_interval.CHANNELS:
         error = np.abs(getattr(mean, channel) - getattr(seen, channel))
-        needed = error / band.half_width(channel, mean, members, model.band)
-        out[channel] = (band.conformal(needed) * np.array(model.band[channel])).tolist()
+        needed = error / prediction_interval.half_width(channel, mean, members, model.band)
+        out[channel] = (prediction_interval.conformal(needed) * np.array(model.band[channel])).tolist()
     return out

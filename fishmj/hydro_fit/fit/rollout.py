@@ -16,12 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit import chain, learned
-from fishmj.hydro_fit.fit.prior import unflat
-from fishmj.hydro_fit.fit.rows import ambient_of
+from fishmj.hydro_fit.fit.regression_rows import ambient_of
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot
+from fishmj.water import residual_hooks
+from fishmj.water.prior import unflat
 
 WINDOW = 2.0  # s, over which velocities are averaged
 LEAST = 128  # fish swum at once, the last one repeated: a step of them costs as much as one of ten, a compilation 5 s
@@ -55,7 +56,9 @@ def is_free(record: Record) -> bool:
     return not (held["joints"] or held["root"])
 
 
-def fleet_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], *, seconds: float = 10.0, least: float = 2.0) -> Fleet:
+def fleet_of(
+    ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], *, seconds: float = 10.0, least: float = 2.0
+) -> Fleet:
     """Free swims cut into pieces of `seconds`; a rest shorter than `least` is left out.
 
     Raises:
@@ -74,14 +77,14 @@ def fleet_of(ch: chain.Chain, robot: Robot, records: Sequence[Record], *, second
     return cut(ch, robot, records, pieces)
 
 
-def cut(ch: chain.Chain, robot: Robot, records: Sequence[Record], pieces: Sequence[tuple[int, int, int]]) -> Fleet:
+def cut(ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], pieces: Sequence[tuple[int, int, int]]) -> Fleet:
     """These pieces, (number of the record, first tick, end)."""
     longest = max(b - a for _, a, b in pieces)
     columns = [_piece(ch, robot, records[n], a, b, longest) for n, a, b in pieces]
     return Fleet._make([*(np.stack(c) for c in zip(*columns, strict=True)), tuple((n, a) for n, a, _ in pieces)])
 
 
-def _piece(ch: chain.Chain, robot: Robot, record: Record, a: int, b: int, longest: int) -> tuple:
+def _piece(ch: planar_chain.Chain, robot: Robot, record: Record, a: int, b: int, longest: int) -> tuple:
     q0, v0 = record.before
     steps, more = round(record.tick / ch.dt), longest - (b - a)
     delay = round(record.meta.get("latency", robot.timing.command_latency) / ch.dt)
@@ -93,7 +96,7 @@ def _piece(ch: chain.Chain, robot: Robot, record: Record, a: int, b: int, longes
     if ramp:
         older = before[np.maximum(whole, 0)]
         newest = older + ((part + 1) / steps)[:, None] * (newest - older)
-    pad = lambda x: np.concatenate([x, np.repeat(x[-1:], more, 0)])  # noqa: E731
+    pad = lambda x: np.concatenate([x, np.repeat(x[-1:], more, 0)])
     states = (np.concatenate([q0[a : a + 1], record.q[a:b]]), np.concatenate([v0[a : a + 1], record.v[a:b]]))
     target = newest.reshape(b - a, steps, -1)
     mask = np.concatenate([np.ones(b - a), np.zeros(more)])
@@ -133,7 +136,7 @@ class Swim:
         swimmer: the fish; its water is replaced by what `run` is given.
     """
 
-    def __init__(self, ch: chain.Chain, swimmer: chain.Swimmer):
+    def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer):
         self.chain, self.swimmer = ch, swimmer
         self._key = repr((ch, swimmer[:5]))
 
@@ -143,7 +146,9 @@ class Swim:
     def __eq__(self, other) -> bool:
         return isinstance(other, Swim) and self._key == other._key
 
-    def run(self, fleet: Fleet, water: np.ndarray, learnt: "learned.Residual | None" = None, attached=None, memory=None) -> Track:
+    def run(
+        self, fleet: Fleet, water: np.ndarray, learnt: "residual_hooks.Residual | None" = None, attached=None, memory=None
+    ) -> Track:
         """Swim every piece from its recorded start.
 
         Args:
@@ -155,11 +160,11 @@ class Swim:
         batch = len(fleet.q)
         water = np.broadcast_to(np.asarray(water, np.float32), (batch, np.shape(water)[-1]))
         attached = np.full(batch, 0.5) if attached is None else attached
-        memory = np.zeros((batch, len(learned.at_rest()))) if memory is None else memory
+        memory = np.zeros((batch, len(residual_hooks.at_rest()))) if memory is None else memory
         given = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient, water, attached, memory)
         size = LEAST * -(-batch // LEAST)  # few sizes, so that few are compiled
         wide = [np.concatenate([a, np.repeat(a[-1:], size - batch, 0)]) for a in map(np.asarray, given)]
-        single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)  # noqa: E731
+        single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
         out = self._run(*single(wide), None if learnt is None else single(learnt))
         return Track(*(np.asarray(a[:batch], float) for a in out))
 
@@ -172,7 +177,7 @@ class Swim:
         """The swim as JAX code: ((q, v, power) (B, T, ..), state at the end)."""
         ch, n = self.chain, self.chain.n
         sw = self.swimmer._replace(water=unflat([water[:, i] for i in range(water.shape[1])]))
-        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))  # noqa: E731
+        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
 
         def tick(state, given):
             target, flow, ambient = given
@@ -180,8 +185,8 @@ class Swim:
 
             def step(state, aim):
                 q, v, x, memory, power = state
-                hooks = None if learnt is None else learned.Learned(jnp, ch, learnt, memory)
-                s = chain.step(jnp, ch, sw, q, v, x, split(aim), stream, split(ambient), hooks)
+                hooks = None if learnt is None else residual_hooks.Learned(jnp, ch, learnt, memory)
+                s = planar_chain.step(jnp, ch, sw, q, v, x, split(aim), stream, split(ambient), hooks)
                 memory = memory if learnt is None else tuple(s.memory)
                 return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
 
@@ -213,5 +218,5 @@ def windows(track: Track, fleet: Fleet, tick: float, seconds: float = WINDOW) ->
     surge, sway = np.cos(yaw) * vx + np.sin(yaw) * vy, np.cos(yaw) * vy - np.sin(yaw) * vx
     shape = (len(yaw), count, size)
     whole = fleet.mask[:, : count * size].reshape(shape).min(-1) > 0
-    mean = lambda a: np.where(whole, a[:, : count * size].reshape(shape).mean(-1), np.nan)  # noqa: E731
+    mean = lambda a: np.where(whole, a[:, : count * size].reshape(shape).mean(-1), np.nan)
     return View(mean(surge), mean(sway), mean(track.v[..., 2]), mean(track.power))

@@ -8,13 +8,13 @@ trails makes thrust either way, so that swimming forwards proves little.
 import numpy as np
 
 from fishmj.errors import SimDiverged
-from fishmj.lbm_oracle import audit
-from fishmj.lbm_oracle.body import Body
 from fishmj.lbm_oracle.cases import below, register, reported
-from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.markers import fish_markers
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed import momentum_budget
+from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 SHAPE = (56, 32, 20)
 LAG = np.radians(60.0) * np.arange(3)
@@ -31,13 +31,13 @@ def pond(device: str, *, slip: float = 1.0, root: str = "planar", dx=0.02, dt=0.
 
 def beat(coupled: Coupled, seconds: float, *, frequency: float = 1.0, amplitude: float = np.radians(30.0), every: int = 5):
     """Servo-driven travelling wave, smooth start; the momentum every few steps."""
-    history = [audit.momentum(coupled)]
+    history = [momentum_budget.momentum(coupled)]
     for n in range(round(seconds / coupled.body.dt)):
         t = coupled.time
         coupled.body.data.ctrl[:] = min(1.0, t) * amplitude * np.sin(2 * np.pi * frequency * t - LAG)
         coupled.step()
         if n % every == every - 1:
-            history.append(audit.momentum(coupled))
+            history.append(momentum_budget.momentum(coupled))
     return history
 
 
@@ -58,11 +58,11 @@ def coupled_fish(device):
     coupled = pond(device)
     history = beat(coupled, 3.0)
     largest = max(np.linalg.norm(m.solid) for m in history)
-    yield below("momentum drift over max |p_solid|", audit.drift(history), 0.03)
-    cells, markers = audit.exchange(coupled)
+    yield below("momentum drift over max |p_solid|", momentum_budget.drift(history), 0.03)
+    cells, markers = momentum_budget.exchange(coupled)
     yield below("sum rho G - sum V F, relative", np.abs(cells - markers).max() / np.abs(markers).max(), 2e-6)
     yield below("|mj_step - solve|", np.abs(coupled.body.data.qvel - coupled.boundary.outbox.numpy()).max(), 1e-9)
     without = pond(device, interior=False)
-    yield reported("drift without the inside water", audit.drift(beat(without, 3.0)))
+    yield reported("drift without the inside water", momentum_budget.drift(beat(without, 3.0)))
     yield reported("max |p_solid|, kg m/s", largest)
     yield reported("speed along x after 3 beats, m/s", float(coupled.body.data.qvel[0]))

@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries
 from fishmj.lbm_oracle.cases import Check, about, register, reported
 from fishmj.lbm_oracle.cases.cylinder_strip import cylinder
-from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.markers import offset_of
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.markers import offset_of
 
 STREAM = 0.06  # lattice units: Mach 0.1
 BOX, AT = (30.0, 30.0), (0.4, 0.5)  # diameters; share of the box

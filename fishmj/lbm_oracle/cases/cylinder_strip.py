@@ -12,14 +12,14 @@ import numpy as np
 import warp as wp
 
 from fishmj.flow import Flow
-from fishmj.lbm_oracle import immersed
-from fishmj.lbm_oracle.body import Body, Water
-from fishmj.lbm_oracle.boundaries import Boundaries
-from fishmj.lbm_oracle.boundary import Boundary
-from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.markers import Markers, offset_of
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.domain_faces import Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed import kernels
+from fishmj.lbm_oracle.immersed.body import Body, Water
+from fishmj.lbm_oracle.immersed.boundary import Boundary
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.markers import Markers, offset_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,7 +40,7 @@ class Strip(Boundary):
 
     def _launch(self, kernel, dim, inputs, outputs) -> None:
         super()._launch(kernel, dim, inputs, outputs)
-        if kernel is immersed.spread:
+        if kernel is kernels.spread:
             super()._launch(fold, (*self.box_shape[:2], self.rhs), [], [self.scratch])
 
 

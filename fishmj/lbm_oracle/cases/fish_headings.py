@@ -8,9 +8,9 @@ from math import radians
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, register, reported
-from fishmj.lbm_oracle.domain import Domain, preset, tank
-from fishmj.lbm_oracle.gait import Gait
-from fishmj.lbm_oracle.stage import Stage
+from fishmj.lbm_oracle.run.domain import Domain, preset, tank
+from fishmj.lbm_oracle.run.gait import Gait
+from fishmj.lbm_oracle.run.setup import Stage
 
 HEADINGS = (0.0, 30.0, 90.0)  # deg
 

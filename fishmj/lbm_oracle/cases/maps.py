@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.averages import average
 from fishmj.lbm_oracle.cases import below, register, reported
-from fishmj.lbm_oracle.domain import Domain, preset
-from fishmj.lbm_oracle.guard import Watch
-from fishmj.lbm_oracle.stage import Edge, Stage
+from fishmj.lbm_oracle.output.block_average import average
+from fishmj.lbm_oracle.run.domain import Domain, preset
+from fishmj.lbm_oracle.run.setup import Edge, Stage
+from fishmj.lbm_oracle.run.stability import Watch
 
 SLIP = 1.0
 AOA, SPEED, SLOW = 30.0, 0.3, 0.2  # deg, m/s

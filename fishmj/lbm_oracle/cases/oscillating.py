@@ -14,9 +14,9 @@ from math import pi
 
 import numpy as np
 
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.cases.cylinder_strip import cylinder
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 
 KC, REYNOLDS, SPEED = 5.0, 100.0, 0.06  # greatest speed in lattice units
 PHASE = np.array([0.0, 0.1, 0.2, 0.3, 0.3993, 0.5, 0.6, 0.7, 0.8, 0.8993])  # of the period, u = -U at 0

@@ -8,10 +8,10 @@ Halfway bounce-back is exact at tau = 1/2 + sqrt(3/16) for a collision with one 
 
 import numpy as np
 
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries
 from fishmj.lbm_oracle.cases import below, register
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 
 NU_LU = (3 / 16) ** 0.5 / 3
 U_MAX = 0.02  # lattice units

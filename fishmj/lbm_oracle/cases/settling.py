@@ -19,13 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.lbm_oracle.ball import ball
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries
 from fishmj.lbm_oracle.cases import about, register, reported
-from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.markers import sphere_markers
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.free_sphere import ball
+from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.units import G
 
 DIAMETER, DENSITY = 0.015, 1120.0  # m, kg/m3

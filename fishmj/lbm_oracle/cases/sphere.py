@@ -16,13 +16,13 @@ from math import pi
 import numpy as np
 
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.ball import ball
-from fishmj.lbm_oracle.boundaries import Axis, Boundaries
 from fishmj.lbm_oracle.cases import about, register, reported
-from fishmj.lbm_oracle.coupling import Coupled
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.markers import sphere_markers
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.free_sphere import ball
+from fishmj.lbm_oracle.immersed.markers import sphere_markers
 
 STREAM = 0.05  # lattice units
 

@@ -7,8 +7,8 @@ diffusive scaling: nu fixed in lattice units, u0 = 0.48 / N, so that dx^2 and Ma
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, below, register
-from fishmj.lbm_oracle.fluid import Fluid
-from fishmj.lbm_oracle.units import Lattice
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 
 SIZES = (16, 32, 64)
 NU_LU = 0.15

@@ -184,7 +184,7 @@ def _silent(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
     dead = [_of_a_joint(g.places) and not np.isfinite(found[g.kind].values(g.column)).any() for g in guesses]
     alive = {(g.kind, _family(p)) for g, no in zip(guesses, dead, strict=True) if not no for p in g.places}
     why = "holds no number, other joints of its table do: was it unplugged?"
-    lost = lambda g: any((g.kind, _family(p)) in alive for p in g.places)  # noqa: E731
+    lost = lambda g: any((g.kind, _family(p)) in alive for p in g.places)
     return [
         g
         if not no or g.said

@@ -1,0 +1,84 @@
+"""What a controller makes of the 11 numbers: a fix of target, velocity and heading in axes that do not turn with the fish.
+
+In each beat the head yaws by up to 40 deg and the reference point sways by up to 4 cm, both nearly in proportion to the
+joints (`gait.measure`: nine tenths of them). So the joints take the beat out, without a filter's delay:
+
+    omega = w + c . K,     psi = integral of omega           heading of the swimming direction and its rate
+    r + n s . J,           v - n s . K                       target from, and velocity of, the path's centre; n = left of psi
+
+The observations are late: the pose by the camera, the tracker's rates by half its window more. Joints are prompt, so they
+are read back to those moments by cubic Hermite interpolation between the last two control steps.
+The axes are those of the fish at reset; they drift with the noise of w (some 0.2 rad in a minute), slowly enough not to matter.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.mjcf.description import Robot
+
+
+class Fix(NamedTuple):
+    """Where the fish is, in axes fixed at reset."""
+
+    target: np.ndarray  # (B, 2) m, from the centre of the fish's path to the target
+    velocity: np.ndarray  # (B, 2) m/s over ground, without the beat
+    heading: np.ndarray  # (B,) rad, of the swimming direction, not wrapped, extrapolated to now
+    turn: np.ndarray  # (B,) rad/s, its rate
+
+
+class Navigator:
+    """Turns observations (B, 5 + 2 J) into fixes, one call a control step.
+
+    Args:
+        robot: gives the nominal latencies and the control step.
+        wobble: (J,) c, rad of head yaw a rad of joint angle.
+        sway: (J,) s, m to the left a rad of joint angle.
+    """
+
+    def __init__(self, robot: Robot, wobble, sway):
+        t = robot.timing
+        self.wobble, self.sway, self.dt = np.asarray(wobble, float), np.asarray(sway, float), t.control_dt
+        self.pose_age = t.camera_latency
+        self.rate_age = t.camera_latency + (t.velocity_window - 1) * t.bus_dt / 2
+        self.reset(0)
+
+    def reset(self, n: int) -> None:
+        """Forget everything; the next observation defines the axes."""
+        self.heading = np.zeros(n)  # at the time of the rates
+        self.turn: np.ndarray | None = None
+        self.before: tuple | None = None
+
+    def __call__(self, obs) -> Fix:
+        """The fix that an observation gives."""
+        j = len(self.wobble)
+        target, velocity, rate, joint, joint_rate = obs[:, :2], obs[:, 2:4], obs[:, 4], obs[:, 5 : 5 + j], obs[:, 5 + j :]
+        old, old_rate = self.before or (joint, joint_rate)
+        then = lambda age: hermite(old, old_rate, joint, joint_rate, self.dt, 1 - age / self.dt)
+        (bend, _), (bend_rates, speed) = then(self.pose_age), then(self.rate_age)  # at the picture, and when the rates held
+        turn = rate + speed @ self.wobble
+        if self.turn is not None:
+            self.heading = self.heading + self.dt * 0.5 * (turn + self.turn)
+        self.turn, self.before = turn, (joint, joint_rate)
+        seen, met = self.heading + (self.rate_age - self.pose_age) * turn, self.heading
+        place = turned(target, seen - bend @ self.wobble) + across(seen, bend @ self.sway)
+        motion = turned(velocity, met - bend_rates @ self.wobble) - across(met, speed @ self.sway)
+        return Fix(place, motion, self.heading + self.rate_age * turn, turn)
+
+
+def hermite(a, da, b, db, h: float, s: float):
+    """Value and rate at a + s h of the cubic through (a, da) and (b, db), h apart."""
+    value = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * h * da + s * s * (3 - 2 * s) * b + s * s * (s - 1) * h * db
+    rate = 6 * s * (1 - s) * (b - a) / h + (1 - s) * (1 - 3 * s) * da + s * (3 * s - 2) * db
+    return value, rate
+
+
+def across(heading, amount):
+    """Vectors (B, 2) of length `amount` (B,) to the left of `heading` (B,)."""
+    return amount[:, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
+
+
+def turned(vectors, angle):
+    """Vectors (B, 2) turned by angle (B,) counter-clockwise."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]], -1)

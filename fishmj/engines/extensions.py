@@ -1,0 +1,161 @@
+"""What a robot is given beyond its nominal swimmer, the same in every engine: the effects of its description, a learnt water.
+
+    added = Added.of(robot)
+    s = chain.step(xp, ch, sw, q, v, attached, target, flow, ambient, added.hooks(xp, parameters, memory))
+
+`parameters` and `memory` are flat lists of scalars or arrays of one batch shape: the columns of `FishParams.effects` (B, P) and
+of `FishState.memory` (B, M), the effects' memory first. Where nothing is added both have no columns and the hooks are None.
+"""
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.dynamics import planar_chain as chain
+from fishmj.dynamics.hooks import Effects
+from fishmj.effects.calibration import Fitted, activate
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf.description import Robot
+
+STRUCTURED, SURROGATE = "structured", "surrogate"  # waters: strips alone; the shipped fitted one
+
+
+class Commanded(Effects):
+    """Effects with the site `command` in front of the servos: what `chain.step` is given as target is what the bus delivered."""
+
+    def servos(self, ch: chain.Chain, sw: chain.Swimmer, q, v, target):
+        return super().servos(ch, sw, q, v, [self.session.command(j, target[j], ch.dt) for j in range(ch.n - 1)])
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """Effects and learnt water of one robot.
+
+    Attributes:
+        active: the effects, or None. row: (P,) their calibrated values. memory: (M,) what a fish remembers at its start.
+        learnt: the learnt residual force, or None, and the chain that it acts on.
+    """
+
+    active: "effects.Active | None"
+    row: np.ndarray
+    memory: np.ndarray
+    learnt: Any = None
+    chain: "chain.Chain | None" = None
+
+    @classmethod
+    def of(cls, robot: Robot) -> "Added":
+        """Everything that `robot.effects` and `robot.water["model"]` name. Raises ConfigError, UnknownName, StoreError."""
+        active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
+        if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
+            warnings.warn(f"{robot.name}: no simulator draws {', '.join(idle)}; generators of data do", stacklevel=2)
+        memory, learnt, ch = [] if active is None else list(active.memory), residual_of(robot), None
+        if learnt is not None:
+            from fishmj.water.residual_hooks import at_rest
+
+            ch = chain.chain_of(robot)
+            memory += at_rest()
+        return cls(active, row, np.array(memory, float), learnt, ch)
+
+    def hooks(self, xp, parameters, memory, *, wet: float = 1.0) -> Any:
+        """Hooks for one `chain.step`, None where nothing is added."""
+        parameters, memory = list(parameters), list(memory)
+        inner = None
+        if self.active is not None:
+            inner = Commanded(xp, self.active, parameters, memory[: len(self.active.memory)], wet)
+        if self.learnt is None or self.chain is None:
+            return inner
+        from fishmj.water.residual_hooks import Learned
+
+        return Learned(xp, self.chain, self.learnt, memory, inner)
+
+    def late(self, xp, rows, clock: str, t=0.0):
+        """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 where no effect delays it."""
+        if self.active is None:
+            return 0.0
+        return self.active.delay(xp, [rows[..., i] for i in range(rows.shape[-1])], clock, t)
+
+    def latest(self, clock: str) -> float:
+        """The longest delay that the bounds of the effects allow, s."""
+        slots = [] if self.active is None else self.active.slots
+        delaying = [slot.effect for slot in slots if clock in slot.effect.delays]
+        return sum(e.parameter(e.delays[clock]).high for e in delaying)
+
+
+def stacked(xp, values, like):
+    """Flat memory as (B, M) of the dtype of `like` (B, M)."""
+    if like.shape[-1] == 0:
+        return like
+    return xp.stack([xp.broadcast_to(xp.asarray(v, dtype=like.dtype), like.shape[:-1]) for v in values], -1)
+
+
+def bus_rows(robot: Robot, least: int) -> int:
+    """Bus commands to remember so that every command delay within the effects' bounds fits: `least`, or more."""
+    return least + ceil(Added.of(robot).latest("command") / robot.timing.bus_dt - 1e-9) if robot.effects else least
+
+
+def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
+    """The robot with these effects in its list; those that it does not have yet are there at their null.
+
+    Raises:
+        UnknownName: not in the catalogue. ConfigError: a stochastic effect, which no site of the physics holds.
+    """
+    have, more = {fitted.name for fitted in robot.effects}, []
+    for name in dict.fromkeys(names):
+        if effects.get(name).stochastic:
+            raise ConfigError(f"effect {name!r} is drawn when data are made; the simulators cannot hold it, choose another")
+        if name not in have:
+            more.append(Fitted(name, {}))
+    return replace(robot, effects=(*robot.effects, *more)) if more else robot
+
+
+def in_water(robot: Robot, water: "str | Path") -> Robot:
+    """The robot in another water: "structured" is its own, "surrogate" the one fitted for it, else a fitted one by name or file.
+
+    Raises:
+        UnknownName, StoreError: no such water. ConfigError: it was fitted for another robot or another time step.
+    """
+    if water == STRUCTURED:
+        return robot
+    from fishmj.water.model import shipped
+
+    if water == SURROGATE and robot.name in shipped():
+        water = robot.name
+    model = fitted_water(str(water))
+    kept = {key: robot.water[key] for key in ("stations",) if key in robot.water}
+    base = model.swimmer(robot).water._asdict()
+    return replace(robot, water={**base, **kept, "model": str(water)})
+
+
+def residual_of(robot: Robot):
+    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
+    from fishmj.water.model import shipped
+
+    name = str(robot.water.get("model", STRUCTURED))
+    if name == STRUCTURED:
+        return None
+    model = fitted_water(robot.name if name == SURROGATE and robot.name in shipped() else name)
+    if (links := len(model.base.k)) != len(robot.links):
+        raise ConfigError(
+            f"robot {robot.name!r} [water] model: got {name!r}, fitted for {model.robot!r} of {links} links, expected one for"
+            f" {len(robot.links)} links; 'structured' fits every robot"
+        )
+    return model.learnt
+
+
+@lru_cache(8)
+def fitted_water(name: str):
+    """A fitted water by name or file."""
+    from fishmj.water.model import HydroModel, shipped
+
+    if name == SURROGATE:
+        if not shipped():
+            raise UnknownName("fitted water", name, [STRUCTURED])
+        name = shipped()[0]
+    return HydroModel.load(name)

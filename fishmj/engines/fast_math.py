@@ -1,0 +1,142 @@
+"""Elementary functions as short polynomials that a compiler can put in vector registers.
+
+    sin, cos   x = r + n pi,  |r| <= pi/2;   sin x = (-1)^n r S(r^2),  cos x = (-1)^n C(r^2)
+    exp        x = r + n ln 2,  |r| <= ln 2 / 2;   exp x = 2^n E(r)
+    atan2      t = min(|x|, |y|) / max(|x|, |y|),  atan t = t A(t^2), then unfolded by octant
+
+S, C, E, A interpolate the functions at Chebyshev points (near minimax), so there is no table of coefficients to trust:
+they are computed here for the precision asked for. pi and ln 2 are split in parts whose products with n are exact
+(Cody & Waite 1980), which holds for |n| < 2^`spare`. Errors up to |x| = 10^4 rad, float32 (float64): 2e-7 (4e-15) for sin
+and cos, 4e-7 (4e-15) for atan2, and relative for exp; held by tests/test_codegen.py.
+"""
+
+from math import log, pi
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+
+
+class Precision(NamedTuple):
+    """How one float type is treated: polynomial degrees and the bits of its format."""
+
+    name: str
+    integer: str
+    mantissa: int  # bits
+    bias: int  # of the exponent
+    largest: float  # argument of exp
+    spare: int  # bits left free in the parts of pi and ln 2
+    degree: tuple  # of S, C, E, A
+
+
+SINGLE = Precision("float32", "int32", 23, 127, 87.0, 12, (5, 6, 6, 8))
+DOUBLE = Precision("float64", "int64", 52, 1023, 708.0, 24, (9, 10, 12, 18))
+PRECISIONS = {p.name: p for p in (SINGLE, DOUBLE)}
+
+TEMPLATE = """
+@njit(**MATH)
+def turns(x):
+    n = floor(x * real({inverse_pi!r}) + real(0.5))
+    half = n * real(0.5)
+    return {reduce_pi}, real(1.0) - real(4.0) * (half - floor(half))
+
+
+@njit(**MATH)
+def sin(x):
+    r, sign = turns(x)
+    z = r * r
+    return sign * r * {S}
+
+
+@njit(**MATH)
+def cos(x):
+    r, sign = turns(x)
+    z = r * r
+    return sign * {C}
+
+
+@njit(**MATH)
+def exp(x):
+    x = minimum(real({largest}), maximum(real(-{largest}), x))
+    n = floor(x * real({inverse_ln2!r}) + real(0.5))
+    z = {reduce_ln2}
+    return {E} * whole((whole(n) + whole({bias})) << whole({mantissa})).view(real)
+
+
+@njit(**MATH)
+def atan2(y, x):
+    a, b = absolute(x), absolute(y)
+    high = maximum(a, b)
+    t = minimum(a, b) / (high if high > real(0.0) else real(1.0))
+    z = t * t
+    angle = t * {A}
+    angle = real({half_pi!r}) - angle if b > a else angle
+    angle = real({pi!r}) - angle if x < real(0.0) else angle
+    return -angle if y < real(0.0) else angle
+
+
+@njit(**MATH)
+def maximum(a, b):
+    return a if a > b else b
+
+
+@njit(**MATH)
+def minimum(a, b):
+    return a if a < b else b
+
+
+@njit(**MATH)
+def where(condition, a, b):
+    return a if condition else b
+"""
+
+
+def source(precision: Precision) -> str:
+    """Python text of the functions for one precision; expects njit, MATH, real, whole, floor and absolute in scope."""
+    s, c, e, a = precision.degree
+    root = lambda f, at_zero: lambda z: np.where(z > 0, f(np.sqrt(np.where(z > 0, z, 1.0))), at_zero)
+    return TEMPLATE.format(
+        inverse_pi=1 / pi,
+        inverse_ln2=1 / log(2),
+        half_pi=pi / 2,
+        pi=pi,
+        reduce_pi=_reduced(_parts(PI_HIGH, PI_LOW, precision)),
+        reduce_ln2=_reduced(_parts(LN2_HIGH, LN2_LOW, precision)),
+        S=_horner(root(lambda r: np.sin(r) / r, 1.0), 0.0, (pi / 2) ** 2, s),
+        C=_horner(root(np.cos, 1.0), 0.0, (pi / 2) ** 2, c),
+        E=_horner(np.exp, -log(2) / 2, log(2) / 2, e),
+        A=_horner(root(lambda t: np.arctan(t) / t, 1.0), 0.0, 1.0, a),
+        largest=precision.largest,
+        bias=precision.bias,
+        mantissa=precision.mantissa,
+    )
+
+
+# pi and ln 2 as the nearest double and what it leaves, from their decimal expansions
+PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16
+LN2_HIGH, LN2_LOW = 0.6931471805599453, 2.3190468138462996e-17
+
+
+def _parts(high: float, low: float, precision: Precision) -> list[float]:
+    """`high + low` as two parts short enough that n times a part is exact, and a remainder."""
+    keep = precision.mantissa + 1 - precision.spare
+    parts, rest = [], high
+    for _ in range(2):
+        scale = 2.0 ** (keep - 1 - np.floor(np.log2(rest)))
+        parts.append(float(np.floor(rest * scale) / scale))
+        rest -= parts[-1]
+    return [*parts, float(rest + low)]
+
+
+def _reduced(parts: list[float]) -> str:
+    first, second, third = parts
+    return f"((x - n * real({first!r})) - n * real({second!r})) - n * real({third!r})"
+
+
+def _horner(function, low: float, high: float, degree: int) -> str:
+    """The interpolating polynomial in z on [low, high], nested."""
+    coefficients = Chebyshev.interpolate(function, degree, domain=[low, high]).convert(kind=Polynomial).coef
+    text = f"real({float(coefficients[-1])!r})"
+    for value in coefficients[-2::-1]:
+        text = f"({text} * z + real({float(value)!r}))"
+    return text

@@ -1,0 +1,138 @@
+"""The flow solver behind the engines' interface: one tank of water a fish, all tanks side by side on one device.
+
+`advance` has the shape that the judge expects, so every controller runs in the solver unchanged. Unlike the other engines
+a tank remembers its water: it is filled at the first call, from the poses, parameters and flows of the trials.
+A fish that comes too close to a wall, or whose water leaves the finite numbers, stays where it was; `stopped` says why.
+
+In a stream every fish is held for `HELD` s before the trial begins, the water's clock running up to 0. A fish that is put at rest
+into moving water and let go at once is carried along within 0.1 s, because all water around it is stopped by it alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fishmj.engines import FishParams, FishState, Trace, check_commands, ticks_per
+from fishmj.errors import ConfigError
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.setup import Edge, Stage
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.model import personalise
+
+HELD = 1.0  # s
+
+
+class Engine:
+    """Tanks for the given flows, in their order.
+
+    Args:
+        domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm.
+        slip: ratio at the paper's grid. device: auto, cpu or cuda.
+        finer: time steps in one of the domain's.
+    """
+
+    jittable = False
+
+    def __init__(
+        self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
+        finer: int = 1,
+    ):  # fmt: skip
+        if robot.effects:
+            listed = ", ".join(fitted.name for fitted in robot.effects)
+            raise ConfigError(
+                f"tanks: the flow solver's fish has no place for effects, {robot.name} has {listed}; use its nominal file"
+            )
+        self.robot, self.flows = robot, list(flows)
+        box = preset(domain)
+        self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
+        self.tanks: Tanks | None = None
+
+    @property
+    def stopped(self) -> list[str]:
+        """Why each tank stopped; empty where it did not."""
+        return [] if self.tanks is None else [run.stopped for run in self.tanks.runs]
+
+    @property
+    def ticks(self) -> list[int]:
+        """Bus ticks that each tank has done."""
+        return [] if self.tanks is None else [run.ticks for run in self.tanks.runs]
+
+    def advance(self, state: FishState, commands, params: FishParams, current, tick) -> tuple[FishState, Trace]:
+        """Send the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their flows."""
+        check_commands(commands, self.robot.n_joints)
+        if self.tanks is None:
+            self.tanks = self._fill(np.asarray(state.q), params)
+        runs, batch = self.tanks.runs, len(self.flows)
+        rows: list[tuple] = []
+        for k in range(commands.shape[1]):
+            before = [run.ticks for run in runs]
+            self.tanks.tick(commands[:, k])
+            moved = [run.ticks > n for run, n in zip(runs, before, strict=True)]
+            poses = np.array([run.pose for run in runs])
+            joints = np.array([run.angles() for run in runs]) - params.zero
+            rates = np.array([run.rates() for run in runs])
+            power = np.array([run.rows[-1][6] if run.rows and m else 0.0 for run, m in zip(runs, moved, strict=True)])
+            rows.append((poses[:, :3], joints, rates, poses[:, 3:], power))
+        trace = Trace(*(np.stack(column, 1) for column in zip(*rows, strict=True)))
+        q = np.concatenate([trace.pose[:, -1], trace.joint[:, -1] + params.zero], -1)
+        v = np.concatenate([trace.velocity[:, -1], trace.rate[:, -1]], -1)
+        return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), np.asarray(state.memory)), trace
+
+    def _fill(self, q: np.ndarray, params: FishParams) -> Tanks:
+        if len(q) != len(self.flows):
+            raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
+        tanks = Tanks([self._tank(i, q[i], params) for i in range(len(q))])
+        asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
+        streams = [flow.speed > 0 or flow.rms > 0 for flow in self.flows]
+        if any(streams):
+            for run in tanks.runs:
+                _turn_back(run, HELD)
+            for _ in range(round(HELD / self.robot.timing.bus_dt)):
+                tanks.tick(asked)
+        for run, angles in zip(tanks.runs, asked, strict=True):
+            run.tethered = False
+            if not run.stopped:
+                run.begin()
+                run.commands = [angles.copy()]
+        return tanks
+
+    def _tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
+        """Tank i with its own fish, at rest in undisturbed flow."""
+        stage = Stage(
+            domain=self.domain,
+            robot=self.robot,
+            flow=self.flows[i],
+            slip=self.slip,
+            pose=(float(q[0]), float(q[1]), float(q[2])),
+            joints=tuple(float(a) for a in q[3:]),
+            device=self.device,
+        )
+        coupled, own = (
+            stage.coupled(),
+            {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")},
+        )
+        personalise(coupled.body.model, **own)
+        coupled.body.forward()
+        latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
+        edge = Edge(self.domain, float(q[2]))
+        steps, _ = ticks_per(self.robot)
+        if round(self.robot.timing.bus_dt / coupled.body.dt) < steps:
+            raise ConfigError(
+                f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
+            )
+        return Run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
+
+
+def _turn_back(run: Run, seconds: float) -> None:
+    """Fish and water at -`seconds`, the undisturbed flow of that time everywhere."""
+    coupled = run.coupled
+    fluid = coupled.fluid
+    with coupled.scope():
+        fluid.restore(fluid.snapshot() | {"steps": np.array(-round(seconds / fluid.lattice.dt))})
+        fluid.settle()
+    coupled.body.data.time = -seconds
+    run.begin()

@@ -1,0 +1,1 @@
+"""The commands of `fishmj gap`, and what they share."""

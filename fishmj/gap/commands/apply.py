@@ -1,0 +1,160 @@
+"""`gap apply REPORT`: the next version of the model, from what a search found; `--revert MODEL` goes back.
+
+REPORT is the folder (or verdict.json) of gap find --out. Written: <fish>.v<N>.toml with the effects, their intervals, the data's
+hash, gates and rivals; its parent's text beside it; a .diff of the MJCF where MuJoCo holds an effect itself. Nothing is written
+over. Only a NAMED effect that closes the gap on the records that judge it becomes a version; any other candidate is kept as
+model.rejected-<hash>.toml with its scores, and the exit code is 1.
+
+    fishmj gap apply report --out my_fish.v2.toml
+"""
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from fishmj import console
+from fishmj.engines import own_effects
+from fishmj.engines.extensions import STRUCTURED
+from fishmj.errors import ConfigError
+from fishmj.gap.commands import compare_models, doors, model_version, options
+from fishmj.gap.commands.check import check
+from fishmj.gap.records.datasets import digest, judged, null_of
+from fishmj.gap.wording import level, title
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import write_text
+
+UNSEEN = "records that nothing was fitted to"
+HELD_OUT = "the held-out fold, which the last fit saw: there were too few records to set some aside"
+
+
+class Written(NamedTuple):
+    """What came of a verdict. path: the version, the rejected candidate, or None where there was no candidate."""
+
+    path: "Path | None"
+    accepted: bool
+    reason: str
+    gap_before: "float | None" = None
+    gap_after: "float | None" = None
+    mjcf: str = ""  # unified diff
+    hooks: tuple[str, ...] = ()  # effects that no attribute of MJCF holds
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap apply", __doc__ or "")
+    add = parser.add_argument
+    add("report", nargs="?", type=console.path, help="folder or verdict.json of gap find --out")
+    out = "the next version, a .toml that is not there yet; default <fish>.v<N>.toml beside the report"
+    add("--out", type=console.out_file, help=out)
+    data = "the data set, when it is no longer where the search read it; default, there"
+    add("--data", type=console.path, help=data)
+    add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
+    back = "put the parent's text back in the place of this version (default none)"
+    add("--revert", type=console.path, metavar="MODEL", help=back)
+    own_effects.option(parser)
+    args = parser.parse_args(argv)
+    own_effects.join(args.effects)
+    options.there(args.report, args.data, args.revert)
+    if (args.report is None) == (args.revert is None):
+        raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
+    if args.revert:
+        aside = model_version.revert(args.revert)
+        console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
+        return console.OK
+    written = apply(args.report, args.out, args.data, args.force)
+    console.say(written.reason, *([f"written: {written.path}"] if written.path else []))
+    if written.mjcf:
+        console.say(written.mjcf.rstrip("\n"))
+    if written.hooks:
+        console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
+    if written.accepted:
+        console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
+    if args.json:
+        console.emit_json(written._asdict())
+    return console.OK if written.accepted or written.path is None else console.FAILED_CHECK
+
+
+def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, force: bool = False) -> Written:
+    """The next version from a report on disk; measures both gaps on the records that the report names.
+
+    Raises:
+        ConfigError: not a report, model or data are not what the search saw, or a file of the version's name is there.
+        LogError: a record that the gap is measured on cannot be read.
+    """
+    from fishmj.gap.commands import reported
+
+    verdict = reported.verdict(report, context=True)
+    context, folder = verdict["context"], report if report.is_dir() else report.parent
+    if model_version.digest(context["model"]) != context["model_sha256"]:
+        raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
+    robot = load_robot(context["model"])
+    doors.searchable(robot, context["model"])
+    data = Path(context["data"]) if data is None else data
+    if digest(data) != context["data_sha256"]:
+        raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
+    out = model_version.next_name(context["model"], folder) if out is None else out
+    if out.suffix != ".toml":
+        raise ConfigError(f"{out}: a model is a .toml file; choose such a name with --out")
+    for path in (out, model_version.beside(out)):
+        if path.exists():
+            raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
+    null = null_of(context["null"])
+    doors.null_fits(null, robot, context["model"])
+    given = (judged(data, context["judged"]), null, context.get("water", STRUCTURED))
+    measure = lambda versions: [g for g, _ in compare_models.gaps(versions, *given)]
+    return settle(verdict, context, measure, out, folder, force)
+
+
+def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:
+    """Write the version to `out`, or the rejected candidate into `folder`.
+
+    Args:
+        measure: [parent, candidate] -> their gaps on the records that the report judges by.
+    """
+    answer, parent = verdict["answer"], load_robot(context["model"])
+    if not verdict["effects"]:
+        return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
+    which = UNSEEN if verdict.get("gap_after_unseen") is not None else HELD_OUT
+    provenance = f"{answer}: {len(context['judged'])} {which} of {context['data']}"
+    effects = model_version.found(verdict, provenance, context["data_sha256"])
+    with tempfile.TemporaryDirectory() as scratch:
+        table = {"effects": [e.name for e in effects], "answer": answer} | {
+            k: context[k] for k in ("data", "data_sha256", "judged")
+        }
+        table |= {"null": context["null"], "water": context.get("water", STRUCTURED)}
+        table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
+        draft = model_version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
+        candidate = load_robot(draft)
+        before, after = measure([parent, candidate])
+        table |= {"gap_before": float(before), "gap_after": float(after)}
+        good, reason = verdict_on(answer, before, after, which)
+        if good or force:
+            model_version.write(context["model"], out, effects, table)
+            diff, hooks = native(parent, candidate)
+            if diff:
+                write_text(out.with_suffix(".diff"), diff)
+            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooks))
+        text = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False).read_text(
+            encoding="utf-8"
+        )
+    kept = folder / f"model.rejected-{hashlib.sha256(text.encode()).hexdigest()[:12]}.toml"
+    write_text(kept, text)
+    return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
+
+
+def verdict_on(answer: str, before: float, after: float, which: str = UNSEEN) -> tuple[bool, str]:
+    """Whether a candidate becomes a version, and why. which: the records that the gaps are of, in words."""
+    moved = f"gap {level(before)} -> {level(after)} on {which}"
+    if answer != "NAMED":
+        return False, f"{answer}: no effect explains the gap for certain ({moved})"
+    return (True, moved) if after < before else (False, f"the patch hurts: {moved}")
+
+
+def native(parent: Robot, robot: Robot) -> tuple[str, list[str]]:
+    """MJCF diff, and the effects that only a hook holds."""
+    from fishmj.gap.commands.mjcf_patch import difference, hooked
+
+    return difference(parent, robot), hooked(robot)
+
+
+__all__ = ["Written", "apply", "check", "settle"]

@@ -1,0 +1,74 @@
+"""`gap check MODEL --data DATA`: does a version of a model still close the gap that it was written for?
+
+Replays the records on which its gap was stated, with the version and with its parent. Exit 1 when the version is worse than
+stated (by more than 5 %), or no better than its parent. On another data set all records are taken and only the parent counts.
+
+    fishmj gap check my_fish.v2.toml --data DATA
+"""
+
+from pathlib import Path
+
+from fishmj import console
+from fishmj.engines import own_effects
+from fishmj.engines.extensions import STRUCTURED
+from fishmj.errors import ConfigError
+from fishmj.gap.commands import compare_models, doors, model_version, options
+from fishmj.gap.records.datasets import digest, judged, null_of, trials_in
+from fishmj.gap.wording import level
+from fishmj.mjcf.description import load_robot
+
+SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap check", __doc__ or "")
+    parser.add_argument("model", type=console.path, help="a version that gap apply or gap find wrote")
+    parser.add_argument("--data", type=console.path, required=True, help="data set to replay (needed)")
+    parser.add_argument("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    own_effects.option(parser)
+    args = parser.parse_args(argv)
+    own_effects.join(args.effects)
+    options.there(args.model, args.data)
+    found = check(args.model, args.data, args.same_robot)
+    console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
+    if found["worse"]:
+        console.say(f"FAILED: {found['worse']}")
+    if args.json:
+        console.emit_json(found)
+    return console.FAILED_CHECK if found["worse"] else console.OK
+
+
+def check(model: Path, data: Path, agreed: bool = False) -> dict:
+    """The gap of a version and of its parent on `data`, and what is wrong with it ("" when nothing is).
+
+    agreed: logs of another robot's name are meant.
+
+    Raises:
+        ConfigError: no version table, or the parent's text is gone. LogError: a record that cannot be read, another robot.
+    """
+    from fishmj.gap.commands import reported
+
+    stated = model_version.facts(model)
+    if not stated:
+        raise ConfigError(f"{model}: no table [version]; gap check replays versions that gap apply wrote")
+    stated = reported.version(stated, model)
+    parent = model_version.parent_of(model, stated)
+    if not parent.is_file() or model_version.digest(parent) != stated["parent_sha256"]:
+        raise ConfigError(f"{model}: its parent's text {parent} is gone or changed; write the version again with gap apply")
+    same = digest(data) == stated.get("data_sha256")
+    robot, null = load_robot(model), null_of(stated["null"])
+    doors.searchable(robot, model)
+    doors.null_fits(null, robot, model)
+    trials = judged(data, stated["judged"]) if same else trials_in(data)
+    notes = doors.of_this_robot(trials, robot, model, agreed)
+    given = (trials, null, stated.get("water", STRUCTURED))
+    (before, _), (after, channels) = compare_models.gaps([load_robot(parent), robot], *given)
+    limit, worse = SLACK * stated["gap_after"], ""
+    if same and after > limit:
+        worse = f"gap {level(after)} on {len(trials)} records, stated was {level(stated['gap_after'])}"
+    elif after >= before:
+        worse = f"gap {level(after)} on {len(trials)} records, no smaller than its parent's {level(before)}"
+    return {
+        "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
+        "stated": stated["gap_after"], "by_channel": channels, "worse": worse, "notes": notes,
+    }  # fmt: skip

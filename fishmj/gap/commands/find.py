@@ -1,0 +1,158 @@
+"""`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
+
+    fishmj gap find DATA --model my_fish.toml --out report
+
+Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap so large that no effect is meant by it.
+"""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from fishmj import console, interrupt
+from fishmj.engines import in_water, own_effects
+from fishmj.gap import watch
+from fishmj.gap.commands import compare_models, doors, model_version, options, unlike
+from fishmj.gap.commands.apply import settle
+from fishmj.gap.records import datasets
+from fishmj.gap.records.records import record_of
+from fishmj.gap.records.sufficiency import Shortage, everything, shortage
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.workflow import Inquiry, investigate
+from fishmj.log.dataset import Taken
+from fishmj.machine_code import cache_folder
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import write_json
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap find", __doc__)
+    add = parser.add_argument
+    forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
+    add("data", type=console.path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
+    options.of_model(add)
+    add(
+        "--water",
+        type=console.text,
+        default="structured",
+        help="a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)",
+    )
+    nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
+    add("--null", type=console.path, metavar="FOLDER", help=nulls)
+    out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
+    add("--out", type=console.out_folder, help=out)
+    options.of_null(add)
+    most = f"effects to add at most, 1 to {options.MOST_EFFECTS} (default {frozen().most})"
+    add("--most", type=console.whole(1, options.MOST_EFFECTS), default=None, metavar="N", help=most)
+    add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
+    own_effects.option(parser)
+    args = parser.parse_args(argv)
+    options.there(args.null)
+    own_effects.join(args.effects)
+    robot = in_water(load_robot(args.model), args.water)
+    doors.searchable(robot, args.model)
+    null = datasets.null_of(null_of(args))
+    doors.null_fits(null, robot, args.model)
+    given, notes = admitted(args, robot)
+    for note in notes:
+        console.warn(note)
+    lacking = missing(given, robot)
+    if lacking is not None:
+        console.say(lacking.text())
+        if args.json:
+            console.emit_json(asdict(lacking) | {"skipped": given.broken})
+        return console.CANNOT_TELL
+    try:
+        with interrupt.keeping(words):
+            inquiry = search(args, robot, given, notes)
+    except unlike.TooDifferent as different:
+        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
+        if args.json:
+            console.emit_json(different.plain() | {"skipped": given.broken})
+        return console.CANNOT_TELL
+    with interrupt.keeping(words):
+        console.say(inquiry.verdict.text())
+        if args.out:
+            console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args, given)))}")
+    if args.json:
+        console.emit_json(inquiry.verdict.plain() | {"skipped": given.broken, "notes": list(notes)})
+    return console.OK
+
+
+def words() -> str:
+    """What an interrupted search says."""
+    return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
+
+
+def admitted(args, robot: Robot) -> tuple[Taken, tuple[str, ...]]:
+    """The trials that can be compared with the model, and notes on them.
+
+    Raises:
+        LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
+    """
+    given = datasets.taken(args.data, robot.timing.physics_dt)
+    whose = doors.of_this_robot(given.trials.values(), robot, args.model, args.same_robot)
+    left_out = tuple(f"{name} left out: {why}" for name, why in given.broken.items())
+    return given, (*given.notes, *left_out, *whose)
+
+
+def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inquiry:
+    """Search the trials that were admitted.
+
+    Raises:
+        TooDifferent: model and logs are further apart than any missing effect brings them.
+    """
+    from fishmj.gap.models.swimming_fish import Fish
+
+    return investigate(
+        Fish(robot),
+        list(given.trials.values()),
+        gates=frozen() if args.most is None else replace(frozen(), most=args.most),
+        null=datasets.null_of(null_of(args)),
+        page=datasets.page_in(args.data),
+        seed=args.seed,
+        further=True,
+        say=console.say,
+        bars=watch.shown,
+        admit=lambda e: unlike.admit(e, args.anyway),
+        notes=notes,
+    )
+
+
+def null_of(args) -> dict:
+    """How null runs are drawn: of the second robot, or those of a folder."""
+    made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
+    return made | {"folder": str(args.null.resolve())} if args.null else made
+
+
+def missing(given: Taken, robot: Robot) -> "Shortage | None":
+    """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
+    return shortage([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], everything())
+
+
+def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
+    """What was searched, by hash, and the records that no decision saw (or none was fitted to): what gap apply needs."""
+    apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
+    seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
+    held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
+    drawn = {"null": null_of(args), "water": args.water, "skipped": given.broken}
+    hashes = {"model_sha256": model_version.digest(args.model), "data_sha256": given.sha256}
+    model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)
+    return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
+
+
+def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list[str]:
+    """verdict.json, report.html and report.json; with the context of the search also the patched (or the rejected) model."""
+    folder.mkdir(parents=True, exist_ok=True)
+    verdict = inquiry.verdict.plain()
+    if context is None:
+        write_json(folder / "verdict.json", verdict)
+    else:
+        some = [r for r in inquiry.records if r.name in context["judged"]]
+        plant = inquiry.evidence.plant
+        measure = lambda versions: compare_models.gaps_of(versions, some, datasets.null_of(context["null"]), plant)
+        done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
+        patched = done.path.name if done.path and done.accepted else ""
+        write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
+    from fishmj.gap import report
+
+    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if context is not None and done.path else [])]

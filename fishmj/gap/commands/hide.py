@@ -1,0 +1,248 @@
+"""`gap plant EFFECT[=value] --out DATA`: data in which an effect is hidden; what it was goes to another file.
+
+independent   the second, independently written robot (fishmj.virtual_robot) with the effect in its own equations
+log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be;
+              also one of your own, module:EFFECT or file.py:EFFECT
+lbm           the flow solver's fish on the second robot's servos, network and camera
+
+    fishmj gap plant command_latency=0.04 --seed 7 --out planted
+"""
+
+from itertools import count, cycle, islice
+
+import numpy as np
+
+from fishmj import console, effects, excitation
+from fishmj.effects import Active
+from fishmj.effects.draws import draw
+from fishmj.effects.sites import Seen
+from fishmj.engines import own_effects
+from fishmj.errors import ConfigError
+from fishmj.gap import watch
+from fishmj.gap.commands import doors, options
+from fishmj.gap.records import datasets
+from fishmj.gap.records.datasets import LOUDEST
+from fishmj.lbm_oracle.run.domain import NAMES
+from fishmj.log import Trial, numbered
+from fishmj.log.dataset import Taken
+from fishmj.log.trial import stacked
+from fishmj.mjcf.description import load_robot
+from fishmj.virtual_robot import draws
+from fishmj.virtual_robot.dataset import bounds, own_reference, placed, write_hidden
+from fishmj.virtual_robot.trials import trial_name
+from fishmj.virtual_robot.weighing import page as weighings
+
+GENERATORS = ("independent", "log", "lbm")
+SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command": ("pose", "joint", "power", "truth", "flow")}
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap plant", __doc__ or "")
+    add = parser.add_argument
+    add("effect", nargs="+", metavar="EFFECT[=value]", help="SI; NAME:p=1,q=2 sets several parameters; random draws one; none")
+    add("--out", type=console.out_folder, required=True, metavar="DATA", help="data set folder, new or empty")
+    add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
+    add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
+    robot = "--generator independent: the robot, of four links: name or TOML file (default fish)"
+    add("--model", type=console.text, default="fish", help=robot)
+    add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
+    shelf = "designed, casual, dry, all, or ids with commas (default designed)"
+    add("--excitations", type=console.text, default="designed", metavar="LIST", help=shelf)
+    options.of_seed(add, "of the robot and its noise")
+    add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
+    nuisance = "relative half width of constants that nobody measured, 0 to 0.5 (default 0.1)"
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
+    add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
+    add("--domain", choices=NAMES, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
+    add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
+    add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
+    drop = "--generator log: share of sensor rows that are lost, 0 to 0.9 (default 0)"
+    add("--drop", type=console.number(0, 0.9), default=0.0, metavar="SHARE", help=drop)
+    where = "what was hidden; default DATA.truth.json, beside the data set"
+    add("--truth", type=console.out_file, metavar="FILE", help=where)
+    add("--overwrite", action="store_true", help="replace a data set of the same trials")
+    args = parser.parse_args(argv)
+    options.there(args.source)
+    if args.weigh and args.generator == "log":
+        raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
+    if args.source is not None and args.generator != "log":
+        raise ConfigError(f"gap plant: --from is for --generator log, not {args.generator}")
+    if args.generator == "log" and args.source is None:
+        raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
+    if args.model != "fish" and args.generator != "independent":
+        raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
+    doors.searchable(load_robot(args.model), args.model)
+    given = datasets.taken(args.source) if args.generator == "log" else None
+    names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
+    truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
+    out, truth = placed(args.out, truth, names, args.overwrite)
+    hidden = understood(args)
+    with watch.shown(len(names), "trials", "trials") as bar:
+        make = {"independent": independent, "log": logged, "lbm": solver}[args.generator]
+        trials, facts = make(hidden, args, bar.update, given)
+    page = weighings(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
+    facts = {"generator": args.generator, "seed": args.seed, **facts}
+    write_hidden(out, truth, trials, hidden, facts, args.overwrite, page)
+    console.say(f"{len(trials)} trials in {out}; what is hidden in them is in {truth}")
+    if args.json:
+        console.emit_json({"trials": len(trials), "out": out, "truth": truth, "generator": args.generator})
+    return console.OK
+
+
+def understood(args) -> dict[str, dict[str, float]]:
+    """The effects that are asked for, with their values: looked at before any trial is made.
+
+    Raises:
+        ConfigError: `none` beside an effect; UnknownName, ConfigError as of `parse`.
+    """
+    texts = [text for text in args.effect if text != "none"]
+    if texts and len(texts) < len(args.effect):
+        raise ConfigError(f"gap plant: none beside {', '.join(texts)[:60]}; expected none alone, or effects")
+    if args.generator == "log":
+        return parse(texts, args.seed)
+    from fishmj.virtual_robot import dataset
+
+    return dataset.parse(texts, args.seed, limits)
+
+
+def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
+    """(trials, facts) of the second robot."""
+    from fishmj.virtual_robot import generate
+
+    runs = experiments(args)
+    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
+    return generate(hidden, runs, args.seed, args.noise, args.nuisance, args.model, tick=tick), facts
+
+
+def limits(name: str, parameter) -> tuple[float, float]:
+    """What may be planted: within what the catalogue lets a search find, and what the second robot's own rule allows."""
+    low, high = bounds(name, parameter)
+    listed = {p.name: p for p in effects.catalogue()[name].parameters} if name in effects.catalogue() else {}
+    if parameter.name in listed:
+        low, high = max(parameter.least, listed[parameter.name].low), min(parameter.most, listed[parameter.name].high)
+    return low, high
+
+
+def logged(hidden: dict, args, tick, given: Taken | None) -> tuple[list[Trial], dict]:
+    """(trials, facts): an existing data set seen through other sensors and clocks."""
+    rng = np.random.default_rng([args.seed, 17])
+    trials = []
+    for name, trial in given.trials.items() if given else ():
+        trials.append(manipulated(name, trial, hidden, args.drop, rng))
+        tick(len(trials))
+    for name, why in given.broken.items() if given else ():
+        console.warn(f"{name} left out: {why}")
+    return trials, {"from": str(args.source), "drop": args.drop}
+
+
+def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
+    """(trials, facts) of the flow solver's fish on the second robot's servos, network and camera."""
+    from fishmj.campaign.hidden_lbm.hidden import generate_lbm
+
+    runs = experiments(args)
+    numbers = (args.seed, args.noise, args.nuisance, args.domain, args.device)
+    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "domain": args.domain}
+    done = count(1)
+    return generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=lambda text: tick(next(done))), facts
+
+
+def experiments(args) -> list[str]:
+    """Ids of the trials to make, the list again where it is too short."""
+    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
+    listed = shelf.get(args.excitations, args.excitations.split(","))
+    return [excitation.get(n).id for n in islice(cycle(listed), args.logs)]
+
+
+def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
+    """`NAME`, `NAME=value`, `NAME:p=1,q=2` or `random`, of the effects that can be put on a log afterwards.
+
+    An effect of the user's own, `module:NAME` or `file.py:NAME` in place of NAME, is loaded and joins the catalogue.
+
+    Raises:
+        UnknownName, ConfigError: no such effect, one that acts before the sensors, no number, a value outside the bounds.
+        OwnCodeError: the user's own code breaks a rule.
+    """
+    texts = [_joined(text) for text in texts]
+    able = {e.name: e for e in effects.catalogue().values() if afterwards(e)}
+    out: dict[str, dict[str, float]] = {}
+    for position, text in enumerate(texts):
+        rng = draws.stream(seed, "log", position)
+        name, colon, listed = text.partition(":")
+        main = "" if colon else name.partition("=")[2]
+        name = name.partition("=")[0]
+        left = sorted(set(able) - set(out))
+        if name == "random" and not left or name in out:
+            raise ConfigError(f"gap plant {text[:60]}: every effect once; left are {', '.join(left) or 'none'}")
+        name = str(rng.choice(left)) if name == "random" else name
+        if effects.get(name) and name not in able:
+            raise ConfigError(
+                f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
+            )
+        effect = able[name]
+        active = Active([effect], 3)
+        row = draw(active, 1, rng)[0] if not (colon or main) else np.array(active.null)
+        split = [pair.partition("=") for pair in listed.split(",") if colon]
+        pairs = [(effect.parameters[0].name, main)] if main else [(key.strip(), value) for key, _, value in split]
+        for key, value in pairs:
+            row[active.index(name, effect.parameter(key).name)] = _number(text, value, effect.parameter(key))
+        out[name] = {p.name: float(v) for p, v in zip(effect.parameters, row, strict=True)}
+    return out
+
+
+def _joined(text: str) -> str:
+    """The same with the name of the effect in place of a reference to the user's own code, which is loaded."""
+    own = own_reference(text)
+    return own_effects.join([own])[0].name + text[len(own) :] if own else text
+
+
+def afterwards(effect) -> bool:
+    """Whether it acts on what sensors report and when, and nowhere else."""
+    clocks = set(effect.delays) | set(effect.drifts)
+    return not set(effect.sites) - {"measure"} and bool(effect.measure or clocks & set(SHIFTS)) and not effect.stochastic
+
+
+def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Trial:
+    """One trial with the effects on it: values through `measure`, stamps of a late clock moved by its delay."""
+    active = Active([effects.get(key) for key in hidden], 3)
+    row = active.flat(hidden)
+    tables = {key: dict(table) for key, table in trial.tables.items()}
+    for sensor in ("pose", "joint", "power"):
+        if sensor in tables and not (sensor == "power" and "I" not in tables[sensor]):
+            tables[sensor] = measured(active, row, sensor, tables[sensor])
+    for clock, late in SHIFTS.items():
+        for sensor in late:
+            if sensor in tables:
+                t = np.asarray(tables[sensor]["t"], float)
+                tables[sensor]["t"] = t + active.delay(np, row, clock, t)
+    if drop:
+        for sensor in {"pose", "joint", "power"} & set(tables):
+            kept = rng.random(len(tables[sensor]["t"])) >= drop
+            tables[sensor] = {key: np.asarray(column)[kept] for key, column in tables[sensor].items()}
+    return Trial(trial.meta, tables, name=name, notes=trial.notes)
+
+
+def measured(active: Active, row, sensor: str, table: dict) -> dict:
+    """A table as the effects' sensors report it."""
+    t = np.asarray(table["t"], float)
+    zero = np.zeros_like(t)
+    x, y, yaw = (np.asarray(table[k], float) for k in ("x", "y", "yaw")) if sensor == "pose" else (zero, zero, zero)
+    joint = stacked(table, "j#") if sensor == "joint" else np.zeros((len(t), active.joints))
+    power = np.asarray(table["V"] * table["I"], float) if sensor == "power" else zero
+    seen = active.measure(np, row, Seen(t, x, y, yaw, joint, power))
+    if sensor == "pose":
+        return table | {"x": seen.x + zero, "y": seen.y + zero, "yaw": seen.yaw + zero}
+    if sensor == "joint":
+        return table | numbered("j#", seen.joint)
+    return table | {"I": seen.power / np.asarray(table["V"], float)}
+
+
+def _number(text: str, value: str, parameter) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = np.nan
+    if not parameter.low <= number <= parameter.high:
+        raise ConfigError(
+            f"gap plant {text}: {parameter.name} = {value!r}; expected {parameter.low:g} to {parameter.high:g} {parameter.unit}"
+        )
+    return number

@@ -1,0 +1,145 @@
+"""`gap next REPORT|DATA`: which experiment would tell apart the explanations that are left.
+
+REPORT is what `gap find --out` wrote; DATA a data set, which is searched first. Every experiment of the library is simulated with
+each explanation at its fitted values; the best separation for the time it takes comes first.
+
+    fishmj gap next report --runs hinted
+"""
+
+from fishmj import console, excitation
+from fishmj.engines import in_water, own_effects
+from fishmj.engines.extensions import STRUCTURED
+from fishmj.errors import ConfigError, LogError, UnknownName
+from fishmj.gap import watch
+from fishmj.gap.commands import doors, model_version, options, unlike
+from fishmj.gap.experiment.advice import LEFT, OPEN, advice, read, sides_of
+from fishmj.gap.experiment.discrimination import Side, evenly, hinted, prospects
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records.datasets import BUNDLE, page_in, taken
+from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.workflow import compiled, investigate
+from fishmj.mjcf.description import load_robot
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap next", __doc__)
+    add = parser.add_argument
+    add("source", type=console.path, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
+    questioned = "the model that was questioned; default, the one that the report names, else fish"
+    add("--model", type=console.text, help=questioned)
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    which = "experiments: ids, all, or hinted, a quick look (default all)"
+    add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
+    add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
+    options.of_null(add)
+    add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
+    own_effects.option(parser)
+    args = parser.parse_args(argv)
+    own_effects.join(args.effects)
+    options.there(args.source)
+    null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
+    try:
+        answer, plant, sides, like = _opened(args, null)
+    except unlike.TooDifferent as different:
+        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
+        if args.json:
+            console.emit_json(different.plain())
+        return console.CANNOT_TELL
+    if len(sides) < 2:
+        console.say(f"{answer}: fewer than two explanations are left; no experiment has to decide between any")
+        if args.json:
+            console.emit_json({"answer": answer, "experiments": []})
+        return console.OK
+    runs = _runs(args.runs, sides)
+    compiled(plant, console.say)
+    found = prospects(plant, sides, like, runs, null, bars=watch.shown)
+    console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
+    advised = advice(plant, found, sides)
+    console.say(advised)
+    if args.json:
+        console.emit_json({"answer": answer, "advice": advised, "experiments": [p._asdict() for p in found]})
+    return console.OK
+
+
+def _opened(args, null: Null):
+    """(answer, plant, sides, a record) of a report or a data set."""
+    report = args.source / "verdict.json" if args.source.is_dir() else args.source
+    if report.is_file() and report.suffix != BUNDLE:
+        from fishmj.gap.commands import reported
+
+        verdict = reported.verdict(report, context=False)
+        context = verdict.get("context", {})
+        plant = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
+        return verdict["answer"], plant, evenly(_reported(plant, verdict)), _usual(plant)
+    model = args.model or "fish"
+    plant = _questioned(model, STRUCTURED)
+    given = taken(args.source, plant.dt)
+    whose = doors.of_this_robot(given.trials.values(), plant.robot, model, args.same_robot)
+    for note in (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose):
+        console.warn(note)
+    inquiry = investigate(
+        plant,
+        list(given.trials.values()),
+        null=null,
+        page=page_in(args.source),
+        seed=args.seed,
+        say=console.say,
+        bars=watch.shown,
+        admit=lambda e: unlike.admit(e, args.anyway),
+    )
+    found = inquiry.verdict
+    if found.answer not in OPEN:
+        return found.answer, plant, [], inquiry.records[0]
+    return found.answer, plant, evenly(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
+
+
+def _model_of(context: dict) -> str:
+    """The model that a report questioned, as it was then.
+
+    Raises:
+        ConfigError: it is gone, or changed.
+    """
+    if not context:
+        return "fish"
+    if model_version.digest(context["model"]) != context["model_sha256"]:
+        raise ConfigError(f"{context['model']}: changed since the search; name the model with --model, or search again")
+    return context["model"]
+
+
+def _questioned(model: str, water: str):
+    """The plant of a model that a search can take."""
+    from fishmj.gap.models.swimming_fish import Fish
+
+    robot = in_water(load_robot(model), water)
+    doors.searchable(robot, model)
+    return Fish(robot)
+
+
+def _reported(plant, verdict: dict) -> list[Side]:
+    """Sides of a verdict.json."""
+    if verdict["answer"] not in OPEN:
+        return []
+    ours = {e["name"]: {k: [v["value"], v["low"], v["high"]] for k, v in e["parameters"].items()} for e in verdict["effects"]}
+    rivals = [r for r in verdict["rivals"] if "values" in r]
+    if not rivals:
+        raise LogError("gap next: the report lists no rival with values; give the data set itself: gap next DATA")
+    best = min([1.0, *(e["p_best"] for e in verdict["effects"])])
+    return [read(plant, ours, best), *(read(plant, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
+
+
+def _usual(plant) -> Record:
+    """A record with the usual sensors of this robot."""
+    from fishmj.virtual_robot import generate
+
+    return record_of(generate({}, ["idle"], 0, robot=plant.robot)[0], plant.dt)
+
+
+def _runs(text: str, sides: list[Side]) -> tuple[str, ...]:
+    """Ids of the experiments to consider."""
+    if text == "hinted":
+        return hinted(sides)
+    listed = excitation.names() if text == "all" else tuple(name.strip() for name in text.split(","))
+    for name in listed:
+        if name not in excitation.names():
+            raise UnknownName("excitation", name, excitation.names())
+    return listed

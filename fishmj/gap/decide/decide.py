@@ -1,0 +1,197 @@
+"""From what was found to one of the five answers: ten gates, each a reason that a reader can check.
+
+    G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
+    G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
+    G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
+    G4 rest         what is left lies within the form error of what was found,  else UNEXPLAINED, the best shown as tentative
+                    or is a small share of what that explains (gates.py)
+    G5 form         the formula need not be more wrong than a formula may be    else UNEXPLAINED, the best shown as tentative
+    G6 size         nor larger here and smaller there by more than it may be    else UNEXPLAINED, the best shown as tentative
+    G7 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
+    G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
+    G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
+    G10 force       no free force explains more, unseen (fallback/outdone.py)   else UNEXPLAINED
+
+The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A
+right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare the
+paths of as many records as G7 lets get worse (spared.py), and G5 an effect that can only be right (pinned).
+
+What is found beside others may be too little to be named: beside.py.
+"""
+
+import numpy as np
+
+from fishmj.gap.decide.intervals import HALF, estimate
+from fishmj.gap.decide.poorly_determined import SMALL, SPREAD, chance, sizes, small, untold, vague
+from fishmj.gap.decide.rivals import ON_BOUND, Rival, Standing, standings
+from fishmj.gap.decide.secondary_effects import lesser
+from fishmj.gap.search import likelihood
+from fishmj.gap.search.effect_fitter import Candidate, bounds
+from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.outlier_records import error, misformed
+from fishmj.gap.search.refit import polished
+from fishmj.gap.search.stepwise import Found
+from fishmj.gap.thresholds import Gates, rest_allowed
+from fishmj.gap.verdict import LIKELIHOOD, Named, Value, Verdict
+from fishmj.gap.wording import number, percent, quantity, title
+
+CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
+SLIGHT = 0.15  # of the gain over all records, by which one may get worse
+
+
+def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
+    """The answer with its gates."""
+    before, parts = e.gap(found.base.row)
+    checks: dict = {"adequacy": found.base.cost / e.layout.size, "gap_by_channel": parts}
+    steps = tuple(described(s) for s in found.steps)
+    plain: dict = dict(gap_before=before, gap_after=before, gates=checks, steps=steps)
+    first = found.steps[0] if found.steps else None
+    if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
+        return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
+    if not first.accepted:
+        tentative = named(found, first.ranked[0], {}) if first.gain > 0 else ()
+        gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"
+        why = f"there is a gap, but {gains}, less than {number(gates.gain)}"
+        return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
+    stand = standings(found, gates)
+    effects = named(found, found.best, stand)
+    if chance(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.enough:
+        why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
+        if checks["adequacy"] <= gates.adequacy:
+            return Verdict("AGREES", reason=why, tentative=effects, **plain)
+        return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
+    doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.enough) for n in effects}
+    spoilt = lesser(found, effects, stand, doubts, gates)
+    checks |= unseen(e, found)
+    wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
+    checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
+    kept = tuple(n for n in effects if n.name not in spoilt)
+    checks["pinned"] = pinned(e, found.best.names)
+    rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
+    warnings = tuple(w for n in kept for w in doubts[n.name])
+    whole: dict = dict(effects=kept, rivals=rivals, warnings=warnings, gates=checks, steps=steps, explained=checks["closure"])
+    whole |= dict(gap_before=before, gap_after=e.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in spoilt))
+    shrinks = Verdict("", **whole).shrinks
+    answer, reason = _answer(checks, gates, kept, stand, rivals, warnings, shrinks)
+    return Verdict(answer, reason=reason, **whole)
+
+
+def pinned(e: Evidence, names) -> bool:
+    """Whether all that was found explains anything only where a value is right to a fraction of a per cent.
+
+    That stands in for nothing, and its form may be wrong: a command in steps jumps between the right values, though no two
+    robots do at the same moment.
+    """
+    known = {x.name: x for x in e.plant.active.effects}
+    return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
+
+
+def _rival(name: str, rival: Rival) -> dict:
+    return {"name": rival.name, "p_best": rival.p_best, "behind": rival.behind, "instead_of": name}
+
+
+def _answer(
+    checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings, shrinks: bool = True
+) -> tuple[str, str]:
+    """(answer, reason) once something was found. shrinks: the gap gets smaller with it."""
+    told = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the gap"
+    if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
+        return "UNEXPLAINED", f"the best of the catalogue {told}; it is tentative"
+    if checks["rest"] > rest_allowed(checks, gates):
+        left = f"what is left is {number(checks['rest'])} times what a formula's own error allows"
+        return "UNEXPLAINED", f"the best {told}, {'but' if shrinks else 'and'} {left}; it is tentative"
+    if misformed(checks):
+        return "UNEXPLAINED", f"the best would have to be wrong by {percent(checks['form'])} of what it changes; it is tentative"
+    if checks["size"] > gates.size:
+        resized = f"the best would have to be resized by {percent(checks['size'])} from record to record"
+        return "UNEXPLAINED", f"{resized}; it is tentative"
+    if checks["transfer"] < gates.transfer:
+        return "UNEXPLAINED", f"{percent(1 - checks['transfer'])} of the records get less likely, unseen; the best is tentative"
+    if rivals or any(stand[n.name].p_best < gates.p_best for n in kept):
+        return "CLASS", "these records cannot tell apart what is listed"
+    if warnings:
+        return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
+    does = (
+        "explains records that it has not seen"
+        if shrinks
+        else "makes records that it has not seen likelier, not their gap smaller"
+    )
+    return "NAMED", f"{does}, and nothing else does"
+
+
+def unseen(e: Evidence, found: Found) -> dict[str, float]:
+    """Gates on records that are predicted without their fold: gain, closure, rest, transfer."""
+    parts = found.fitted.unseen(found.folds)
+    before = sum(e.part(f).loss(found.base.row) for f in found.folds)
+    ideal = sum(search.whiten.logdet for search, _ in parts) + e.layout.size
+    left = sum(c.cost for _, c in parts)
+    after = left + ideal - e.layout.size
+    closed = likelihood.closure(before - ideal, after - ideal, 0)
+    return {"gain": before - after, "closure": closed, "rest": left / e.layout.size, "transfer": transfer(e, found)}
+
+
+def transfer(e: Evidence, found: Found) -> float:
+    """Share of the records that do not get less likely, but for chance and a little of what all of them gain.
+
+    Each is predicted by a fit without its fold, and with what the others tell of the constants: a joint gain is no one record's.
+    """
+    rises, allowed = [], []
+    record, near, fitted = e.layout.record, found.near, found.fitted
+    base = e.loss(found.base.row)
+    for fold, fit, more in zip(found.folds, fitted.fits, fitted.left_open(found.folds), strict=True):
+        whole = near.part(near.everything, more).loss(fit.row)
+        for i in np.flatnonzero(fold):
+            others = np.arange(len(e.records)) != i
+            after = whole - near.part(others, more[:, record != i]).loss(fit.row)
+            rises.append(after - (base - e.part(others).loss(found.base.row)))
+            allowed.append(CHANCE * np.sqrt(2.0 * np.sum(record == i)))
+    rise = np.array(rises)
+    return float(np.mean(rise < np.maximum(allowed, -SLIGHT * np.sum(rise))))
+
+
+def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
+    """The effects of a candidate with values, intervals and what all of them close together."""
+    e = found.near
+    doubted = e.doubted(c.row)
+    value, spread = estimate(doubted, polished(doubted.part(doubted.everything), c))
+    near, base = e.part(e.everything), found.base.cost + found.start_logdet
+    ideal = near.whiten.logdet + e.layout.size
+    closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
+    out = []
+    for name in c.names:
+        effect = next(x for x in e.plant.active.effects if x.name == name)
+        values = {}
+        for p in effect.parameters:
+            k = c.places.index(e.plant.index(name, p.name))
+            edges = (float(np.clip(value[k] + side * HALF * spread[k], p.low, p.high)) for side in (-1, 1))
+            values[p.name] = Value(float(value[k]), p.unit, *edges)
+        share = stand[name].p_best if name in stand else 1.0
+        out.append(Named(name, values, share, closed))
+    return tuple(out)
+
+
+def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
+    """What is not believable about the values of one effect. little: what it gains could be that of any."""
+    _, _, size = bounds(e.plant)
+    effect = next(x for x in e.plant.active.effects if x.name == n.name)
+    out = []
+    for p in effect.parameters:
+        place = e.plant.index(n.name, p.name)
+        if any(b != p.null and abs(c.row[place] - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
+            out.append(f"{title(n.name)}: {title(p.name)} = {quantity(c.row[place], p.unit)} lies on its bound")
+    first, *others = sizes(effect)
+    main = n.parameters[first.name]
+    if small(e, n, SMALL):
+        out.append(f"{title(n.name)} is far smaller than it is anywhere known: it may stand in for something else")
+    if not others and vague(first, main):
+        out.append(f"{title(n.name)}: the records disagree about its size by more than {percent(SPREAD)}")
+    if little and others and untold((first, *others), n.parameters):
+        out.append(f"{title(n.name)}: the records do not tell any of its values from none")
+    return tuple(out)
+
+
+def described(step) -> dict:
+    """One round for the report: candidates with their costs."""
+    best = step.ranked[0].cost
+    table = [{"names": list(c.names), "behind": c.cost - best} for c in step.ranked]
+    return {"gain": step.gain, "accepted": step.accepted, "gap_unseen": step.gap, "ranked": table}

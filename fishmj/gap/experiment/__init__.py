@@ -1,0 +1,1 @@
+"""Which experiment separates what the records cannot."""

@@ -1,0 +1,108 @@
+"""Which experiment would decide between the explanations that are left, in words; and the explanations themselves, as sides.
+
+A side is one explanation with its fitted row and how far each parameter may be off. `written` and `read` carry it through a
+report, so that a longer look later needs no data.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fishmj.gap.decide.intervals import HALF, estimate
+from fishmj.gap.decide.rivals import replaced
+from fishmj.gap.experiment.discrimination import Prospect, Side, evenly, hinted, prospects
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records import mass_properties
+from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.stepwise import Found
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.watch import Bars, silent
+from fishmj.gap.wording import title
+
+ENOUGH = 5.0  # sigma from which an experiment is said to decide
+LEFT = 3  # explanations compared, the best among them
+WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (measurements.toml beside the trials)"
+OPEN = ("CLASS", "UNEXPLAINED")
+
+
+def advised(e: Evidence, found: Found, verdict: Verdict, null: Null, bars: Bars = silent) -> Verdict:
+    """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
+    sides = evenly(sides_of(e, found, verdict))
+    if verdict.answer not in OPEN or len(sides) < 2:
+        return verdict
+    quick = prospects(e.plant, sides, e.records[0], hinted(sides), null, bars=bars)
+    known = {s.names: written(e.plant, s) for s in sides[1:]}
+    listed = {names[-1]: values for names, values in known.items()}
+    rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
+    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.plant, quick, sides))
+
+
+def advice(plant, found: list[Prospect], sides: list[Side]) -> str:
+    """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
+    from fishmj.effects.classes import together
+
+    best = next((p for p in found if p.sigma >= ENOUGH), None)
+    if best:
+        return best.text()
+    rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
+    sigma, other = max((mass_properties.separation(plant, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
+    if sigma >= ENOUGH:
+        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {title(sides[0].label)} and {title(other)}."
+    most = max(found, key=lambda p: p.sigma)
+    a, b = most.pair
+    text = f"No experiment tried separates {title(a)} from {title(b)} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
+    same = next((c for x in sides[0].names for y in sides[1].names if (c := together(x, y))), None)
+    return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
+
+
+def sides_of(e: Evidence, found: Found, verdict: Verdict) -> list[Side]:
+    """What is left: the best, then each listed rival in its place; where none is listed, the next of the last round."""
+    if not found.steps:
+        return []
+    near = found.near
+    whole = near.part(np.ones(len(e.records), bool))
+    accepted = [s for s in found.steps if s.accepted]
+    sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
+    for rival in verdict.rivals[: LEFT - 1]:
+        rounds = [s for s in accepted if s.ranked[0].names[-1] == rival["instead_of"]] or accepted
+        like = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
+        other = replaced(whole, found.best, rival["instead_of"], like) if like else None
+        sets += [other] if other else []
+    if len(sets) < 2:
+        sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]
+    fitted = {c.names: c for c in whole.refine(sets, 3)}
+    weights = [min([1.0, *(n.p_best for n in verdict.effects)])] + [float(r["p_best"]) for r in verdict.rivals] + [0.0] * LEFT
+    return [side(near, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
+
+
+def side(e: Evidence, c: Candidate, weight: float) -> Side:
+    """A candidate with how far its parameters may be off."""
+    moves = np.repeat(c.row[None], len(c.places), 0)
+    for k, (place, spread) in enumerate(zip(c.places, estimate(e, c)[1], strict=True)):
+        moves[k, place] += spread
+    return Side(c.names, c.row, moves, weight)
+
+
+def written(plant, s: Side) -> dict:
+    """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
+    out: dict = {}
+    entries = [(x, p) for x in plant.active.effects if x.name in s.names for p in x.parameters]
+    for k, (x, p) in enumerate(sorted(entries, key=lambda xp: s.names.index(xp[0].name))):
+        place = plant.index(x.name, p.name)
+        value, half = s.row[place], HALF * abs(s.moves[k, place] - s.row[place])
+        out.setdefault(x.name, {})[p.name] = [float(value), float(value - half), float(value + half)]
+    return out
+
+
+def read(plant, values: dict, weight: float) -> Side:
+    """The side that `written` wrote."""
+    row, moves = plant.null.copy(), []
+    for name, entries in values.items():
+        for parameter, (value, low, high) in entries.items():
+            row[plant.index(name, parameter)] = value
+            moves.append((plant.index(name, parameter), (high - low) / 2 / HALF))
+    rows = np.repeat(row[None], len(moves), 0)
+    for k, (place, spread) in enumerate(moves):
+        rows[k, place] += spread
+    return Side(tuple(values), row, rows, weight)

@@ -1,0 +1,240 @@
+"""Gap-growth curves: restart the model from measured states, often, and see how the error grows with time since the restart.
+
+    e(H) = rms over restarts of measured(t0 + H) - model(t0 + H | measured state at t0),   H in HORIZONS
+    slope of log e over log H: 0 a sensor, 1 a velocity (current, delay), 2 a force
+
+The state at t0 is a parabola through the stamps of poses and angles around it, their lateness taken off (camera, and what effects
+of the row add). What the uncertainty of that state makes by itself is subtracted in squares. A free run says where a gap leads,
+a restart where it comes from.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.records.records import Record, Sensor
+
+HORIZONS = (0.1, 0.3, 1.0, 3.0)  # s
+EVERY = 0.4  # s between restarts
+AROUND = 0.05  # s to either side of a horizon over which errors are averaged
+HALF = {"joint": 0.06, "pose": 0.1}  # s to either side of a start through which its parabola is laid
+CHANNELS = {"joint": "rad", "position": "m", "heading": "rad"}
+DRAWS = 200
+
+
+class Late(NamedTuple):
+    """How long ago what a stamp reports happened, s; and how long a command takes to the servo."""
+
+    command: float
+    joint: float
+    pose: float
+
+
+class State(NamedTuple):
+    """A measured state: value and rate with their standard deviations, (C,) each."""
+
+    value: np.ndarray
+    rate: np.ndarray
+    value_sd: np.ndarray
+    rate_sd: np.ndarray
+
+
+class Segment(NamedTuple):
+    """A record cut out of another, in mid-swing. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
+
+    record: Record
+    swing: np.ndarray
+    joint: State
+    pose: State
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One channel. before, after, start: (H,) rms error of the model as it was, with what was found, and what the start's own
+    uncertainty makes at most. slope, low, high: of what was found, or of the whole error when nothing was, with a 90 % interval;
+    NaN when it does not rise above the start."""
+
+    channel: str
+    unit: str
+    horizons: tuple[float, ...]
+    before: np.ndarray
+    after: np.ndarray
+    start: np.ndarray
+    restarts: int
+    slope: float
+    low: float
+    high: float
+
+    @property
+    def kind(self) -> str:
+        """How it grows, in words; "not told" where the slope is too uncertain."""
+        if not np.isfinite(self.slope) or self.high - self.low > 1.5:
+            return "not told"
+        names = ("there at once", "like a velocity", "like a force")
+        whole = int(np.clip(np.floor(self.slope + 0.35), 0, 2))
+        if self.slope - whole > 0.35 and whole < 2:
+            return ("between offset and velocity", "between velocity and force")[whole]
+        return names[whole]
+
+
+class Restart(Fish):
+    """A fish that starts in mid-swing, with commands that have already waited."""
+
+    def __init__(self, plant: Fish, segments: list[Segment], late: Late):
+        self.__dict__.update(plant.__dict__)
+        self.latency = plant.latency - late.command  # cut() has shifted them
+        self.swings = {s.record.name: s.swing for s in segments}
+
+    def _starts(self, record: Record, effect_rows) -> np.ndarray:
+        state = super()._starts(record, effect_rows)
+        nv = self.joints + 3
+        state[:, nv + 3 : 2 * nv] = self.swings[record.name]
+        return state
+
+
+def lateness(plant: Fish, row: np.ndarray) -> Late:
+    """Of a parameter row: nominal and what its effects add."""
+    values = list(row[len(plant.constants) :])
+    command, joint, pose = (float(plant.active.delay(np, values, clock)) for clock in ("command", "joint", "pose"))
+    return Late(plant.latency + command, joint, plant.camera + pose)
+
+
+def cut(record: Record, t0: float, seconds: float, late: Late) -> Segment | None:
+    """The stretch of a record from t0 on, started from what was measured there; None where the stamps do not suffice.
+
+    t0: when things happened, s since the record's start; stamps that tell of it come `late`.
+    """
+    if record.joint is None or record.pose is None:
+        return None
+    joint, pose = (state_at(s, t0 + wait, HALF[n]) for s, n, wait in _clocks(record, late))
+    if joint is None or pose is None:
+        return None
+    x, y, yaw = pose.value
+    vx, vy, r = pose.rate
+    c, s = np.cos(yaw), np.sin(yaw)
+    steps = int(np.ceil((seconds + max(late)) / record.dt)) + 1
+    place = np.clip((t0 - late.command) / record.dt + np.arange(steps), 0, len(record.commands) - 1)
+    i = np.minimum(place.astype(int), len(record.commands) - 2)
+    commands = record.commands[i] + (place - i)[:, None] * (record.commands[i + 1] - record.commands[i])
+    part = record._replace(
+        name=f"{record.name}@{t0:.3f}",
+        commands=commands,
+        joint=_later(record.joint, t0, seconds + late.joint),
+        pose=_later(record.pose, t0, seconds + late.pose),
+        power=None,
+        start=pose.value,
+        place=pose.value,
+        push=np.array([c * vx + s * vy, c * vy - s * vx, r]),
+        joints=joint.value,
+        session=record.session + t0,
+    )
+    return Segment(part, joint.rate, joint, pose)
+
+
+def state_at(sensor: Sensor, t: float, half: float) -> State | None:
+    """Parabola through the stamps within `half` s of t; None when fewer than five, or none on one side."""
+    some = np.abs(sensor.t - t) <= half
+    if some.sum() < 5 or sensor.t[some][0] > t - 0.4 * half or sensor.t[some][-1] < t + 0.4 * half:
+        return None
+    columns = np.vander(sensor.t[some] - t, 3, increasing=True)
+    inverse = np.linalg.inv(columns.T @ columns)
+    fit = inverse @ columns.T @ sensor.values[some]
+    rest = sensor.values[some] - columns @ fit
+    sigma = np.where(np.isfinite(sensor.sigma), sensor.sigma, np.sqrt(np.sum(rest**2, 0) / (some.sum() - 3)))
+    return State(fit[0], fit[1], sigma * np.sqrt(inverse[0, 0]), sigma * np.sqrt(inverse[1, 1]))
+
+
+def _clocks(record: Record, late: Late):
+    return ((record.joint, "joint", late.joint), (record.pose, "pose", late.pose))
+
+
+def _later(sensor: Sensor, t0: float, until: float) -> Sensor:
+    some = (sensor.t >= t0) & (sensor.t <= t0 + until + AROUND)
+    return Sensor(sensor.t[some] - t0, sensor.values[some], sensor.sigma)
+
+
+def segments(records: list[Record], late: Late, every: float = EVERY) -> list[tuple[int, Segment]]:
+    """Restarts of all records: (record, segment), as long as the record allows, the longest horizon at most."""
+    out = []
+    for i, record in enumerate(records):
+        for t0 in np.arange(every, record.seconds - HORIZONS[0] - AROUND - max(late), every):
+            seconds = min(HORIZONS[-1], record.seconds - t0 - max(late) - AROUND)
+            found = cut(record, float(t0), float(seconds), late)
+            if found is not None:
+                out.append((i, found))
+    return out
+
+
+def errors(plant: Fish, records: list[Record], row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Restart under one parameter row: record of each restart (S,), errors (S, H, J + 3), what the start makes (S, H, J + 3).
+
+    Where a record ends before the horizon there is NaN.
+    """
+    late = lateness(plant, row)
+    found = segments(records, late)
+    if not found:
+        return np.zeros(0, int), *np.zeros((2, 0, len(HORIZONS), plant.joints + 3))
+    parts = [s for _, s in found]
+    predictions = Restart(plant, parts, late).predict([s.record for s in parts], row)
+    error, start = np.full((2, len(parts), len(HORIZONS), plant.joints + 3), np.nan)
+    for s, (part, predicted) in enumerate(zip(parts, predictions, strict=True)):
+        for sensor, name, wait in _clocks(part.record, late):
+            columns = slice(0, plant.joints) if name == "joint" else slice(plant.joints, None)
+            state = getattr(part, name)
+            rest = sensor.values - predicted[name][0]
+            for h, horizon in enumerate(HORIZONS):
+                some = np.abs(sensor.t - wait - horizon) <= AROUND
+                if some.sum() >= 3 and sensor.t[-1] >= wait + horizon:
+                    error[s, h, columns] = rest[some].mean(0)
+                    moved = horizon if name == "pose" else 0.0  # a servo forgets its start
+                    start[s, h, columns] = np.sqrt(state.value_sd**2 * (1 + 1 / some.sum()) + (moved * state.rate_sd) ** 2)
+    return np.array([i for i, _ in found]), error, start
+
+
+def curves(plant: Fish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[Curve, ...]:
+    """Growth of each channel's error; empty when no record can be cut (no pose, no joints, stamps too far apart)."""
+    if not isinstance(plant, Fish):
+        return ()
+    owner, first, start = errors(plant, records, before)
+    if not len(owner):
+        return ()
+    other, second, _ = (owner, first, start) if np.array_equal(before, after) else errors(plant, records, after)
+    changed = other is not owner
+    out = []
+    for channel, unit in CHANNELS.items():
+        columns = {"joint": slice(0, plant.joints), "position": slice(plant.joints, -1), "heading": slice(-1, None)}[channel]
+        one, two = (_squares(e[..., columns], channel) for e in (first, second))
+        made = _squares(start[..., columns], channel)
+        rms = [np.sqrt(np.nanmean(sq, 0)) for sq in (one, two, made)]
+        slope, low, high = _slope(owner, one, other, two, made, changed)
+        out.append(Curve(channel, unit, HORIZONS, rms[0], rms[1], rms[2], len(owner), slope, low, high))
+    return tuple(out)
+
+
+def _squares(error: np.ndarray, channel: str) -> np.ndarray:
+    """(S, H) mean over joints, sum over x and y."""
+    return np.sum(error**2, -1) if channel == "position" else np.mean(error**2, -1)
+
+
+def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, float]:
+    """Slope of log error over log H with its 90 % interval, resampling records."""
+    records = np.unique(owner)
+    rng = np.random.default_rng(0)
+
+    def of(weights: np.ndarray) -> float:
+        mean = lambda sq, who: np.nansum(sq * weights[who][:, None], 0) / np.sum(np.isfinite(sq) * weights[who][:, None], 0)
+        square = mean(one, owner) - (mean(two, other) if changed else mean(made, owner))
+        floor = 0.2 * mean(one, owner)
+        good = np.isfinite(square) & (square > floor)
+        if good.sum() < 2:
+            return float("nan")
+        return float(np.polyfit(np.log(np.array(HORIZONS)[good]), 0.5 * np.log(square[good]), 1)[0])
+
+    size = int(max(owner.max(), other.max())) + 1
+    slopes = np.array([of(np.bincount(rng.choice(records, len(records)), minlength=size).astype(float)) for _ in range(DRAWS)])
+    slopes = slopes[np.isfinite(slopes)]
+    whole = of(np.ones(size))
+    low, high = np.quantile(slopes, [0.05, 0.95]) if len(slopes) > DRAWS // 2 else (np.nan, np.nan)
+    return whole, float(low), float(high)

@@ -1,0 +1,204 @@
+"""A body in the plane, averaged over the tail beat: what a robotic fish or a boat does when only its pose is logged.
+
+    (m + X) du/dt = (m + Y) w r + thrust A^2   - c V u             + fx        u, w relative to the water, V = |(u, w)|
+    (m + Y) dw/dt = -(m + X) u r               - c V w - c_w |w| w + fy
+    (I + N) dr/dt = (X - Y) u w - torque A^2 b         - c_r |r| r + n
+
+A, b: amplitude and bias of the tail [rad], the inputs; X, Y, N: added mass; fx, fy, n: what effects of the catalogue add.
+Kirchhoff's body in ideal fluid, drag along the velocity (c) and across the body (c_w), thrust and torque of a small tail averaged
+over its beat: the published model of this family of robots (Wang & Tan 2015) without its lift.
+
+A parameter row is [constants (factors on the hull), effects]. One record holds many short runs from known starts.
+"""
+
+from collections import namedtuple
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.effects import sites
+from fishmj.effects.effect import Effect
+from fishmj.effects.sites import Constants, Place, Seen
+from fishmj.gap.models.kernel import Kernel
+from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.records.records import Sensor
+
+SITES = {"body", "flow", "fish", "measure"}
+MOTION = 6  # x, y, yaw, u, w, r
+FAR = 1e3  # m, rad: where a run that diverged is put
+STILL = 1e-9  # m/s, keeps the root of V differentiable
+NOT_HERE = {"crossflow_drag", "tail_normal_force", "power_offset", "joint_zero_offset"}  # constants already, or not measured
+
+
+class Hull(NamedTuple):
+    """One body, SI; forces for A = 1 rad. What a row's constants are factors on."""
+
+    mass: float
+    inertia: float
+    surge_added: float
+    sway_added: float
+    yaw_added: float
+    thrust: float
+    torque: float
+    drag: float
+    sway_drag: float
+    yaw_drag: float
+
+
+class Swim(NamedTuple):
+    """K short runs under one condition.
+
+    starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the plant's
+    steps since each start. pose: what was covered by the end of each run, in the frame of its start: ahead, left, turned; its
+    stamps tell the runs apart. span: s, length of a run.
+    """
+
+    name: str
+    group: str
+    dt: float
+    commands: np.ndarray
+    starts: np.ndarray
+    span: float
+    pose: Sensor
+    joint: None = None
+    power: None = None
+
+
+# what effects see, with what the tail does sideways in the mean: A^2 b, rad^3
+Beaten: Any = namedtuple("Beaten", (*sites.Body._fields, "push"))  # type: ignore[misc]
+
+
+class Link(NamedTuple):
+    """The whole body as the one link of a chain, for effects that change masses."""
+
+    mass: tuple
+    inertia: tuple
+    com: tuple
+
+
+class Share(NamedTuple):
+    """Factors on the link."""
+
+    mass: list
+
+
+class Body:
+    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here."""
+
+    def __init__(self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, dt=0.02):
+        self.hull, self.constants, self.dt = hull, constants, dt
+        chosen = acting() if catalogue is None else list(catalogue)
+        self.active = effects.Active(chosen, joints=1)
+
+    @property
+    def null(self) -> np.ndarray:
+        """(P,) the hull as it is."""
+        return np.array([1.0] * len(self.constants) + self.active.null)
+
+    def index(self, effect: str, parameter: str) -> int:
+        """Place of an effect's parameter in a row."""
+        return len(self.constants) + self.active.index(effect, parameter)
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Compiled rollouts."""
+        states, n = MOTION + len(self.active.memory), len(self.null)
+        look = lambda state, row: state[:MOTION]
+        return Kernel(self._step, look, states=states, inputs=2, parameters=n, watched=MOTION)
+
+    def _step(self, state, command, row):
+        import jax.numpy as jnp
+
+        h, k = self._hull(row), self.dt
+        x, y, yaw, gu, gw, r = state[:MOTION]
+        session = self.active.begin(jnp, row[len(self.constants) :], state[MOTION:])
+        c, s = jnp.cos(yaw), jnp.sin(yaw)
+        water = session.flow(Place(x, y, session.time, 0.0, 0.0))
+        u, w = gu - (c * water.u + s * water.v), gw - (c * water.v - s * water.u)
+        link = session.fish(Constants(Link((h.mass,), (h.inertia,), (0.0,)), Share([1.0])))
+        mass, inertia, com = h.mass * link.swimmer.mass[0], link.chain.inertia[0], link.chain.com[0]
+        beat = command[0] * command[0]
+        push = beat * command[1]
+        along = h.drag * jnp.sqrt(u * u + w * w + STILL * STILL)
+        fx = h.thrust * beat - along * u
+        fy = -along * w - h.sway_drag * jnp.abs(w) * w
+        n = -h.torque * push - h.yaw_drag * jnp.abs(r) * r
+        forces = dict(fx=fx, fy=fy, n=n, mx=h.surge_added, my=h.sway_added, mn=h.yaw_added, push=push)
+        where = dict(u=u, w=w, r=r, heading=yaw, x=x, y=y, time=session.time, tail=0.0, wet=1.0)
+        rest = dict.fromkeys(sites.Body._fields, 0.0)  # what a lone body does not have
+        b = Beaten(**rest | where | forces | dict(sway_mass=h.sway_added, drag=h.drag))
+        b = session.body(b, k)
+        # forces = masses times accelerations seen from the ground; the centre of mass lies `com` ahead
+        more = h.sway_added - h.surge_added
+        ax = (b.fx + more * w * r + mass * com * r * r) / (mass + b.mx)
+        fy, n = b.fy + more * u * r, b.n - more * u * w
+        a, e, d = mass + b.my, mass * com, inertia + mass * com * com + b.mn
+        det = a * d - e * e
+        ay, ar = (d * fy - e * n) / det, (a * n - e * fy) / det
+        ax, aw = ax + r * gw, ay - r * gu
+        gu, gw, r = gu + k * ax, gw + k * aw, r + k * ar
+        yaw2 = yaw + k * r
+        mid = 0.5 * (yaw + yaw2)
+        c, s = jnp.cos(mid), jnp.sin(mid)
+        return [x + k * (c * gu - s * gw), y + k * (s * gu + c * gw), yaw2, gu, gw, r, *session.end(0.0, k)]
+
+    def _hull(self, row) -> Hull:
+        """The hull times the constants of a row."""
+        factors = {constant.name: row[i] for i, constant in enumerate(self.constants)}
+        return self.hull._replace(**{name: getattr(self.hull, name) * f for name, f in factors.items()})
+
+    def predict(self, records: list[Swim], rows) -> list[dict]:
+        """Where every run ends, for every parameter row (R, P): {"pose": (R, K, 3)} a record, in the frame of each start."""
+        rows = np.atleast_2d(np.asarray(rows, float))
+        return [{"pose": self._covered(r, end, rows)} for r, end in zip(records, self.ends(records, rows), strict=True)]
+
+    def ends(self, records: list[Swim], rows) -> list[np.ndarray]:
+        """(R, K, 6) motion at the end of every run of each record."""
+        common = int(np.gcd.reduce([round(r.span / self.dt) for r in records]))
+        return [track[:, :, -1] for track in self.tracks(records, rows, common)]
+
+    def tracks(self, records: list[Swim], rows, stride: int = 1) -> list[np.ndarray]:
+        """(R, K, N, 6) motion over every run of each record, every `stride` of the plant's steps from its start to its end."""
+        rows = np.atleast_2d(np.asarray(rows, float))
+        runs = [len(r.starts) for r in records]
+        steps = np.array([round(r.span / self.dt) for r in records])
+        longest = max(int(steps.max()), max(len(r.commands) for r in records))
+        inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
+        which = np.repeat(np.arange(len(records)), runs)
+        starts = np.concatenate([r.starts for r in records])
+        state = np.concatenate([starts, np.tile(self.active.memory, (len(starts), 1))], 1)
+        many = len(rows)
+        given = (np.tile(which, many), inputs, steps, np.repeat(rows, len(starts), 0), np.tile(state, (many, 1)))
+        out = self.kernel(*given, np.zeros(many * len(starts)), stride, int(steps.max()) // stride + 1)
+        each = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
+        return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]
+
+    def _covered(self, record: Swim, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(R, K, 3) what a camera saw covered."""
+        parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
+        before = self._seen(parameters, np.broadcast_to(record.starts, end.shape), 0.0)
+        after = self._seen(parameters, np.clip(np.nan_to_num(end, nan=FAR), -FAR, FAR), record.span)
+        return covered(before, after, record.starts[:, 2])
+
+    def _seen(self, parameters, motion, t) -> np.ndarray:
+        """(R, K, 3) reported pose."""
+        flat = np.zeros(motion.shape[:-1])
+        seen = Seen(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
+        seen = self.active.measure(np, parameters, seen)
+        return np.stack([seen.x, seen.y, seen.yaw], -1)
+
+
+def covered(before, after, heading) -> np.ndarray:
+    """(..., 3) ahead, left, turned from poses before and after, in the frame of `heading` (...)."""
+    d = after - before
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack([c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0], d[..., 2]], -1)
+
+
+def acting() -> list[Effect]:
+    """The effects of the catalogue that such a body can have and its log can show."""
+    every = effects.catalogue().values()
+    return [e for e in every if e.sites and set(e.sites) <= SITES and not e.stochastic and e.name not in NOT_HERE]

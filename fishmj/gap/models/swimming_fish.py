@@ -1,0 +1,214 @@
+"""The swimming fish: planar chain in structured water, with every effect of the catalogue in it.
+
+A parameter row is [constants (factors on the calibrated fish), effects]. Its null row is the calibrated fish, nothing else.
+"""
+
+import hashlib
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.dynamics import planar_chain
+from fishmj.dynamics.hooks import Effects
+from fishmj.effects.sites import Seen
+from fishmj.gap.models.interpolation import hermite, linear
+from fishmj.gap.models.kernel import Kernel
+from fishmj.gap.records import mass_properties
+from fishmj.gap.records.records import Record
+from fishmj.mjcf.description import Robot, load_robot
+
+AT_ONCE = 256  # rollouts of a batch, for memory's sake
+STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
+
+
+class Constant(NamedTuple):
+    """A factor on the calibrated fish that is not known better than `sigma`."""
+
+    name: str
+    sigma: float
+
+
+CONSTANTS = (
+    Constant("mass", 0.03),
+    Constant("kp", 0.1),
+    Constant("kv", 0.1),
+    Constant("added_mass_body", 0.1),
+    Constant("added_mass_tail", 0.1),
+    Constant("crossflow_body", 0.15),
+    Constant("crossflow_tail", 0.15),
+    Constant("friction", 0.2),
+    Constant("form_drag", 0.2),
+    Constant("trailing_edge", 0.15),
+)
+
+
+class Fish:
+    """Args: robot: description, path or name. catalogue: effects; default, all that change the mean of a log."""
+
+    def __init__(self, robot: "Robot | str" = "fish", catalogue=None):
+        self.robot = load_robot(robot)
+        self.dt = self.robot.timing.physics_dt
+        self.joints = self.robot.n_joints
+        chosen = effects.catalogue().values() if catalogue is None else catalogue
+        self.active = effects.Active([e for e in chosen if not e.stochastic], self.joints)
+        self.constants: tuple[Constant, ...] = CONSTANTS
+        self.chain = planar_chain.chain_of(self.robot)
+        self.nominal = planar_chain.nominal(self.robot)
+        self.latency = self.robot.timing.command_latency
+        self.camera = self.robot.timing.camera_latency
+        self.states = 2 * (self.joints + 3) + 2 + len(self.active.memory)  # q, v, attachment, energy, memory
+
+    @property
+    def nothing(self) -> np.ndarray:
+        """(P,) the fish without any effect."""
+        return np.array([1.0] * len(self.constants) + self.active.null)
+
+    @property
+    def null(self) -> np.ndarray:
+        """(P,) the model as it is: with the effects that its description lists."""
+        return self.row(self.robot)
+
+    def row(self, robot: Robot) -> np.ndarray:
+        """(P,) another description's effects on this fish; those that are not in this plant's catalogue are left out."""
+        row, mine = self.nothing, {effect.name for effect in self.active.effects}
+        for fitted in robot.effects:
+            for name, interval in fitted.parameters.items() if fitted.name in mine else ():
+                row[self.index(fitted.name, name)] = interval.value
+        return row
+
+    def index(self, effect: str, parameter: str) -> int:
+        """Place of an effect's parameter in a row."""
+        return len(self.constants) + self.active.index(effect, parameter)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Changes with anything that changes the predictions of the row `nothing`."""
+        return hashlib.sha256(repr((self.robot, self.camera, self.latency)).encode()).hexdigest()[:16]
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Compiled rollouts; tens of seconds the first time on a machine."""
+        n = len(self.constants) + len(self.active.null) + 2  # and the current of the log
+        watched = 2 * (self.joints + 3) + 1
+        return Kernel(self._step, self._look, states=self.states, inputs=self.joints, parameters=n, watched=watched)
+
+    def _step(self, state, command, row):
+        """One physics step in components."""
+        import jax.numpy as jnp
+
+        nv, n = self.joints + 3, self.chain.n
+        q, v, attached, energy = state[:nv], state[nv : 2 * nv], state[2 * nv], state[2 * nv + 1]
+        hooks = Effects(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :])
+        target = [hooks.session.command(j, command[j], self.dt) for j in range(self.joints)]
+        flow = [(row[-2], row[-1])] * n
+        s = planar_chain.step(jnp, self.chain, self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
+        return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
+
+    def _look(self, state, row):
+        nv = self.joints + 3
+        return [*state[: 2 * nv], state[2 * nv + 1]]
+
+    def _swimmer(self, row) -> planar_chain.Swimmer:
+        """The calibrated fish times the constants of a row."""
+        c = {constant.name: row[i] for i, constant in enumerate(CONSTANTS)}
+        s, w = self.nominal, self.nominal.water
+        last = self.chain.n - 1
+        spread = lambda body, tail: [tail if i == last else body for i in range(last + 1)]
+        k = [a * f for a, f in zip(w.k, spread(c["added_mass_body"], c["added_mass_tail"]), strict=True)]
+        cn = [a * f for a, f in zip(w.cn, spread(c["crossflow_body"], c["crossflow_tail"]), strict=True)]
+        water = w._replace(k=k, cn=cn, cf=w.cf * c["friction"], ke=w.ke * c["trailing_edge"])
+        water = water._replace(ca_forward=w.ca_forward * c["form_drag"])
+        scaled = lambda values, factor: [value * factor for value in values]
+        return s._replace(mass=scaled(s.mass, c["mass"]), kp=scaled(s.kp, c["kp"]), kv=scaled(s.kv, c["kv"]), water=water)
+
+    def predict(self, records: list[Record], rows) -> list[dict]:
+        """What the sensors would have reported, for every parameter row (R, P) on every record.
+
+        Returns:
+            One dictionary a record: {"joint": (R, K, J), "pose": (R, K, 3), "power": (R, K, 1)} at its stamps.
+        """
+        rows = np.atleast_2d(np.asarray(rows, float))
+        few = max(1, AT_ONCE // len(rows))
+        return [p for i in range(0, len(records), few) for p in self._together(records[i : i + few], rows)]
+
+    def _together(self, records: list[Record], rows: np.ndarray) -> list[dict]:
+        """The same for as many records as fit into a cache at a time."""
+        longest = max(len(r.commands) for r in records)
+        inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
+        lengths = np.array([len(r.commands) for r in records])
+        which = np.repeat(np.arange(len(records)), len(rows))
+        effect_rows, flow = rows[:, len(self.constants) :], np.array([r.flow for r in records])
+        late = self.active.delay(np, list(effect_rows.T), "command") * np.ones(len(rows))
+        delay = np.tile((late + self.latency) / self.dt, len(records))
+        whole = np.concatenate([np.tile(rows, (len(records), 1)), flow[which]], 1)
+        start = np.concatenate([self._starts(r, effect_rows) for r in records])
+        out = self.kernel(which, inputs, lengths, whole, start, delay, STRIDE, longest // STRIDE + 2)
+        out = out.reshape(len(records), len(rows), *out.shape[1:])
+        return [self._sense(record, mine, rows) for record, mine in zip(records, out, strict=True)]
+
+    def _starts(self, record: Record, effect_rows) -> np.ndarray:
+        """(R, S) states that the sensors would have shown as the record's start: at rest, or with the push it was given.
+
+        What a camera or encoder adds is taken off what they showed, by fixed point: true = shown - (seen(true) - true).
+        """
+        nv, rows = self.joints + 3, len(effect_rows)
+        parameters = [column[:, None] for column in effect_rows.T]
+        shown = np.tile(np.concatenate([record.start, record.joints]), (rows, 1))
+        true, at = shown.copy(), np.zeros((rows, 1))
+        for _ in range(2):
+            x, y, yaw = (true[:, i : i + 1] for i in range(3))
+            seen = self.active.measure(np, parameters, Seen(t=at, x=x, y=y, yaw=yaw, joint=true[:, None, 3:], power=at))
+            joint = np.broadcast_to(seen.joint, (rows, 1, self.joints))[:, 0]
+            seen = np.concatenate([np.broadcast_to(v, (rows, 1)) for v in (seen.x, seen.y, seen.yaw)] + [joint], 1)
+            true = true + (shown - seen)
+        state = np.zeros((rows, self.states))
+        state[:, :nv], state[:, 2 * nv] = true, 0.5
+        c, s = np.cos(true[:, 2]), np.sin(true[:, 2])
+        u, w, r = record.push
+        state[:, nv : nv + 3] = np.stack([c * u - s * w, s * u + c * w, np.full(rows, r)], 1)
+        state[:, 2 * nv + 2 :] = self.active.memory
+        state[:, 2 * nv + 3] = record.session
+        return state
+
+    def _sense(self, record: Record, out, rows) -> dict:
+        """The sensors of one record from its samples (R, K, O)."""
+        nv, h = self.joints + 3, STRIDE * self.dt
+        parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
+        nominal = {"pose": self.camera}
+        seen: dict[str, np.ndarray] = {}
+        for clock in ("joint", "pose", "power"):
+            sensor = getattr(record, clock)
+            if sensor is None:
+                continue
+            late = self.active.delay(np, parameters, clock, sensor.t + record.session) + nominal.get(clock, 0.0)
+            t = sensor.t - late * np.ones((len(out), 1))
+            first, last = {"pose": (0, 3), "joint": (3, nv), "power": (0, 0)}[clock]
+            state = hermite(out[..., first:last], out[..., nv + first : nv + last], h, t)
+            none = np.zeros((1, 1))  # of the other sensors: broadcast
+            x, y, yaw = (state[..., i] for i in range(3)) if clock == "pose" else (none,) * 3
+            joint = state if clock == "joint" else np.zeros((1, 1, self.joints))
+            power = none
+            if clock == "power":
+                energy = out[..., -1]
+                power = (linear(energy, h, t) - linear(energy, h, t - h)) / h + self.robot.servo.idle_power
+            report = Seen(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
+            report = self.active.measure(np, parameters, report)
+            if clock == "pose":
+                seen[clock] = np.stack([report.x, report.y, report.yaw], -1)
+            else:
+                seen[clock] = report.joint if clock == "joint" else report.power[..., None]
+        if record.placed is not None:
+            seen["placed"] = self._placed(record, parameters, len(out))
+        if record.weighed is not None:
+            seen["weighed"] = mass_properties.predicted(self, rows)[:, None]
+        return seen
+
+    def _placed(self, record: Record, parameters, rows: int) -> np.ndarray:
+        """(R, 1, 3) what the camera would show of a fish at rest where it was meant to start."""
+        x, y, yaw = np.broadcast_to(record.place, (rows, 1, 3)).transpose(2, 0, 1)
+        none = np.zeros((rows, 1))
+        still = Seen(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
+        seen = self.active.measure(np, parameters, still)
+        return np.stack([seen.x, seen.y, seen.yaw], -1)

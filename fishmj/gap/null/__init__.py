@@ -1,0 +1,1 @@
+"""What a healthy robot leaves: simulated or recorded runs, and the whitening that they make."""

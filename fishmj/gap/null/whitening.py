@@ -1,0 +1,102 @@
+"""What a fish without any missing effect looks like to this model: the empirical null.
+
+    r_i = measured_i - predicted, i = 1..n     from an independent simulator: same commands, other constants within their
+                                               tolerance, its own water, servos, network and noise
+    S = (1/n) sum r_i r_i^T + D                scatter of those, and what they do not span, per channel and time
+    z = S^-1/2 (measured - predicted)          mean square 1 when nothing is missing
+
+The scatter carries the model-form error and every constant that a fit could turn, so nothing needs to be fitted before the
+gap can be read, and an effect only counts as far as no combination of those explains it (generalised least squares with the
+nuisance integrated out; Kennedy & O'Hagan 2001 with an empirical prior, Efron 2004). S is applied through its factors F:
+S = F^T F + D.
+
+D is what leave-one-out leaves unexplained: each r_i is predicted from the other n - 1 and its remainder averaged.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.gap.records.residual import Layout
+
+RIDGE = 1e-9  # of the largest eigenvalue
+FLOOR = 0.5  # of the sensors' noise: D never goes below
+SMOOTH = 0.5  # s
+
+
+class Whitening(NamedTuple):
+    """S^-1/2 in parts: z = x / d - U (1 - g) U^T (x / d)."""
+
+    d: np.ndarray  # (m,)
+    u: np.ndarray  # (m, k)
+    g: np.ndarray  # (k,)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Whiten (..., m)."""
+        x = x / self.d
+        return x - ((x @ self.u) * (1.0 - self.g)) @ self.u.T
+
+    @property
+    def logdet(self) -> float:
+        """log det S."""
+        return float(2.0 * np.sum(np.log(self.d)) - 2.0 * np.sum(np.log(self.g)))
+
+
+def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
+    """From factors (k, m) and D's square root (m,)."""
+    scaled = factors / d
+    square, v = np.linalg.eigh(scaled @ scaled.T)
+    keep = square > RIDGE * max(float(square[-1]), 1e-300)
+    u = scaled.T @ (v[:, keep] / np.sqrt(square[keep]))
+    return Whitening(d, u, 1.0 / np.sqrt(1.0 + square[keep]))
+
+
+def turned(plant, records, layout: Layout, row) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the plant does to it."""
+    sigma = np.array([constant.sigma for constant in plant.constants])
+    rows = np.tile(row, (1 + len(sigma), 1))
+    rows[1:, : len(sigma)] += np.diag(sigma)
+    residuals = layout.residuals(plant.predict(records, rows))
+    return residuals[0], residuals[1:] - residuals[0]
+
+
+def leftover(residuals: np.ndarray, layout: Layout, rounds: int = 3) -> np.ndarray:
+    """D^1/2 (m,): standard deviation of what the other null runs do not explain of one, smooth over time in each block.
+
+    Starts from the sensors' noise; a few rounds settle it, because D decides how far the others are trusted.
+    """
+    noise = layout.noise()
+    d = np.where(np.isfinite(noise), noise, 0.1 * residuals.std(0) + 1e-9)
+    least = FLOOR * d
+    for _ in range(rounds):
+        rest = unexplained(residuals, d)
+        d = np.maximum(smooth(np.sqrt(np.mean(rest**2, 0)), layout), least)
+    return d
+
+
+def unexplained(residuals: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """What is left of each null run after its expectation given the others (n, m): r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
+
+    F are the other runs over sqrt(n - 1); all products come from one Gram matrix.
+    """
+    n = len(residuals)
+    factors = residuals / np.sqrt(n - 1) / d
+    gram = factors @ factors.T
+    weights = np.zeros((n, n))
+    for i in range(n):
+        others = np.arange(n) != i
+        inner = np.eye(n - 1) + gram[np.ix_(others, others)]
+        weights[i, others] = np.linalg.solve(inner, gram[others, i]) * np.sqrt(n - 1)
+    return residuals - (weights @ factors) * d
+
+
+def smooth(values: np.ndarray, layout: Layout) -> np.ndarray:
+    """Running root mean square over a second in each block."""
+    out = values.copy()
+    for b in layout.blocks:
+        part = values[b.where] ** 2
+        width = max(1, int(round(SMOOTH / max(float(np.median(np.diff(b.t))), 1e-3)))) if len(part) > 2 else 1
+        kernel = np.ones(2 * width + 1)
+        total = np.convolve(part, kernel)[width : width + len(part)]
+        out[b.where] = np.sqrt(total / np.convolve(np.ones(len(part)), kernel)[width : width + len(part)])
+    return out

@@ -1,0 +1,121 @@
+"""The data sets that a search reads: a folder of trial folders, or a bundle; and the null that belongs to one."""
+
+from pathlib import Path
+
+from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
+from fishmj.gap.null.recorded import Sets
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.records.records import record_of
+from fishmj.log import Trial, check, measurements
+from fishmj.log.compact import read_bundle
+from fishmj.log.dataset import Taken, take
+from fishmj.log.npz_tables import row_place
+from fishmj.store import sha256
+from fishmj.store.manifest import MANIFEST
+
+BUNDLE = ".npz"
+FEWEST_RUNS, MOST_RUNS, LOUDEST, LAST_SEED = 2, 4096, 100.0, 2**31 - 1
+DRAWN: dict[str, tuple[type, ...]] = {
+    "runs": (int,),
+    "noise": (int, float),
+    "seed": (int,),
+    "folder": (str,),
+}  # what a report says of its null runs
+
+
+def trials_in(data: Path) -> list[Trial]:
+    """The trials of a data set that can be read, under their folders' names, or those of a bundle.
+
+    Raises:
+        LogError, StoreError: nothing there that can be read.
+    """
+    return list(taken(data).trials.values())
+
+
+def taken(data: Path, dt: float | None = None) -> Taken:
+    """What can be read of a data set. dt: also leave out trials that cannot be compared at this step [s] of a model.
+
+    Raises:
+        LogError, StoreError: nothing there that can be read.
+    """
+    found = _bundle(data) if data.suffix == BUNDLE else take(data)
+    trials = {name: named(name, trial) for name, trial in found.trials.items()}
+    broken = dict(found.broken)
+    if dt is not None:
+        for name in list(trials):
+            try:
+                record_of(trials[name], dt)
+            except FishmjError as error:
+                broken[name] = str(error)
+                del trials[name]
+    if not trials:
+        raise LogError(f"{data}: no trial can be compared; {'; '.join(f'{n}: {why}' for n, why in list(broken.items())[:3])}")
+    return found._replace(trials=trials, broken=broken)
+
+
+def judged(data: Path, names: list) -> list[Trial]:
+    """The trials of those names, all of them.
+
+    Raises:
+        LogError: one is not there, or cannot be read.
+    """
+    found = taken(data)
+    for name in names:
+        if name not in found.trials:
+            why = found.broken.get(str(name), "no such trial")
+            raise LogError(f"{data}: {str(name)[:64]!r}, a record that the gap was stated on: {why}")
+    return [trial for name, trial in found.trials.items() if name in names]
+
+
+def _bundle(data: Path) -> Taken:
+    """The trials of a bundle, each checked as a folder would be."""
+    trials, broken = {}, {}
+    for trial in read_bundle(data):
+        if not isinstance(trial.name, str) or not isinstance(trial.meta, dict):
+            raise StoreError(f"{data}: not a bundle of trials (a name that is no text, or no meta data); write it again")
+        try:
+            check.check_meta(trial.meta, f"{data}: {trial.name}")
+            for name, table in trial.tables.items():
+                check.check_table(name, table, row_place(data / trial.name / name))
+        except FishmjError as error:
+            broken[trial.name] = str(error)
+            continue
+        trials[trial.name] = trial
+    return Taken(trials, broken, (), sha256(data))
+
+
+def page_in(data: Path) -> dict:
+    """The page of weighings beside the trials of a data set; {} without one."""
+    return {} if data.suffix == BUNDLE else measurements.read(data)
+
+
+def named(name: str, trial: Trial) -> Trial:
+    """The trial under its folder's name."""
+    return Trial(trial.meta, trial.tables, name=name, notes=trial.notes)
+
+
+def digest(data: Path) -> str:
+    """sha256 of a bundle, of a folder's manifest, or of what a manifest would list.
+
+    Raises:
+        LogError, StoreError: no data set there.
+    """
+    if data.suffix == BUNDLE or (data / MANIFEST).is_file():
+        return sha256(data if data.suffix == BUNDLE else data / MANIFEST)
+    return take(data).sha256
+
+
+def null_of(drawn: dict) -> Null:
+    """As a report or a version says how null runs are drawn: runs, noise, seed; folder, where they were swum elsewhere.
+
+    Raises:
+        ConfigError: another key, or a value of another kind.
+    """
+    for key, value in drawn.items() if isinstance(drawn, dict) else [("null", drawn)]:
+        if key not in DRAWN or not isinstance(value, DRAWN[key]) or isinstance(value, bool):
+            expected = "runs, noise, seed and folder"
+            raise ConfigError(f"null runs: {str(key)[:40]} = {str(value)[:40]!r}; expected {expected}, as gap find writes them")
+    given = Null(**{key: value for key, value in drawn.items() if key != "folder"})
+    if not (FEWEST_RUNS <= given.runs <= MOST_RUNS and 0 <= given.noise <= LOUDEST and 0 <= given.seed <= LAST_SEED):
+        raise ConfigError(f"null runs: runs {given.runs}, noise {given.noise}, seed {given.seed}; out of range")
+    return Sets(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else given

@@ -1,0 +1,238 @@
+"""Every figure that the page shows, computed from an inquiry: what is drawn and what is written as JSON are the same numbers."""
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from fishmj import console
+from fishmj.gap.decide.rivals import on_bound
+from fishmj.gap.localise import Comparison, Localisation, compared, localise
+from fishmj.gap.localise.error_growth import Curve, curves
+from fishmj.gap.records import mass_properties
+from fishmj.gap.search import likelihood
+from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.thresholds import Gates, frozen
+from fishmj.gap.wording import quantity, title
+from fishmj.gap.workflow import Inquiry
+
+
+@dataclass(frozen=True)
+class Part:
+    """The gap on one part of the records, before and after; low, high: between these lie nine of ten null runs, NaN unknown."""
+
+    name: str
+    about: str
+    records: int
+    before: float
+    after: float
+    low: float = float("nan")
+    high: float = float("nan")
+    by_channel: dict | None = None  # channel -> (before, after)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finalist of a round. values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival).
+    behind: how much less likely than the one that was tried it makes the records, each in the evidence around itself, as a share
+    of what that one gains; below zero, ahead; None where that gains nothing. tried: whether it is that one."""
+
+    name: str
+    values: dict
+    behind: float | None
+    p_best: float | None
+    rival: bool
+    tried: bool = False
+
+
+@dataclass(frozen=True)
+class Round:
+    """The finalists of one round, the largest P(best) first. alike: (n, n) cosine between what they change, whitened."""
+
+    table: tuple[Row, ...]
+    alike: np.ndarray
+
+
+@dataclass(frozen=True)
+class Blind:
+    """An effect that these records would not have shown. ratio: of |dz|^2 at its typical size to what a name needs."""
+
+    name: str
+    typical: str
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Material:
+    """All of it."""
+
+    inquiry: Inquiry
+    gates: Gates
+    comparison: Comparison
+    place: Localisation
+    growth: tuple[Curve, ...]
+    parts: tuple[Part, ...]
+    rounds: tuple[Round, ...]
+    blind: tuple[Blind, ...]
+    weighed: str
+
+
+def gathered(inquiry: Inquiry, gates: Gates | None = None) -> Material:
+    """Compute everything. gates: the thresholds of the search; default, the frozen ones."""
+    gates = gates or frozen()
+    e, found = inquiry.evidence, inquiry.found
+    logs = [r._replace(weighed=None) for r in e.records]
+    c = compared(e.plant, logs, e.scale[e.layout.channel != mass_properties.CHANNEL], found.base.row, after(inquiry))
+    growth, weighed = curves(e.plant, logs, *c.rows), mass_properties.told(e.plant, e.records)
+    return Material(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
+
+
+def after(inquiry: Inquiry) -> np.ndarray:
+    """The row with what was found; the model as it is where the answer lists nothing, or what did not help unseen records."""
+    return (inquiry.found.best if inquiry.verdict.taken else inquiry.found.base).row
+
+
+def parts(inquiry: Inquiry) -> tuple[Part, ...]:
+    """Fitted, held out, never used."""
+    e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
+    found_without = found.fitted.fits[0] if v.taken else found.base
+    rows = np.stack([found.base.row, found_without.row])
+    residuals = e.layout.residuals(e.plant.predict(e.records, rows))
+    count = e.runs
+    null = e.factors[:count] * np.sqrt(count)
+    out = []
+    for name, about, keep in (
+        ("fitted", "parameters were fitted to these", ~inquiry.held),
+        ("held out", "they accepted or refused what was fitted", inquiry.held),
+    ):
+        if not keep.any():
+            continue
+        by = [channels(e.layout, (r / e.scale) ** 2, keep) for r in residuals]
+        mean = lambda found: float(np.mean(list(found.values())))
+        reached = [mean(channels(e.layout, (r / e.scale) ** 2, keep)) for r in null]
+        low, high = (float(q) for q in np.quantile(reached, [0.05, 0.95]))
+        both = {k: (by[0][k], by[1][k]) for k in by[0]}
+        out.append(Part(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
+    if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
+        what = "no decision ever saw these"
+        ended = v.gap_after_unseen if v.taken else v.gap_unseen_before
+        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
+        if inquiry.apart is not None:
+            one, two = (inquiry.apart.gap(row)[1] for row in (found.base.row, after(inquiry)))
+            last = replace(last, by_channel={name: (one[name], two[name]) for name in one})
+        out.append(last)
+    return tuple(out)
+
+
+def channels(layout, ratio: np.ndarray, keep: np.ndarray) -> dict[str, float]:
+    """Mean square by channel over the records where `keep`."""
+    sums: dict[str, list[float]] = {}
+    for b in layout.blocks:
+        if keep[b.record]:
+            sums.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
+    return {name: float(np.mean(values)) for name, values in sums.items()}
+
+
+def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
+    """The finalists of every round that was accepted, or of the first when none was."""
+    e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
+    sure = {n.name: n.p_best for n in (*v.effects, *v.tentative)}
+    out, start = [], found.base
+    for number, step in enumerate(found.steps):
+        if not step.accepted and number:
+            break
+        everything, best = np.ones(len(e.records), bool), step.ranked[0]
+        gained = (e.around(start.row) if number else e).part(everything).loss(start.row) - best.cost
+        z, *sides = e.around(best.row).part(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
+        free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
+        share = likelihood.p_best(
+            np.stack(
+                [likelihood.costs(s, e.layout) for c, s in zip(step.ranked, sides, strict=True) if any(c is f for f in free)]
+            )
+        )
+        new = best.names[-1]
+        against = {str(r["name"]): float(r["p_best"]) for r in v.rivals if r.get("instead_of", new) == new}
+        given = against | ({new: sure[new]} if step.accepted and new in sure else {})
+        rows = []
+        for c in step.ranked:
+            name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
+            p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
+            p = given.get(name, p)  # the verdict polished its rivals: one may have left its bound
+            behind = float((c.cost - best.cost) / gained) if gained > 0 else None
+            rows.append(Row(name, values(e.plant, c, name), behind, p, name in against, c is best))
+        order = listed(rows)
+        signatures = (np.stack(sides) - z)[order]
+        unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
+        out.append(Round(tuple(rows[i] for i in order), unit @ unit.T))
+        start = best
+    return tuple(out)
+
+
+def listed(rows: list[Row]) -> list[int]:
+    """The order of a table: the largest P(best) first, of the same the one that was tried; last what lies on a bound."""
+    return sorted(range(len(rows)), key=lambda i: (-1.0 if (p := rows[i].p_best) is None else p, rows[i].tried), reverse=True)
+
+
+def values(plant, c: Candidate, name: str) -> dict:
+    """Parameters of the effects in `name`; with the effect's name where two share one."""
+    mine = [(e, p) for e in plant.active.effects if e.name in name.split("+") for p in e.parameters]
+    names = [p.name for _, p in mine]
+    key = lambda e, p: p.name if names.count(p.name) == 1 else f"{e.name}.{p.name}"
+    return {key(e, p): (float(c.row[plant.index(e.name, p.name)]), p.unit) for e, p in mine}
+
+
+def blind(inquiry: Inquiry, gates: Gates) -> tuple[Blind, ...]:
+    """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
+    e = inquiry.evidence
+    whole = e.part(np.ones(len(e.records), bool))
+    rows, owners = [], []
+    for effect in e.plant.active.effects:
+        if effect.name in inquiry.found.best.names:
+            continue
+        for p in effect.parameters:
+            for size in (p.typical[1],) if not p.signed else (p.typical[1], 2 * p.null - p.typical[1]):
+                if not p.shape:
+                    row = np.array(inquiry.found.base.row)
+                    row[e.plant.index(effect.name, p.name)] = np.clip(size, p.low, p.high)
+                    rows.append(row)
+                    owners.append(effect)
+    if not rows:
+        return ()
+    change = np.sum((whole.z(np.array(rows)) - whole.z(inquiry.found.base.row)) ** 2, 1)
+    out = []
+    for effect in dict.fromkeys(o.name for o in owners):
+        ratio = max(float(x) for x, o in zip(change, owners, strict=True) if o.name == effect) / gates.gain
+        if ratio < 1.0:
+            p = next(o for o in owners if o.name == effect).parameters[0]
+            out.append(Blind(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
+    return tuple(sorted(out, key=lambda b: -b.ratio))
+
+
+def plain(m: Material) -> dict:
+    """The page's figures for JSON."""
+    place = asdict(m.place) | {"text": m.place.text, "lags": {k: v and v.as_dict() for k, v in m.place.lags._asdict().items()}}
+    place["frame"] = m.place.frame and m.place.frame._asdict()
+    place["side"] = m.place.side and m.place.side._asdict()
+    place["rates"] = m.place.rates and m.place.rates._asdict()
+    place["locked"] = {k: v._asdict() for k, v in m.place.locked.items()}
+    return console.plain(
+        {
+            "verdict": m.inquiry.verdict.plain(),
+            "notes": list(m.inquiry.notes),
+            "records": [
+                {"name": r.name, "excitation": r.excitation, "part": part}
+                for r, part in zip(m.inquiry.records, parted(m.inquiry), strict=True)
+            ],
+            "gap": [asdict(p) for p in m.parts],
+            "localisation": place,
+            "weighed": m.weighed,
+            "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
+            "rounds": [asdict(r) for r in m.rounds],
+            "not_visible": [asdict(b) for b in m.blind],
+        }
+    )
+
+
+def parted(inquiry: Inquiry) -> list[str]:
+    """What each record was used for."""
+    held = iter(inquiry.held)
+    return ["never used" if unseen else "held out" if next(held) else "fitted" for unseen in inquiry.unseen]

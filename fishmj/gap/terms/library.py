@@ -1,0 +1,208 @@
+"""The typed library: which products may make which force, each as a provisional effect with one coefficient.
+
+    force = c x product      force: surge, sway [N], yaw moment [N m], along x or y of the tank [N], at the tail, along or across
+                             it [N], joint torque [N m], a sensor's reading [rad]
+
+Admissible are
+    inertial   two rates, c = C rho L^n; and the same times the tail's angle
+    viscous    one rate
+    static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
+    aging      a rate squared times the time of the session
+    joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
+    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same (readings.py)
+A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they
+say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (judge.py).
+"""
+
+import hashlib
+from functools import cache
+from itertools import combinations_with_replacement
+
+from fishmj.effects.effect import Effect, Parameter
+from fishmj.gap.terms.regressors import (
+    AHEAD,
+    ANGLE,
+    BEND,
+    LOAD,
+    MOTION,
+    RATE,
+    SLIP,
+    TAIL,
+    TIME,
+    TIP,
+    Factor,
+    X,
+    Y,
+    product,
+    signed,
+)
+from fishmj.gap.terms.sensor_terms import CURVES, in_the_log_too, in_the_loop
+
+FORCES = {
+    "surge force": ("fx", 1, 0.05),
+    "sway force": ("fy", -1, 0.1),
+    "yaw moment": ("n", -1, 0.01),
+}  # field, parity, usual size
+TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}  # parity, usual size
+WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
+PULL = 0.01  # N, usual size of a force of the tank
+TORQUE = 0.1  # N m, usual size at a joint
+READING = 0.02  # rad, usual error of a sensor
+WIDE = 200.0  # bounds, in usual coefficients
+ONE = Factor("constant", lambda xp, b: 1.0, 0, 1, 1.0)
+
+
+@cache
+def library() -> tuple[Effect, ...]:
+    """All provisional effects."""
+    return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep(), *reading_terms())
+
+
+def name_of(effect: Effect) -> str:
+    """Its systematic name: 'sway force ~ yaw rate x tail rate'."""
+    return effect.formula
+
+
+def one_sided(effect: Effect) -> bool:
+    """Whether it says that port and starboard differ."""
+    return effect.about.startswith("one-sided")
+
+
+def body_terms() -> list[Effect]:
+    """Forces on the body, head axes."""
+    second = [product(a, b) for a, b in combinations_with_replacement(MOTION, 2)] + [signed(f) for f in MOTION]
+    bent = [product(a, b, BEND) for a, b in combinations_with_replacement(MOTION, 2)]
+    aging = [product(signed(f), TIME) for f in MOTION] + [product(TAIL, TAIL, TIME)]
+    out = []
+    for force, (field, parity, size) in FORCES.items():
+        for f in (ONE, BEND, *MOTION, *second, *bent, *aging):
+            symmetric = f.parity == parity
+            if symmetric or f in (ONE, BEND) or f in second:  # one-sided ones up to second order
+                out.append(provisional(force, f, size, symmetric, body=_body(field, f)))
+    return out
+
+
+def tail_terms() -> list[Effect]:
+    """Forces at the trailing edge, in the axes of the tail."""
+    out = []
+    for along, (force, (parity, size)) in zip((True, False), TAILS.items(), strict=True):
+        second = [product(SLIP, SLIP), signed(SLIP), product(AHEAD, SLIP), signed(AHEAD)]
+        for f in (SLIP, AHEAD, *second, product(signed(SLIP), TIME), product(SLIP, SLIP, TIME)):
+            out.append(provisional(force, f, size, f.parity == parity, water=_tail(along, f)))
+    return out
+
+
+def world_terms() -> list[Effect]:
+    """Forces that belong to the tank: constant ones and slopes."""
+    return [
+        provisional(force, f, PULL, True, body=_world(axis, f), stage="environment")
+        for force, axis in WORLD.items()
+        for f in (ONE, X, Y)
+    ]
+
+
+def joint_terms() -> list[Effect]:
+    """Torques of every joint alike."""
+    even = [ONE, product(ANGLE, ANGLE), product(RATE, RATE), product(ANGLE, RATE)]
+    odd = [ANGLE, signed(ANGLE), product(ANGLE, ANGLE, ANGLE), RATE, signed(RATE), product(RATE, RATE, RATE)]
+    odd += [product(ANGLE, ANGLE, RATE), product(ANGLE, RATE, RATE), _held(), LOAD, signed(LOAD)]
+    return [provisional("joint torque", f, TORQUE, f in odd, gear=_gear(f), stage="actuator") for f in (*odd, *even)]
+
+
+def _held() -> Factor:
+    """Direction of motion times load: friction that grows with what the gear carries."""
+    return Factor("motor torque, against the motion", lambda xp, g: xp.abs(g.drive) * g.rate / (xp.abs(g.rate) + 0.2), 0, -1, 0.4)
+
+
+def hysteresis() -> Effect:
+    """Rate-independent hysteresis (Bouc-Wen with power 2, yielding at 0.1 rad)."""
+
+    def gear(xp, p, g, memory, h):
+        (z,) = memory
+        turning = g.rate * z
+        z = z + h * g.rate * (1.0 - z * z / 0.01 * xp.where(turning > 0.0, 1.0, 0.0))
+        return g._replace(torque=g.torque + p.coefficient * z / 0.1), (z,)
+
+    memory = Factor("hysteresis of the angle", lambda xp, g: g.angle, 0, -1, 1.0)
+    return provisional("joint torque", memory, TORQUE, True, gear=gear, memory=(0.0,), stage="actuator")
+
+
+def creep() -> Effect:
+    """A spring whose rest angle follows within half a second."""
+
+    def gear(xp, p, g, memory, h):
+        (rest,) = memory
+        rest = rest + (g.angle - rest) * (h / 0.5)
+        return g._replace(torque=g.torque + p.coefficient * (g.angle - rest)), (rest,)
+
+    memory = Factor("creep of the angle", lambda xp, g: g.angle, 0, -1, 0.4)
+    return provisional("joint torque", memory, TORQUE, True, gear=gear, memory=(0.0,), stage="actuator")
+
+
+def reading_terms() -> list[Effect]:
+    """Readings of every joint's sensor alike, in the servo's loop, and in the log too."""
+    return [
+        provisional(reading, Factor(f.name, f.value, 0, f.parity, f.size), READING, f.parity < 0, stage="measurement", **sites(f))
+        for reading, sites in (("servo reading", in_the_loop), ("encoder reading", in_the_log_too))
+        for f in CURVES
+    ]
+
+
+def provisional(force: str, f: Factor, size: float, symmetric: bool, stage: str = "hydrodynamics", **site) -> Effect:
+    """The effect of one term, called X- and a hash of its name."""
+    formula = f"{force} ~ {f.name}"
+    usual = size / f.size
+    unit = "rad" if stage == "measurement" else "N m" if force in ("yaw moment", "joint torque") else "N"
+    return Effect(
+        name=f"X-{hashlib.sha256(formula.encode()).hexdigest()[:8]}",
+        stage=stage,
+        about="mirror-symmetric" if symmetric else "one-sided: port and starboard differ",
+        formula=formula,
+        source="none: a term of the typed library",
+        parameters=(
+            Parameter(
+                name="coefficient",
+                unit=f"{unit} per SI unit of the product",
+                low=-WIDE * usual,
+                high=WIDE * usual,
+                typical=(0.1 * usual, usual),
+            ),
+        ),
+        shows=("joint",) if {"gear", "servo"} & set(site) else ("position", "heading"),
+        **site,
+    )
+
+
+def _body(field: str, f: Factor):
+    def body(xp, p, b, memory, h):
+        return b._replace(**{field: getattr(b, field) + b.wet * p.coefficient * f.value(xp, b)}), memory
+
+    return body
+
+
+def _world(axis: tuple[float, float], f: Factor):
+    ax, ay = axis
+
+    def body(xp, p, b, memory, h):
+        force = p.coefficient * f.value(xp, b)
+        c, s = xp.cos(b.heading), xp.sin(b.heading)
+        return b._replace(fx=b.fx + force * (c * ax + s * ay), fy=b.fy + force * (c * ay - s * ax)), memory
+
+    return body
+
+
+def _tail(along: bool, f: Factor):
+    def water(xp, p, k, memory, h):
+        force = p.coefficient * f.value(xp, k)
+        ft, fn, moment = k.forces[-1]
+        last = (ft + force, fn, moment) if along else (ft, fn + force, moment + force * TIP)
+        return k._replace(forces=[*k.forces[:-1], last]), memory
+
+    return water
+
+
+def _gear(f: Factor):
+    def gear(xp, p, g, memory, h):
+        return g._replace(torque=g.torque + p.coefficient * f.value(xp, g)), memory
+
+    return gear

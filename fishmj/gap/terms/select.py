@@ -1,0 +1,235 @@
+"""Which terms describe a gap: every term fitted alone on the whitened residual, then four doubts about it.
+
+g_k    = dz/dc_k by a central difference                 signature of term k, (m,)
+gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l (of few: a third of one)
+
+The best to first order and the best at finite coefficients are fitted with the whole model, and ranked by the same gain taken
+about each one's optimum.
+
+null       what the same term gains on null runs, whitened by the others, and the luckiest of all terms: subtracted
+decoys     g_k moved along each record by a random time: same spectrum, same company, no relation to z. p-value of gain_k
+           among all decoys' gains, Benjamini & Hochberg 1995 at 10 %
+stability  share of half-samples of thirds of records in which it is one of the first two (Meinshausen & Buehlmann 2010)
+sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.effects.effect import Effect
+from fishmj.gap.null.whitening import leftover, whitening
+from fishmj.gap.records.records import Record
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.search.effect_fitter import Candidate, Search, bounds
+from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.terms.library import library, name_of, one_sided
+
+PROBE = 0.1  # of the usual coefficient
+PROBES = (0.5, -0.5, 2.0, -2.0)
+WILD = 1e5
+UNIT = 4.0  # of |z|^2: what one free coefficient gains by chance
+FINALISTS = 6  # of each list, polished with the whole model
+LISTED = 5
+DECOYS = 40  # draws
+HALVES = 60  # half-samples
+MANY = 4  # records from which on one is left out as a whole
+PIECES = 3  # parts of a record, where there are fewer
+FDR = 0.1
+STABLE = 0.5
+WORTH = 0.1  # share of what is unexpected below which a term describes nothing
+HANDED = 0.9  # a one-sided term's gain counts this much
+ALIKE = 0.95  # |cos| of signatures from which two terms say the same
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of the fallback.
+
+    name: "sway force ~ tail rate x yaw rate". id: of the provisional effect, X-.... coefficient: SI, of the refined fit. closure:
+    share of what is unexpected that it explains on all records. gain: on records it never saw, what null runs give subtracted.
+    q: false-discovery rate at which it is accepted. stability: as above. alike: terms that these records cannot tell from it.
+    """
+
+    name: str
+    id: str
+    coefficient: float
+    unit: str
+    closure: float
+    gain: float
+    q: float
+    stability: float
+    one_sided: bool
+    alike: tuple[str, ...]
+
+    @property
+    def firm(self) -> bool:
+        """Whether it passes every doubt."""
+        return self.gain > 0 and self.q <= FDR and self.stability >= STABLE and self.closure >= WORTH
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
+def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
+    """The terms that describe what `records` show beyond the model, best first.
+
+    Args:
+        plant: the fish with the library in it (plant.py). null: (n, m) residuals of null runs at the windows of `records`.
+    """
+    e = Evidence(plant, records, null)
+    whole = e.part(np.ones(len(records), bool))
+    terms = [x for x in plant.active.effects if x in library()]
+    base = whole.base()
+    g, probed = signatures(whole, terms)
+    onto = groups(e.layout, 1 if len(records) >= MANY else PIECES)
+    gains = held_out(base.z, g, onto)
+    floor = null_gains(e, null, g, onto)
+    sided = np.where([one_sided(t) for t in terms], HANDED, 1.0)
+    net = (gains - floor) * sided
+    rng = np.random.default_rng(seed)
+    q = discovery(gains, decoy_gains(base.z, g, e.layout, onto, rng))
+    stable = stability(base.z, g, groups(e.layout, PIECES), net / np.maximum(gains, 1e-9), rng)
+    order = shortlist(net, probed)
+    polished = {c.names[-1]: c for c in whole.refine(whole.screen(base, [terms[k] for k in order]), 3)}
+    for k, gain in zip(order, crossed_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
+        net[k] = (gain - floor[k]) * sided[k]
+    ranked = sorted(order, key=lambda k: -net[k])[:LISTED]
+    return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, plant) for k in ranked)
+
+
+def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
+    """Terms to polish: the best to first order, and the best at a finite size: a fish that drifts far off is no straight line."""
+    return list(dict.fromkeys([*np.argsort(-net)[:FINALISTS], *np.argsort(probed)[:FINALISTS]]))
+
+
+def crossed_at(whole: Search, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
+    """(F,) gain of fitted terms on records left out: about each optimum c, c(-l) = c - sum_k g_k z_k / sum_k g_k^2, k not l."""
+    _, _, size = bounds(whole.plant)
+    rows, steps = [], []
+    for c in fitted:
+        row, place = c.row.copy(), c.places[-1]
+        steps.append(0.02 * size[place])
+        row[place] += steps[-1]
+        rows.append(row)
+    at = np.array([c.z for c in fitted])
+    g = (whole.z(np.array(rows)) - at) / np.array(steps)[:, None]
+    b, a = sums(at, g, onto)
+    change = -(b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
+    return np.sum(base.z**2) - np.sum(at**2, 1) - np.sum(2 * change * b + change**2 * a, 1)
+
+
+def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
+    effect, c = terms[k], polished[terms[k].name]
+    norm = np.linalg.norm(g, axis=1) + 1e-300
+    cos = np.abs(g @ g[k]) / norm / norm[k]
+    alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > ALIKE and j != k)
+    p = effect.parameters[0]
+    value = float(c.row[plant.index(effect.name, p.name)])
+    excess = base.cost - size
+    closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
+    return Term(
+        name_of(effect),
+        effect.name,
+        value,
+        p.unit,
+        closure,
+        float(net[k]),
+        float(q[k]),
+        float(stable[k]),
+        one_sided(effect),
+        alike,
+    )
+
+
+def signatures(whole: Search, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
+    """(K, m) change of z for the usual coefficient of each term, to first order; (K,) least |z|^2 at a few finite ones."""
+    plant, sizes = whole.plant, (PROBE, -PROBE, *PROBES)
+    rows = np.tile(plant.null, (len(terms), len(sizes), 1))
+    for k, term in enumerate(terms):
+        p = term.parameters[0]
+        rows[k, :, plant.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
+    z = whole.z(rows.reshape(-1, rows.shape[-1])).reshape(len(terms), len(sizes), -1)
+    g = (z[:, 0] - z[:, 1]) / (2 * PROBE)
+    g[np.abs(z[:, :2]).max((1, 2)) > WILD] = 0.0  # a rollout that left the finite numbers says nothing
+    return g, np.einsum("kpm,kpm->kp", z, z).min(1)
+
+
+def groups(layout: Layout, pieces: int) -> np.ndarray:
+    """(m, L pieces) which entries belong to which record, or to which of its equal parts in time."""
+    onto = np.zeros((layout.size, pieces * len(layout.records)))
+    for b in layout.blocks:
+        n = b.where.stop - b.where.start
+        onto[np.arange(b.where.start, b.where.stop), pieces * b.record + pieces * np.arange(n) // max(n, 1)] = 1.0
+    return onto
+
+
+def sums(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(g_k . z, g_k . g_k) by group, (K, G) each."""
+    return (g * z) @ onto, (g * g) @ onto
+
+
+def held_out(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """(K,) gain of each term on groups it was not fitted to, one at a time."""
+    return crossed(*sums(z, g, onto))
+
+
+def crossed(b: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """The same from the sums by record: c(-l) = b(-l)/a(-l), gain 2 c b_l - c^2 a_l."""
+    c = (b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
+    return np.sum(2 * c * b - c * c * a, 1)
+
+
+def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """(K,) what each term may gain on null runs, those of one half whitened by the other half's scatter.
+
+    The 95 % point of its own gain, times what the luckiest of all terms exceeds its own by in 95 % of the runs.
+    """
+    whole = np.ones(len(null), bool)
+    found = []
+    for part in (0, 1):
+        other = whole.copy()
+        other[part::2] = False
+        mine = null[other]
+        w = whitening(mine / np.sqrt(len(mine)), leftover(mine, e.layout))
+        for z in w(null[part::2]):
+            found.append(held_out(z, g, onto))
+    each = np.maximum(np.percentile(np.array(found), 95, axis=0), UNIT)
+    luckiest = np.max(np.array(found) / each, 1)
+    return each * max(1.0, float(np.percentile(luckiest, 95)))
+
+
+def decoy_gains(z: np.ndarray, g: np.ndarray, layout: Layout, onto: np.ndarray, rng, draws: int = DECOYS) -> np.ndarray:
+    """(draws K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
+    out = []
+    for _ in range(draws):
+        moved = np.empty_like(g)
+        shift = rng.uniform(0.125, 0.875, len(layout.records))
+        for b in layout.blocks:
+            n = b.where.stop - b.where.start
+            moved[:, b.where] = np.roll(g[:, b.where], int(shift[b.record] * n), axis=1)
+        out.append(held_out(z, moved, onto))
+    return np.concatenate(out)
+
+
+def discovery(gains: np.ndarray, decoys: np.ndarray) -> np.ndarray:
+    """(K,) false-discovery rate at which each term would be accepted (Benjamini & Hochberg)."""
+    ordered = np.sort(decoys)
+    p = (1 + len(ordered) - np.searchsorted(ordered, gains, side="left")) / (1 + len(ordered))
+    order = np.argsort(p)
+    q = p[order] * len(p) / (1 + np.arange(len(p)))
+    out = np.empty_like(q)
+    out[order] = np.minimum.accumulate(q[::-1])[::-1]
+    return out
+
+
+def stability(z, g, onto: np.ndarray, share, rng, draws: int = HALVES) -> np.ndarray:
+    """(K,) how often each term is among the first two when only half of the groups are looked at.
+
+    share: (K,) what of each term's gain is left once null runs and sides are counted.
+    """
+    b, a = sums(z, g, onto)
+    count, hits = onto.shape[1], np.zeros(len(g))
+    for _ in range(draws):
+        half = rng.permutation(count)[: max(2, count // 2)]
+        gain = b[:, half].sum(1) ** 2 / (a[:, half].sum(1) + 1e-12) * np.clip(share, 0.0, 1.0)
+        hits[np.argsort(-gain)[:2]] += 1
+    return hits / draws

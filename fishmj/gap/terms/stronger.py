@@ -1,0 +1,87 @@
+"""Does a free force explain more than what was found? Then what was found stands in for it.
+
+    gain = sum_f loss_f(model as it is) - loss_f(term)      folds f, each predicted by a coefficient from the others (folds.py)
+    lead = gain(best term) - gain(what was found)
+
+A name is a formula, and has to do better than one that knows nothing: the best single term of the typed library, fitted from the
+model as it is and judged as the name was, unseen and in the evidence around itself. A right name leads by hundreds and more, or a
+term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest to that,
+and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.gap.search.cross_validation import Fitted
+from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.likelihood import FORM, Evidence
+from fishmj.gap.search.refit import moved, nearest, polished
+from fishmj.gap.search.stepwise import Found
+from fishmj.gap.search.stepwise_rounds import telling
+from fishmj.gap.terms.equivalence import own
+from fishmj.gap.terms.library import library, name_of
+from fishmj.gap.terms.select import shortlist, signatures
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.wording import number
+
+LEAD = 60.0  # in twice the log likelihood: right names were led by 28 at most, by terms that are nearly their formula
+HALF = 0.5  # of the form error of what was found, that a term may have at most, if it has more than is usual
+SCREENED, FITTED, TRIED = 6, 3, 2  # terms screened, of these fitted to all records, and of these judged around themselves
+
+
+class Free(NamedTuple):
+    """The best term. name: "sway force ~ yaw rate x tail rate". gain: on records unseen. form: its form error."""
+
+    name: str
+    gain: float
+    form: float
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
+def challenged(plant, e: Evidence, found: Found, verdict: Verdict) -> Verdict:
+    """The verdict, with the lead of the best free term; UNEXPLAINED where that is more than chance.
+
+    Args:
+        plant: the fish with the library in place of the catalogue (plant.py).
+    """
+    free = best(plant, e, found)
+    lead = free.gain - verdict.gates["gain"]
+    told = {"lead": lead, "term": free.name, "believed": free.form <= max(FORM, HALF * found.near.form)}
+    verdict = replace(verdict, gates=verdict.gates | told)
+    if not outdone(verdict.gates):
+        return verdict
+    gains = f"gains {number(lead)} more in twice the log likelihood of records not seen"
+    why = f"a free force, {free.name}, {gains}; the best is tentative"
+    return replace(verdict, answer="UNEXPLAINED", reason=why)
+
+
+def outdone(checks: dict) -> bool:
+    """Whether a term explains more than what was found, by the gates of a verdict; not where they were never asked."""
+    return checks.get("lead", 0.0) > LEAD and checks["believed"]
+
+
+def best(plant, e: Evidence, found: Found) -> Free:
+    """The term that explains most of the records of `e`, but for those that what was found is itself (own.py)."""
+    start, folds = e.on(plant), found.folds
+    named = [x for x in e.plant.active.effects if x.name in found.best.names]
+    terms = {x.name: x for x in plant.active.effects if x in library() and not any(own(n, x) for n in named)}
+    tried = (nearest(start, c, 1) for c in likely(start, list(terms.values())))
+    near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
+    fitted = Fitted(near, c, tuple(polished(near.part(~f), c) for f in folds))
+    before = sum(e.part(f).loss(found.base.row) for f in folds)
+    return Free(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
+
+
+def likely(start: Evidence, terms: list) -> list[Candidate]:
+    """The best terms by |z|^2: found on the few records in which most is unexpected, fitted to all."""
+    whole = start.part(start.everything)
+    base = whole.base()
+    few = start.part(telling(base, start.layout))
+    here = moved(few, base)
+    g, probed = signatures(few, terms)
+    straight = (g @ here.z) ** 2 / (np.sum(g * g, 1) + 1e-12)
+    screened = few.screen(here, [terms[k] for k in shortlist(straight, probed)])[:SCREENED]
+    fitted = sorted((moved(whole, c) for c in screened), key=lambda c: c.cost)[:FITTED]
+    return whole.refine(fitted, 3)[:TRIED]

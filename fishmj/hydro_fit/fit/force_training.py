@@ -1,0 +1,129 @@
+"""The residual, learnt: forces tick by tick.
+
+    L = mean_rows,members b min(|dF / size|^2, far) + thrust b |mean dF_t / size|^2 + decay |W|^2
+
+b are bootstrap weights, drawn by episode: each member sees another sample of the episodes. Features get noise, so that
+small differences are no information. Adam with a cosine schedule; one seed gives one result on one machine.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import lax
+
+from fishmj.dynamics import planar_chain
+from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.training_windows import Lessons, taken
+from fishmj.water import residual_network
+
+NOISE = 0.01  # of the features
+THRUST, DECAY = 3.0, 1e-4
+FAR = 25.0  # squared error from which a row pulls no more
+RATE, BATCH = 4e-3, 40  # pieces a step
+THIN = 2  # forces are looked at in every second row, from a random one on
+
+
+class Schooling(NamedTuple):
+    """Weights and the losses on the way."""
+
+    net: residual_network.Net
+    losses: np.ndarray
+
+
+def bootstrap(episodes: np.ndarray, members: int, seed: int) -> np.ndarray:
+    """(E, P) how often each member draws the episode of each piece."""
+    rng = np.random.default_rng([41, seed])
+    count = int(episodes.max()) + 1
+    drawn = np.stack([np.bincount(rng.integers(0, count, count), minlength=count) for _ in range(members)])
+    return drawn[:, episodes].astype(np.float32)
+
+
+def wakes(net: residual_network.Net, x, speed, step: float):
+    """Wake states before every row, (T, G, P), from features (T, F, P) and V (T, P), each piece from rest; and after the last.
+
+    Rows of no speed leave the wake alone.
+    """
+
+    def advance(z, given):
+        features, v = given
+        new = residual_network.wake_step(jnp, net, residual_network.Motion(list(features), v, [], [], []), list(z), step)
+        return jnp.stack(new), z
+
+    last, before = lax.scan(advance, jnp.zeros((residual_network.WAKES, x.shape[2]), x.dtype), (x, speed))
+    return before, last
+
+
+def forces(net: residual_network.Net, p: residual_network.Panels, rho: float, x, push, z):
+    """Forces of every member, (E, T, 3, N, P), moments about the middle of each link, from x (T, F, P), z (T, G, P)."""
+    rows = lambda a: list(jnp.moveaxis(a, 1, 0))
+    g = residual_network.coefficients(jnp, net, residual_network.Motion(rows(x), None, [], [], []), rows(z))  # (E, 3, N, T, P)
+    n = push.shape[1]
+    arm = np.stack([np.ones(n), np.ones(n), np.array(p.length)])[:, :, None] * (0.5 * rho * np.array(p.area))[:, None]
+    return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * push[None, :, None]
+
+
+def loss(net: residual_network.Net, lessons: Lessons, b, p: residual_network.Panels, rho: float, first: int = 0):
+    """The force part of L; b (E, P). `first`: row from which every `THIN`th counts."""
+    z, _ = wakes(net, lessons.x, lessons.speed, lessons.step)
+    thin = lambda a: a[first::THIN]
+    x, push, left, weight = (thin(a) for a in (lessons.x, lessons.push, lessons.left, lessons.weight))
+    error = (forces(net, p, rho, x, push, thin(z)) - left) / lessons.size[:, :, None]
+    w = b[:, None] * weight[None]
+    square = jnp.sum(w[:, :, None, None] * jnp.minimum(error**2, FAR)) / ((jnp.sum(w) + 1e-6) * error.shape[2] * error.shape[3])
+    along = (error[:, :, 0] * lessons.size[0][:, None]).sum(2) / jnp.sqrt((lessons.size[0] ** 2).sum())  # sum over links
+    mean = (along * weight).sum(1) / (weight.sum(0) + 1e-6)
+    thrust = jnp.sum(b * mean**2) / (jnp.sum(b) + 1e-6)
+    return square + THRUST * thrust + DECAY * size_of(net)
+
+
+def size_of(net: residual_network.Net):
+    """Mean squares of the weights."""
+    return sum(jnp.mean(getattr(net, k) ** 2) for k in ("inner", "outer", "wake", "even", "odd"))
+
+
+def adam(rate: float, steps: int) -> optax.GradientTransformation:
+    """Adam with short slopes and a rate that falls by a cosine."""
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.03)))
+
+
+def learn(
+    ch: planar_chain.Chain, lessons: Lessons, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
+    left: dict | None = None, report: Callable | None = None, loop: Loop | None = None,
+) -> Schooling:  # fmt: skip
+    """Teach forces.
+
+    Args:
+        left: what `residual.without` is told, for comparison. report: called with (step, steps, loss). loop: keeps the state.
+    """
+    p, rho, told = residual_network.panels(ch), ch.strips.rho, left or {}
+    b = bootstrap(lessons.episode, net.members, seed)
+    optimiser = adam(RATE, steps)
+    net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
+    rng, loop = np.random.default_rng([43, seed]), loop or Loop()
+    since, (net, state, losses) = loop.begin((net, optimiser.init(net), np.full(-(-steps // 20), np.nan)))
+
+    @jax.jit
+    def step(net, state, part, weights, key):
+        part = part._replace(step=lessons.step)
+        part = part._replace(x=part.x + NOISE * jax.random.normal(key, part.x.shape))
+        value, slope = jax.value_and_grad(lambda net: loss(residual_network.without(net, **told), part, weights, p, rho))(net)
+        change, state = optimiser.update(slope, state)
+        return optax.apply_updates(net, change), state, value
+
+    count, key = len(lessons.episode), jax.random.key(seed)
+    for k in range(steps):
+        at = rng.choice(count, min(BATCH, count), replace=False)
+        if k < since:  # drawn and done before
+            continue
+        part = taken(lessons, at)
+        net, state, value = step(net, state, part, b[:, at], jax.random.fold_in(key, k))
+        if k % 20 == 19 or k + 1 == steps:
+            losses = np.concatenate([losses[: k // 20], [float(value)], losses[k // 20 + 1 :]])
+            if report is not None:
+                report(k + 1, steps, losses[k // 20])
+        loop.after(k + 1, (net, state, losses))
+    return Schooling(residual_network.without(jax.tree.map(np.asarray, net), **told), losses)

@@ -1,0 +1,210 @@
+"""The base coefficients by what fish do in it: Gauss-Newton through free swims, on a few physical scales.
+
+A fit of forces alone can be right to a per cent in every force and wrong by a tenth in speed: thrust is the small difference
+of large forces. So ten factors, each on one kind of force, are moved until the swims of the model match the recorded ones in
+velocity, yaw rate and servo power over windows, and held fish in mean thrust. Levenberg (1944) and Marquardt (1963) damp the
+step; the Jacobian is by differences, all disturbed waters in one batch.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.hydro_fit.fit import wake_warmup
+from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.identifiability import Identified, identify
+from fishmj.hydro_fit.fit.regression_rows import Rows, attachment, base_force
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, is_free, recorded, repeated, windows
+from fishmj.hydro_fit.fit.tolerance import TOLERANCE
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+from fishmj.water.prior import Prior, flat, names_of, prior_of, unflat
+
+SPREAD = 0.3  # standard deviation of ln factor: how far the swims may pull from what the forces said
+STEP = 0.02  # of ln factor, for the differences
+DAMPING = (0.1, 1.0, 10.0, 1e3)  # of the last one, all tried at once
+LEAST = 0.005  # relative fall of the objective that is worth another iteration
+CLIP = 5.0  # tolerances; a fish that went astray pulls no harder
+FLAPPING = ("chirp", "gait", "flapping")  # blocks that may hold a fish with moving joints
+PUSHED = "flapping"  # by its mean thrust alone: to the letter, a tail does what no servo makes it do, with ten times the force
+THRUST = 0.035  # of the tow drag; a third of what is asked: there are few of them beside the swims
+TOW = 0.3  # m/s, of that drag
+
+
+class Scaled(NamedTuple):
+    """Coefficients after the fit, what is known of the factors, and the objective before and after."""
+
+    water: strip_forces.Coefficients
+    found: Identified
+    before: float
+    after: float
+    jacobian: np.ndarray  # (R, S) of the scaled residuals
+    rounds: int
+
+
+def groups(links: int) -> dict[str, tuple[str, ...]]:
+    """Which coefficients each factor multiplies."""
+    return {
+        "body_mass": tuple(f"k{i + 1}" for i in range(links - 1)),
+        "tail_mass": (f"k{links}",),
+        "body_drag": tuple(f"cn{i + 1}" for i in range(links - 1)),
+        "tail_drag": (f"cn{links}",),
+        "friction": ("cf",),
+        "form_drag": ("ca_forward",),
+        "edge": ("ke",),
+        "lift": ("lift_a", "lift_b"),
+        "stall_angle": ("stall_angle",),
+        "stall_lag": ("stall_lag",),
+    }
+
+
+def scaled(water: np.ndarray, factors: np.ndarray, links: int, limits: Prior) -> np.ndarray:
+    """Flat coefficients times exp(factors), within hard bounds and passive; `factors` (S,) in the order of `groups`."""
+    names, out = names_of(links), np.array(water, float)
+    for factor, members in zip(factors, groups(links).values(), strict=True):
+        at = [names.index(name) for name in members]
+        out[at] = np.clip(out[at] * np.exp(factor), limits.low[at], limits.high[at])
+    a, b = names.index("lift_a"), names.index("lift_b")
+    out[a] = max(out[a], 0.5 - out[b])
+    return out
+
+
+class Match:
+    """How far a water is from the records, in tolerances.
+
+    Args:
+        fleet: free swims. held: rows of held fish, or None. tick: s. drag: tow drag that thrust errors are measured in, N.
+        swim: rollouts. learnt: a residual that swims along.
+    """
+
+    _push: np.ndarray | None  # (3, N, M) force of the residual on held fish
+
+    def __init__(self, swim: Swim, fleet: Fleet, tick: float, held: Rows | None, drag: float, learnt=None):
+        self.swim, self.fleet, self.tick = swim, fleet, tick
+        self.held, self.drag, self.learnt = held, drag, learnt
+        self.seen = windows(recorded(fleet), fleet, tick)
+        self.thrust = None if held is None else thrusts(held, held.force)
+
+    @property
+    def learnt(self):
+        return self._learnt
+
+    @learnt.setter
+    def learnt(self, learnt) -> None:
+        self._learnt, self._push = learnt, None
+
+    def residuals(self, waters: np.ndarray) -> np.ndarray:
+        """(W, R) for W flat waters."""
+        fleet, count = repeated(self.fleet, len(waters)), len(waters)
+        size = len(self.fleet.q)
+        track = self.swim.run(fleet, np.repeat(waters, size, 0), self.learnt)
+        out = []
+        for i, water in enumerate(waters):
+            part = Track(*(a[i * size : (i + 1) * size] for a in track))
+            out.append(np.concatenate([self.swum(part), self.pushed(water)]))
+        return np.stack(out) if count else np.zeros((0, 0))
+
+    def swum(self, track: Track) -> np.ndarray:
+        """Errors of the windows of all swims."""
+        view, seen, errors = windows(track, self.fleet, self.tick), self.seen, []
+        speed = np.hypot(seen.surge, seen.sway)
+        for name, size, kind in (
+            ("surge", speed, "speed"),
+            ("sway", speed, "speed"),
+            ("yaw_rate", None, "yaw"),
+            ("power", None, "power"),
+        ):
+            share, floor = TOLERANCE[kind]
+            got, wanted = getattr(view, name), getattr(seen, name)
+            wide = share * np.abs(wanted if size is None else size) + floor
+            error = np.where(np.isfinite(got), np.clip((got - wanted) / wide, -CLIP, CLIP), CLIP)
+            errors.append(error[np.isfinite(wanted)])
+        return np.concatenate(errors) / np.sqrt(max(1, view.surge.shape[1]))
+
+    def pushed(self, water: np.ndarray) -> np.ndarray:
+        """Errors of the mean thrust on held fish."""
+        if self.held is None:
+            return np.zeros(0)
+        c = unflat(water.tolist())
+        s = self.swim.chain.strips
+        if self.learnt is not None and self._push is None:  # it hangs on the movement, next to nothing on the coefficients
+            self._push = wake_warmup.walk(self.swim.chain, self.held, c, self.learnt, self.tick).force
+        force = base_force(self.held, s, c, attachment(self.held, s, c, self.tick))
+        got = thrusts(self.held, force if self._push is None else force + self._push)
+        return calmed((got - self.thrust) / (THRUST * self.drag))
+
+
+def calmed(error: np.ndarray) -> np.ndarray:
+    """Residuals whose squares grow as the errors do beyond `CLIP` (pseudo-Huber): far off, they pull on, but no harder.
+
+    r^2 = 2 c^2 (sqrt(1 + (e / c)^2) - 1)
+    """
+    return np.sign(error) * CLIP * np.sqrt(2.0 * (np.sqrt(1.0 + (error / CLIP) ** 2) - 1.0))
+
+
+def flaps(record: Record) -> bool:
+    """A held fish that beats its tail: what is judged by its thrust."""
+    return record.meta["block"] in FLAPPING and not is_free(record)
+
+
+def thrusts(rows: Rows, force: np.ndarray) -> np.ndarray:
+    """Mean force along the links' own axes, sum over the links, of every record: (R,) N."""
+    along = force[0].sum(0)
+    return np.array([along[span].mean() for span in rows.spans()])
+
+
+def tow_drag(ch: planar_chain.Chain, robot: Robot, speed: float = TOW) -> float:
+    """Drag of the straight fish by the prior coefficients, N: the yardstick of thrust errors."""
+    q, v = [0.0] * (ch.n + 2), [speed, *[0.0] * (ch.n + 1)]
+    k = planar_chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
+    forces = planar_chain.water_forces(np, ch, planar_chain.nominal(robot), k, 0.0, (0.0, 0.0), 1.0)
+    return -float(sum(f[0] for f in forces))
+
+
+def fit_rollout(
+    robot: Robot, ch: planar_chain.Chain, match: Match, water: strip_forces.Coefficients, *, rounds: int = 8,
+    report: Callable | None = None, loop: Loop | None = None,
+) -> Scaled:  # fmt: skip
+    """Move the factors from `water` until the swims match; never ends worse than it began.
+
+    Args:
+        report: called with (round, rounds, objective). loop: keeps the state after each round.
+    """
+    limits, start = prior_of(robot), flat(water)
+    names = tuple(groups(ch.n))
+    size = len(names)
+    jacobian, loop = np.zeros((0, size)), loop or Loop()
+    at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])
+    cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)
+    around = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
+    since, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
+    x, damping, best, first = kept
+    now = around(x)
+    if not since:
+        first = best = np.float64(cost(now[0], x))
+    done = since
+    for done in range(since + 1, rounds + 1):
+        jacobian = ((now[1:] - now[0]) / STEP).T
+        normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
+        slope = jacobian.T @ now[0] + x / SPREAD**2
+        tries = [damping * share for share in DAMPING]
+        steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in tries]
+        found = match.residuals(at(steps))
+        costs = [cost(r, s) for r, s in zip(found, steps, strict=True)]
+        pick = int(np.argmin(costs))
+        fall = best - costs[pick]
+        if fall <= 0:
+            break
+        x, best, damping = steps[pick], costs[pick], tries[pick]
+        if report is not None:
+            report(done, rounds, best)
+        if fall < LEAST * best or done == rounds:
+            break
+        loop.after(done, (x, np.float64(damping), np.float64(best), first))
+        now = around(x)
+    prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
+    result = scaled(start, x, ch.n, limits)
+    judged = identify(prior, np.exp(x), jacobian.T @ jacobian)
+    return Scaled(unflat(result.tolist()), judged, float(first), float(best), jacobian, done)

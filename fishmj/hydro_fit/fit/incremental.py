@@ -1,0 +1,78 @@
+"""A fitted water, fitted again to more swims: the residual learns from them, then the ten factors move.
+
+    model = Again(robot, model, train, val, dataset={...}).run()
+
+As in the first fit, what makes the validation swims worse is not taken, and the notes say so. The range grows with the new swims
+and keeps what it had.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj.hydro_fit.fit import wake_warmup
+from fishmj.hydro_fit.fit.gauss_newton import groups
+from fishmj.hydro_fit.fit.pipeline import Fit, Settings
+from fishmj.hydro_fit.fit.regression_rows import rows_of
+from fishmj.hydro_fit.fit.serialise import packed, unpacked
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+from fishmj.water import residual_hooks, residual_network
+from fishmj.water.model import HydroModel
+from fishmj.water.prior import flat
+
+STEPS = 100  # of learning by swims; the first fit had more of them, from forces alone
+
+
+class Again(Fit):
+    """One more fit of a model.
+
+    Args:
+        train: records at the model's slip ratio. val: those of the first fit, and new ones, which count for half however few
+            they are: what was added is what the model is fitted again for. dataset, folder: as in `Fit`.
+    """
+
+    def __init__(
+        self, robot: Robot, model: HydroModel, train: Sequence[Record], val: tuple[Sequence[Record], Sequence[Record]], *,
+        dataset: dict, folder: Path | None = None,
+    ):  # fmt: skip
+        settings = Settings(members=len(model.members), residual=model.learnt is not None, swims=STEPS)
+        super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings, folder=folder)
+        self.model, self.parts = model, [self._match(part, None) for part in val if part]
+        sums = [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in self._first().values()]
+        self.key = hashlib.sha256(json.dumps([self.key, sums]).encode()).hexdigest()
+
+    def run(self) -> HydroModel:
+        """The factors of the model as it swims, then the error bar; strips fitted without the residual stay as they are."""
+        stages = ("rollout", "finish") if self.model.learnt is None else ("swims", "retune", "finish")
+        return self._model(self.through(stages, state=self._first()))
+
+    def _first(self) -> dict[str, Any]:
+        """The model as a fit has it that comes to its swims."""
+        model, still = self.model, np.zeros((self.settings.members, len(groups(self.chain.n))))
+        state: dict[str, Any] = {"water": flat(model.base), "factors": still, "alone": model.alone[0], "alone_factors": still}
+        return state if model.learnt is None else state | packed(model.learnt)
+
+    def _swims(self, state) -> dict:
+        taught = super()._swims(state)
+        if self.score(state["water"], unpacked(state | taught)) < self.score(state["water"], self.model.learnt):
+            return taught
+        self.notes.append("swims: not taken")
+        return {}
+
+    def _reached(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
+        """The range of before, as far as the new swims go beyond it wider."""
+        made, before = super()._reached(net, water), self.model.learnt
+        if before is None or before.reach is None:
+            return made
+        return made._replace(
+            reach=residual_hooks.widened(before.reach, *wake_warmup.features(self.chain, rows_of(self.chain, self.taught)))
+        )
+
+    def score(self, water: np.ndarray, learnt) -> float:
+        """As in the first fit, the mean of the parts."""
+        return float(np.mean([self.score_of(part, water, learnt) for part in self.parts]))

@@ -1,0 +1,343 @@
+"""The whole fit, stage by stage: each is kept when done, so an interrupted fit goes on where it was.
+
+    linear     least squares on wrenches                               rollout   factors by free swims
+    residual   forces that are left over                               swims     the residual again, by free swims
+    retune     the factors again, with the residual in place           finish    members, range and error bar
+A stage that makes the validation swims worse is not taken; the notes say so. The test part is never looked at.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj import interrupt
+from fishmj.dynamics import planar_chain
+from fishmj.errors import DatasetError, StoreError
+from fishmj.hydro_fit.fit import (
+    force_training,
+    gauss_newton,
+    linear_regression,
+    prediction_interval,
+    rollout,
+    training_windows,
+    transient_tolerance,
+    wake_warmup,
+)
+from fishmj.hydro_fit.fit import (
+    rollout_training as swims,
+)
+from fishmj.hydro_fit.fit.code_hash import code
+from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.regression_rows import Rows, rows_of
+from fishmj.hydro_fit.fit.serialise import packed, unpacked
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+from fishmj.store import plain, read_tensors, write_tensors
+from fishmj.water import residual_hooks
+from fishmj.water import residual_network as residual
+from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.prior import flat, prior_of, unflat
+
+STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
+TYPICAL = dict(zip(STAGES, (4.0, 25.0, 12.0, 204.0, 17.0, 30.0), strict=True))  # s, of 1000 swims on 16 cores; for the bar alone
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a fit may be told.
+
+    steps, swims: of learning by forces and by free swims.
+    swim: seconds of free swimming at most in each Gauss-Newton batch.
+    """
+
+    seed: int = 0
+    members: int = 5
+    hidden: int = 16
+    steps: int = 400
+    swims: int = 1000
+    swim: float = 600.0
+    residual: bool = True
+    memory: bool = True
+    products: bool = True
+    rollout: bool = True
+
+
+Report = Callable[[str, float, dict], None]  # stage, share of the whole fit, figures: none where it begins, by compiling
+
+
+def quiet(stage: str, share: float, figures: dict) -> None:
+    """Say nothing."""
+
+
+class Fit:
+    """One fit of one robot.
+
+    Args:
+        train, val: records at one slip ratio. folder: where finished stages are kept; None keeps nothing.
+        dataset: sha256 and what else is to be told about the data.
+    Raises:
+        DatasetError: a part is empty or has no free swim.
+    """
+
+    def __init__(
+        self, robot: Robot, train: Sequence[Record], val: Sequence[Record], *, dataset: dict, settings: Settings | None = None,
+        folder: Path | None = None, report: Report = quiet,
+    ):  # fmt: skip
+        if not train or not val:
+            raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
+        self.robot, self.chain, self.folder, self.report = robot, planar_chain.chain_of(robot), folder, report
+        self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or Settings()
+        self.taught = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
+        self.tick = self.train[0].tick
+        self.swim = rollout.Swim(self.chain, planar_chain.nominal(robot))
+        self.limits = prior_of(robot)
+        believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
+        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset, "code": code()}
+        self.about |= {
+            "water": flat(planar_chain.nominal(robot).water).tolist(),
+            "records": [r.id for r in [*self.train, *self.val]],
+        }
+        told = self.about | {"settings": asdict(self.settings)}
+        self.key = hashlib.sha256(json.dumps(plain(told), sort_keys=True).encode()).hexdigest()
+        self.notes: list[str] = []
+        self.found: dict[str, dict] = {}
+        self.seconds: dict[str, float] = {}
+        self.loop = Loop()  # of the stage that is under way
+
+    def run(self) -> HydroModel:
+        """All stages; returns the model."""
+        return self._model(self.through(STAGES))
+
+    def through(
+        self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter, state: dict[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What the stages leave, each read where it is kept and else done; `clock` times them, they begin with `state`."""
+        state = dict(state or {})
+        for stage in stages:
+            self.enter(stage)
+            kept = self._read(stage)
+            if kept is None:
+                self.report(stage, self._share(stage, 0.0), {})
+                path, began = self._path(stage), clock()
+                self.loop = Loop(path and path.with_name(f"loop-{path.name}"), self.key)
+                state |= getattr(self, f"_{stage}")(state)
+                self.seconds[stage] = clock() - began
+                self._write(stage, state)
+                self.loop.end()
+            else:
+                state = kept
+            self.report(stage, self._share(stage, 1.0), {"seconds": self.seconds.get(stage, 0.0)})
+        return state
+
+    def words(self) -> str:
+        """Keep the stage that is under way as far as it has come; says what there is. For `interrupt.keeping`: another thread."""
+        self.loop.save()
+        if self.folder is None:
+            return "nothing of it is kept"
+        done = [stage for stage in STAGES if (path := self._path(stage)) is not None and path.is_file()]
+        return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; {interrupt.again()}"
+
+    def enter(self, stage: str) -> None:
+        """Called before a stage; a fit whose stages have keys of their own sets `key`."""
+
+    # stages: state -> what they add to it
+
+    def _linear(self, state) -> dict:
+        rows = rows_of(self.chain, self.taught)
+        done = linear_regression.fit_linear(self.robot, self.chain, rows, self.tick)
+        self.found["linear"] = done.found.table()
+        return {"water": flat(done.water), "noise": done.noise}
+
+    def _rollout(self, state) -> dict:
+        if not self.settings.rollout:
+            return self._unmoved(state)
+        return self._newton(state, None, "rollout")
+
+    def _newton(self, state, learnt, stage: str) -> dict:
+        before = self.score(state["water"], learnt)
+        told = lambda k, n, cost: self._tell(stage, k / n, cost=cost)
+        match, start = self._match(self.train, learnt), unflat(state["water"])
+        done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=told, loop=self.loop)
+        after = self.score(flat(done.water), learnt)
+        if after > before:
+            self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
+            return {} if learnt is not None else self._unmoved(state)
+        self.found[stage] = done.found.table()
+        names = len(done.found.parameters)
+        normal = done.jacobian.T @ done.jacobian + np.eye(names) / gauss_newton.SPREAD**2
+        draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
+        factors = np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
+        new = {"water": flat(done.water), "factors": factors}
+        return new if learnt is not None else new | {"alone": new["water"], "alone_factors": factors}
+
+    def _unmoved(self, state) -> dict:
+        still = np.zeros((self.settings.members, len(gauss_newton.groups(self.chain.n))))
+        return {"factors": still, "alone": state["water"], "alone_factors": still}
+
+    def _residual(self, state) -> dict:
+        s = self.settings
+        if not s.residual:
+            return {}
+        told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)
+        net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
+        taught = self._lessons(state["water"])
+        net = force_training.learn(
+            self.chain, taught, net, steps=s.steps, seed=s.seed, left=self._left, report=told, loop=self.loop
+        ).net
+        return packed(self._reached(net, state["water"]))
+
+    def _swims(self, state) -> dict:
+        learnt, water = unpacked(state), state["water"]
+        if learnt is None or not self.settings.swims:
+            return {}
+        s, c = self.settings, unflat(water.tolist())
+        taught, held = self._lessons(water), swims.held_of(self.chain, self.train, c)
+        pieces = swims.pieces_of(self.chain, self.robot, self.train, c)
+        told = lambda k, n, cost: self._tell("swims", k / n, loss=cost)
+        school = swims.School(self.robot, self.swim, pieces, held, taught, water, left=self._left)
+        net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told, loop=self.loop)
+        return packed(self._reached(net, water))
+
+    @property
+    def _left(self) -> dict:
+        return {"memory": self.settings.memory, "products": self.settings.products}
+
+    def _reached(self, net: residual.Net, water) -> residual_hooks.Residual:
+        """The net with the range that it was taught in, and a note on how it swims."""
+        rows = rows_of(self.chain, self.taught)
+        reach = residual_hooks.fitted(*wake_warmup.features(self.chain, rows), 1e6)
+        spread = wake_warmup.walk(self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick).spread
+        learnt = residual_hooks.Residual(net, reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6)))
+        before, after = self.score(water, None), self.score(water, learnt)
+        self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
+        return learnt
+
+    def _retune(self, state) -> dict:
+        learnt = unpacked(state)
+        return {} if learnt is None or not self.settings.rollout else self._newton(state, learnt, "retune")
+
+    def _finish(self, state) -> dict:
+        learnt, water = unpacked(state), state["water"]
+        if learnt is not None:
+            alone, both = self.score(state["alone"], None), self.score(water, learnt)
+            self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
+            if alone < both:
+                self.notes.append("the residual is not taken")
+                learnt, water = None, state["alone"]
+                state = {**state, "factors": state["alone_factors"]}
+        swims = [r for r in [*self.train, *self.val] if rollout.is_free(r)]
+        fleet = rollout.fleet_of(self.chain, self.robot, swims, seconds=1e6)
+        members, bands = [], []
+        for w, factors, r in ((water, state["factors"], learnt), (state["alone"], state["alone_factors"], None)):
+            waters = np.stack([gauss_newton.scaled(w, row, self.chain.n, self.limits) for row in factors])
+            made = self._band(fleet, w, waters, r)
+            members.append(waters)
+            bands.append([made[channel] for channel in prediction_interval.CHANNELS])
+        kept = {"members": members[0], "alone_members": members[1], "bands": np.array(bands), "water": water}
+        return kept | {"taken": np.array(learnt is not None)}
+
+    def _band(self, fleet, water, waters, learnt) -> dict[str, list[float]]:
+        parts = prediction_interval.of_members(self.swim, fleet, waters, learnt)
+        trained = np.array([number < sum(map(rollout.is_free, self.train)) for number, _ in fleet.source])
+        return prediction_interval.fit_band(
+            prediction_interval.means(self.swim.run(fleet, water, learnt), fleet),
+            parts,
+            prediction_interval.means(rollout.recorded(fleet), fleet),
+            trained,
+        )
+
+    # what stages share
+
+    def score(self, water: np.ndarray, learnt) -> float:
+        """Mean squared error of the validation swims, in tolerances."""
+        return self.score_of(self._validation, water, learnt)
+
+    def score_of(self, match: gauss_newton.Match, water: np.ndarray, learnt) -> float:
+        """The same of some of them."""
+        match.learnt = learnt
+        error = match.residuals(np.asarray(water)[None])[0]
+        return float(error @ error / len(error) * match.seen.surge.shape[1])
+
+    @cached_property
+    def _validation(self) -> gauss_newton.Match:
+        return self._match(self.val, None)
+
+    def _lessons(self, water: np.ndarray) -> training_windows.Lessons:
+        return training_windows.lessons_of(self.chain, self.taught, unflat(water.tolist()))
+
+    def _match(self, records, learnt) -> gauss_newton.Match:
+        fleet = rollout.fleet_of(self.chain, self.robot, records)
+        most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
+        if len(fleet.q) > most:
+            rng = np.random.default_rng([59, self.settings.seed])
+            share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
+            fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
+        held = [r for r in records if gauss_newton.flaps(r)]
+        rows: Rows | None = rows_of(self.chain, held) if held else None
+        return gauss_newton.Match(self.swim, fleet, self.tick, rows, gauss_newton.tow_drag(self.chain, self.robot), learnt)
+
+    def _tell(self, stage: str, part: float, **figures) -> None:
+        self.report(stage, self._share(stage, min(part, 1.0)), figures)
+
+    def _share(self, stage: str, part: float) -> float:
+        """Of the whole fit that is done when `part` of a stage is."""
+        took = TYPICAL | {"swims": TYPICAL["swims"] * self.settings.swims / 1000}
+        before = sum(took[s] for s in STAGES[: STAGES.index(stage)])
+        return (before + part * took[stage]) / sum(took.values())
+
+    def _model(self, state) -> HydroModel:
+        made, alone = (dict(zip(prediction_interval.CHANNELS, row, strict=True)) for row in state["bands"].tolist())
+        slips = {float(r.meta["grid"].get("slip", 1.0)) for r in self.train}
+        return HydroModel(
+            name=self.robot.name,
+            robot=self.robot.name,
+            robot_sha256=robot_hash(self.robot),
+            dt=self.chain.dt,
+            slip=slips.pop() if len(slips) == 1 else float("nan"),
+            base=unflat(state["water"].tolist()),
+            members=state["members"],
+            alone=np.concatenate([state["alone"][None], state["alone_members"]]),
+            learnt=unpacked(state) if state["taken"] else None,
+            found=self.found,
+            dataset=self.dataset | {"train_s": sum(r.seconds for r in self.train), "val_s": sum(r.seconds for r in self.val)},
+            band=made,
+            band_alone=alone,
+            scores=self._scores(state),
+            notes="; ".join(self.notes),
+        )
+
+    def _scores(self, state) -> dict:
+        """`from_rest`: what the strips' movement misses by (starts.py)."""
+        whole = unpacked(state) if state["taken"] else None
+        rested = transient_tolerance.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
+        return {"validation": self.score(state["water"], whole), "from_rest": rested, "seconds": self.seconds}
+
+    def _path(self, stage: str) -> Path | None:
+        return None if self.folder is None else self.folder / f"stage-{STAGES.index(stage) + 1}-{stage}.safetensors"
+
+    def _write(self, stage: str, state) -> None:
+        path = self._path(stage)
+        if path is not None:
+            meta = {"key": self.key, "found": self.found, "notes": self.notes, "seconds": self.seconds}
+            write_tensors(path, state, meta)
+
+    def _read(self, stage: str) -> dict | None:
+        """The state after a stage that was finished for the same data and settings."""
+        path = self._path(stage)
+        if path is None or not path.is_file():
+            return None
+        try:
+            arrays, meta = read_tensors(path)
+        except StoreError:  # cut short while it was written, or damaged: the stage is done again
+            return None
+        if meta["key"] != self.key:
+            return None
+        self.found, self.notes, self.seconds = meta["found"], meta["notes"], meta["seconds"]
+        return arrays

@@ -1,0 +1,98 @@
+"""The error bar: how far the means of a swim may be off, as the swims of the training and validation parts say.
+
+    half width = sqrt(offset^2 + (share |mean|)^2 + (spread s)^2)       s: spread of the members at this swim
+The variance that swims leave over, as a sum of three parts that are not negative (least squares, weighted by what it is), then
+all scaled until 90 % of the swims lie inside (split conformal, Lei et al. 2018). Nothing is assumed about which part counts:
+where the members do not tell good swims from bad, their share is zero. Training swims, which the fit has seen, count as they are
+as long as they are no easier than the validation ones by more than chance; else their errors are scaled up by what they are.
+Swims that no fit has seen make it right for swims like them: `calibrate`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track
+from fishmj.water import residual_hooks
+
+CHANNELS = ("speed", "yaw_rate", "power")
+COVER = 0.90
+ROUNDS, LEAST = 10, 1e-3  # of weighting; of the whole variance, so that no swim is expected to be exact
+
+
+class Means(NamedTuple):
+    """Mean of every channel over each piece, (B,): speed over ground m/s, yaw rate rad/s, servo power W."""
+
+    speed: np.ndarray
+    yaw_rate: np.ndarray
+    power: np.ndarray
+
+
+def means(track: Track, fleet: Fleet) -> Means:
+    """Over what was recorded of each piece; speed is that along the body."""
+    yaw = track.q[..., 2]
+    surge = np.cos(yaw) * track.v[..., 0] + np.sin(yaw) * track.v[..., 1]
+    over = lambda a: (a * fleet.mask).sum(1) / fleet.mask.sum(1)
+    return Means(over(surge), over(track.v[..., 2]), over(track.power))
+
+
+def of_members(swim: Swim, fleet: Fleet, waters, learnt) -> list[Means]:
+    """Those of every member of the ensemble: waters (E, P), each with its own part of the residual where there is one."""
+    return [means(swim.run(fleet, row, learnt and residual_hooks.member(learnt, e)), fleet) for e, row in enumerate(waters)]
+
+
+def half_width(channel: str, mean: Means, members: list[Means], band: dict[str, list[float]]) -> np.ndarray:
+    """(B,) of a channel; `band`: (offset, share, spread) by channel, a missing one has no width."""
+    return np.sqrt(_parts(channel, mean, members) @ np.square(band.get(channel, [0.0] * 3)))
+
+
+def _parts(channel: str, mean: Means, members: list[Means]) -> np.ndarray:
+    """(B, 3): one, squared mean, variance of the members."""
+    value, spread = getattr(mean, channel), np.var([getattr(m, channel) for m in members], axis=0, ddof=1)
+    return np.stack([np.ones(len(value)), value**2, spread], 1)
+
+
+def fit_band(mean: Means, members: list[Means], seen: Means, trained: np.ndarray) -> dict[str, list[float]]:
+    """(offset, share, spread) of every channel from predictions and records of whole swims; `trained` (B,): seen by the fit."""
+    out = {}
+    for channel in CHANNELS:
+        error = np.abs(getattr(mean, channel) - getattr(seen, channel))
+        parts = _parts(channel, mean, members)
+        variance = _variance(parts, error**2)
+        needed = error / np.sqrt(parts @ variance)
+        needed = np.where(trained, needed * easier(needed, trained), needed)
+        out[channel] = (conformal(needed) * np.sqrt(variance)).tolist()
+    return out
+
+
+def conformal(needed: np.ndarray) -> float:
+    """The factor that another swim's error over its unit stays below in 90 % of all cases, from those of n swims alike."""
+    at = min(len(needed) - 1, int(np.ceil(COVER * (len(needed) + 1))) - 1)
+    return float(np.sort(needed)[at])
+
+
+def _variance(parts: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Three parts of a variance, none negative, the first at least `LEAST` of the whole."""
+    from scipy.optimize import nnls
+
+    whole, size = float(square.mean()) + 1e-18, parts.mean(0) + 1e-18
+    expected = np.full(len(square), whole)
+    for _ in range(ROUNDS):
+        found, _ = nnls(parts / size / expected[:, None], square / expected)
+        expected = parts / size @ found + LEAST * whole
+    return found / size + np.array([LEAST * whole, 0.0, 0.0])
+
+
+def easier(needed: np.ndarray, trained: np.ndarray) -> float:
+    """By how much the errors of training swims are smaller than of others, 1 where that may be chance (one in twenty)."""
+    apart, count = needed[~trained], int((~trained).sum())
+    if not count or count == len(needed):
+        return 1.0
+    ratio = float(np.sqrt(np.mean(apart**2) / max(np.mean(needed[trained] ** 2), 1e-12)))
+    return max(1.0, ratio / (1.0 + 1.64 / np.sqrt(2 * count)))
+
+
+def covered(mean: Means, members: list[Means], seen: Means, band: dict[str, list[float]]) -> dict[str, float]:
+    """Share of episodes inside the band, by channel."""
+    inside = lambda c: np.abs(getattr(mean, c) - getattr(seen, c)) <= half_width(c, mean, members, band)
+    return {channel: float(np.mean(inside(channel))) for channel in CHANNELS}

@@ -1,0 +1,252 @@
+"""The residual, learnt by what fish do: gradients through free swims from recorded states.
+
+    L = mean h(dv / size) + mean h(dV / size) / part^2 + power mean h(dP / size) + mean h(dT / asked) + L_forces
+    h(e) = 2 c^2 (sqrt(1 + e^2 / c^2) - 1)
+
+dv: surge, sway and yaw rate over windows of 0.2 s, dV: over the whole piece, dP: servo power, in shares of the record with floors
+(tolerance.py); dT: mean thrust of held fish; L_forces (learning.py) keeps the forces true where swims do not tell. What is right
+to a per cent in every force may still swim away: the swims decide. A beat's error drowns that of the mean, by which a fish is
+late or turns too wide: the mean counts apart. The wake at a start is filled by the recorded motion of the 1.2 s before it;
+gradients go through that, too. The members act together, as they do in a fish. Backpropagation through a differentiable
+simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.errors import DatasetError
+from fishmj.hydro_fit.fit import force_training
+from fishmj.hydro_fit.fit.data_parallel import dealt, devices, quick, stacked
+from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
+from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
+from fishmj.hydro_fit.fit.rollout import Fleet, Swim, cut, is_free
+from fishmj.hydro_fit.fit.tolerance import TOLERANCE
+from fishmj.hydro_fit.fit.training_windows import EVERY, Lessons, motion_of, taken
+from fishmj.hydro_fit.record import Record
+from fishmj.mjcf.description import Robot
+from fishmj.water import residual_hooks, residual_network
+
+BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means that are compared
+CLIP, POWER = 6.0, 0.3
+THRUST = 0.10  # of the tow drag: what is asked for
+LENGTH, BATCH, RATE = 2.0, 32, 1.5e-3  # s of a piece, which begin half of it apart; pieces a step; of learning
+LESSONS, HOLDS = 32, 16  # pieces of forces, and held fish, a step
+FLOORS, PART = 2.0, 0.25  # of the tolerances: times the floors in a window, times all of it for a mean
+TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
+
+
+class Pieces(NamedTuple):
+    """P free swims of T ticks; x (T_b, F, P), speed (T_b, P): recorded motion before them, no speed where there is none."""
+
+    fleet: Fleet
+    x: Any
+    speed: Any
+    attached: Any  # (P,)
+    share: np.ndarray  # (P,) how often each is drawn, sum 1
+
+
+class Held(NamedTuple):
+    """R held fish that flap, T rows as far apart as those of lessons; thrusts are means over a record, (R,) N."""
+
+    x: Any  # (T, F, R)
+    speed: Any  # (T, R)
+    push: Any  # (T, N, R)
+    weight: Any  # (T, R)
+    strips: Any  # thrust of the strips
+    seen: Any  # as recorded
+
+
+def pieces_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], c: strip_forces.Coefficients) -> Pieces:
+    """Overlapping pieces of all free swims.
+
+    Raises:
+        DatasetError: none is long enough.
+    """
+    free = [r for r in records if is_free(r) and r.seconds >= LENGTH]
+    if not free:
+        raise DatasetError(f"no free swim of {LENGTH:g} s among the records; collect gaits")
+    tick = free[0].tick
+    size, apart, burn = (round(seconds / tick) for seconds in (LENGTH, LENGTH / 2, BURN))
+    rows = rows_of(ch, free)
+    m, attached = motion_of(residual_network.panels(ch), rows), attachment(rows, ch.strips, c, tick)
+    features = np.array(m.x)
+    at, x, speed, state = [], [], [], []
+    for number, (record, span) in enumerate(zip(free, rows.spans(), strict=True)):
+        settled = record.meta.get("settle", 0.0) > 0
+        for a in range(burn if settled else 0, len(record.q) - size + 1, apart):
+            before, more = slice(span.start + max(0, a - burn), span.start + a), max(0, burn - a)
+            at.append((number, a, a + size))
+            x.append(np.pad(features[:, before], ((0, 0), (more, 0))).T)
+            speed.append(np.pad(m.speed[before], (more, 0)))
+            state.append(attached[span.start + a] if a else 0.5)
+    fleet = cut(ch, robot, free, at)
+    share = shares([free[number].meta["block"] for number, _, _ in at])
+    return Pieces(fleet, np.stack(x, -1), np.stack(speed, -1), np.array(state), share)
+
+
+def shares(blocks: Sequence[str]) -> np.ndarray:
+    """Blocks count by the square root of their pieces: what there is most of does not drown the rest."""
+    _, at, count = np.unique(blocks, return_inverse=True, return_counts=True)
+    share = 1 / np.sqrt(count[at])
+    return share / share.sum()
+
+
+def held_of(ch: planar_chain.Chain, records: Sequence[Record], c: strip_forces.Coefficients) -> Held | None:
+    """The held fish that flap, if any."""
+    chosen = [r for r in records if flaps(r)]
+    if not chosen:
+        return None
+    rows, tick = rows_of(ch, chosen), chosen[0].tick
+    m, strips = motion_of(residual_network.panels(ch), rows), base_force(rows, ch.strips, c, attachment(rows, ch.strips, c, tick))
+    longest = max(len(r.q) for r in chosen)
+
+    def wide(values):  # (.., M) -> (T, .., R)
+        parts = [values[..., span] for span in rows.spans()]
+        return np.moveaxis(
+            np.stack([np.pad(v, [(0, 0)] * (v.ndim - 1) + [(0, longest - v.shape[-1])]) for v in parts], -1), -2, 0
+        )
+
+    weight = wide(np.ones(len(rows.record)))[::EVERY]
+    pushed = (thrusts(rows, force) for force in (strips, rows.force))
+    motion = (wide(np.asarray(values))[::EVERY] for values in (m.x, m.speed, m.push))
+    return Held._make([*motion, weight / weight.sum(0), *pushed])
+
+
+def some(pieces: Pieces, at) -> Pieces:
+    """Some of the pieces; without their sources."""
+    fleet = Fleet._make([*(a[at] for a in pieces.fleet[:-1]), ()])
+    return Pieces(fleet, pieces.x[..., at], pieces.speed[..., at], pieces.attached[at], pieces.share[at])
+
+
+def huber(error):
+    """Mean of h."""
+    return jnp.mean(2 * CLIP**2 * (jnp.sqrt(1 + (error / CLIP) ** 2) - 1))
+
+
+class School:
+    """What a net is taught by.
+
+    Args:
+        water: flat coefficients of the strips, which stay.
+        left: what `residual.without` is told, for comparison.
+    """
+
+    def __init__(
+        self, robot: Robot, swim: Swim, pieces: Pieces, held: Held | None, lessons: Lessons, water: np.ndarray, *,
+        left: dict | None = None,
+    ):  # fmt: skip
+        self.swim, self.water, self.left = swim, np.asarray(water, np.float32), left or {}
+        single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)
+        self.pieces, self.lessons = single(pieces._replace(fleet=pieces.fleet._replace(source=()))), lessons
+        self.held, self.share = None if held is None else single(held), pieces.share
+        self.ch, self.tick = swim.chain, lessons.step / EVERY
+        self.panels, self.drag = residual_network.panels(self.ch), tow_drag(self.ch, robot)
+
+    def loss(self, net: residual_network.Net, part: Pieces, lessons: Lessons, weights, held: Held | None):
+        """L of a batch."""
+        net = residual_network.without(net, **self.left)
+        total = self.swum(net, part) + force_training.loss(net, lessons, weights, self.panels, self.ch.strips.rho)
+        return total if held is None else total + huber(self.pushed(net, held))
+
+    def swum(self, net: residual_network.Net, part: Pieces):
+        """What the swims are off by."""
+        fleet, count = part.fleet, len(part.attached)
+        _, wake = force_training.wakes(net, part.x, part.speed, self.tick)
+        memory = jnp.concatenate([wake.T, jnp.zeros((count, 2))], 1)
+        learnt = residual_hooks.Residual(net, None)
+        water = jnp.tile(self.water, (count, 1))
+        start = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient)
+        (q, v, power), _ = self.swim.trace(*start, water, part.attached, memory, learnt)
+        whole, (error, spent) = self.means(q, v, fleet), self.errors(q, v, power, fleet)
+        return huber(error) + huber(whole) / PART**2 + POWER * huber(spent)
+
+    def errors(self, q, v, power, fleet: Fleet):
+        """Of movement (P, W, 3) and of power (P, W) over windows, in units of what is tolerated."""
+        size = round(WINDOW / self.tick)
+
+        def mean(a):
+            whole = a.shape[1] // size * size
+            return a[:, :whole].reshape(len(a), -1, size, *a.shape[2:]).mean(2)
+
+        got, seen = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
+        (part, least), spent, wanted = TOLERANCE["power"], mean(power), mean(fleet.power)
+        off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
+        return (got - seen) / _tolerated(seen, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
+
+    def means(self, q, v, fleet: Fleet):
+        """Of movement over whole pieces, (P, 3), in the same units."""
+        got, seen = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
+        return (got - seen) / (_tolerated(seen, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
+
+    def pushed(self, net: residual_network.Net, held: Held):
+        """Errors of the mean thrust of held fish, (R,), in what is asked for."""
+        z, _ = force_training.wakes(net, held.x, held.speed, self.lessons.step)
+        force = force_training.forces(net, self.panels, self.ch.strips.rho, held.x, held.push, z).mean(0)  # (T, 3, N, R)
+        got = held.strips + (held.weight * force[:, 0].sum(1)).sum(0)
+        return (got - held.seen) / (THRUST * self.drag)
+
+    def drawn_held(self, rng: np.random.Generator, most: int) -> Held | None:
+        """At most so many of the held fish, at random."""
+        if self.held is None:
+            return None
+        at = rng.permutation(len(self.held.seen))[:most]
+        return Held._make(a[..., at] for a in self.held)
+
+    def learn(
+        self, net: residual_network.Net, *, steps: int, seed: int = 0, report: Callable | None = None, loop: Loop | None = None
+    ) -> residual_network.Net:
+        """Go down L from `net`. One seed gives one result on one machine.
+
+        Args:
+            report: called with (step, steps, loss). loop: keeps the state.
+        """
+        optimiser = force_training.adam(RATE, steps)
+        net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
+        rng, loop = np.random.default_rng([47, seed]), loop or Loop()
+        since, (net, state) = loop.begin((net, optimiser.init(net)))
+        drawn, count = force_training.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
+        swims, told = (min(most, there) for most, there in ((BATCH, len(self.share)), (LESSONS, count)))
+        among = devices(swims, told)
+        slope_of = dealt(self.loss, among)
+
+        @partial(jax.jit, compiler_options=quick(among[0].platform))
+        def step(net, state, *hands):
+            value, slope = slope_of(net, *hands)
+            change, state = optimiser.update(slope, state)
+            return optax.apply_updates(net, change), state, value
+
+        for k in range(steps):
+            at = np.split(rng.choice(len(self.share), swims, replace=False, p=self.share), len(among))
+            rows = np.split(rng.choice(count, told, replace=False), len(among))
+            fish = [self.drawn_held(rng, HOLDS // len(among)) for _ in among]
+            if k < since:  # drawn and done before
+                continue
+            hands = [
+                (some(self.pieces, a), taken(self.lessons, r), drawn[:, r], h) for a, r, h in zip(at, rows, fish, strict=True)
+            ]
+            net, state, value = step(net, state, *stacked(hands))
+            if report is not None and (k % 5 == 4 or k + 1 == steps):
+                report(k + 1, steps, float(value))
+            loop.after(k + 1, (net, state))
+        return residual_network.without(jax.tree.map(np.asarray, net), **self.left)
+
+
+def _body(q, v):
+    """Velocity ahead and to the left, and yaw rate, (P, T, 3)."""
+    c, s = jnp.cos(q[..., 2]), jnp.sin(q[..., 2])
+    return jnp.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
+
+
+def _tolerated(seen, floors: float):
+    """Of surge, sway and yaw rate as recorded, (.., 3)."""
+    (share, floor), (turn, still) = TOLERANCE["speed"], TOLERANCE["yaw"]
+    speed = share * jnp.hypot(seen[..., 0], seen[..., 1]) + floors * floor
+    return jnp.stack([speed, speed, turn * jnp.abs(seen[..., 2]) + floors * still], -1)

@@ -1,0 +1,92 @@
+"""What the residual learns from: pieces of records with the force that the strips leave over, padded to one length."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.hydro_fit.fit.regression_rows import Rows, attachment, base_force, rows_of
+from fishmj.hydro_fit.record import Record
+from fishmj.water import residual_network
+
+PIECE, BURN = 4.0, 1.0  # s; the wake of a piece that begins inside a record fills during `BURN`
+EVERY = 2  # ticks from row to row: neighbours say the same
+
+
+class Lessons(NamedTuple):
+    """P pieces of T ticks for N links.
+
+    left: force beyond the base, moment about the middle of the link. weight: 0 in burn-in and padding. size: rms of the force
+    without the acceleration's part, what errors are measured in. episode: number of the episode of each piece.
+    """
+
+    step: float  # s from row to row
+    x: Any  # (T, F, P) features
+    speed: Any  # (T, P) V, m/s
+    push: Any  # (T, N, P) m2/s2
+    left: Any  # (T, 3, N, P)
+    weight: Any  # (T, P)
+    size: Any  # (3, N)
+    episode: np.ndarray  # (P,)
+
+
+def motion_of(p: residual_network.Panels, rows: Rows) -> residual_network.Motion:
+    """Features in the middle of every tick; component lists of (M,)."""
+    return residual_network.motion(np, p, links_of(rows))
+
+
+def links_of(rows: Rows) -> planar_chain.Links:
+    """What the links did through the water in the middle of every tick."""
+    u, w, omega = (list(value[1]) for value in (rows.u, rows.w, rows.omega))
+    return planar_chain.Links([], [], omega, u, w, [])
+
+
+def remaining(ch: planar_chain.Chain, rows: Rows, c: strip_forces.Coefficients, tick: float) -> tuple[np.ndarray, np.ndarray]:
+    """Force beyond the base and the base's force without the acceleration's part, (3, N, M); moments about the middle."""
+    attached = attachment(rows, ch.strips, c, tick)
+    left = rows.force - base_force(rows, ch.strips, c, attached)
+    drag = base_force(rows, ch.strips, c, attached, inertial=False)
+    middle = np.array(residual_network.panels(ch).middle)[:, None]
+    for force in (left, drag):
+        force[2] -= middle * force[1]
+    return left, drag
+
+
+def lessons_of(ch: planar_chain.Chain, records: Sequence[Record], c: strip_forces.Coefficients) -> Lessons:
+    """Pieces of all records."""
+    tick = records[0].tick
+    rows = rows_of(ch, records)
+    m = motion_of(residual_network.panels(ch), rows)
+    left, drag = remaining(ch, rows, c, tick)
+    size = np.sqrt(((left + drag) ** 2).mean(-1)) + 1e-6
+    names = sorted({record.meta["episode"] for record in records})
+    step = EVERY * tick
+    length, burn = round(PIECE / step) * EVERY, round(BURN / step) * EVERY
+    pieces: list[tuple] = []
+    for record, span in zip(records, rows.spans(), strict=True):
+        settled = record.meta.get("settle", 0.0) > 0
+        for a in range(span.start, span.stop, length - burn):
+            b = min(a + length, span.stop)
+            skip = burn if a > span.start or settled else 0
+            if b - a > skip + burn // 2:
+                pieces.append((a, b, skip, names.index(record.meta["episode"])))
+    longest = max(b - a for a, b, _, _ in pieces)
+
+    def cut(values):  # (..., M) -> (T, ..., P)
+        wide = [
+            np.concatenate([v := values[..., a:b], np.repeat(v[..., -1:], longest - (b - a), -1)], -1) for a, b, _, _ in pieces
+        ]
+        return np.moveaxis(np.stack(wide, -1), -2, 0)[::EVERY].astype(np.float32)
+
+    time = np.arange(longest)[::EVERY, None]
+    ends, skips = np.array([b - a for a, b, _, _ in pieces]), np.array([s for _, _, s, _ in pieces])
+    weight = ((time >= skips) & (time < ends)).astype(np.float32)
+    episode = np.array([e for *_, e in pieces])
+    features = (np.array(m.x), m.speed, np.array(m.push), left)
+    return Lessons._make([step, *(cut(values) for values in features), weight, size.astype(np.float32), episode])
+
+
+def taken(lessons: Lessons, at) -> Lessons:
+    """Some of the pieces."""
+    return Lessons._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at]])

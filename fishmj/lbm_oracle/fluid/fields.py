@@ -1,0 +1,119 @@
+"""Kernels that set and read whole fields: undisturbed water, a given velocity, density, the watch's sums."""
+
+from typing import Any
+
+import warp as wp
+
+from fishmj.lbm_oracle.fluid.collide import density, momentum, populations, relaxed
+from fishmj.lbm_oracle.fluid.inflow import Inflow, background
+from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Numbers, folded
+from fishmj.lbm_oracle.fluid.storage import peek, poke
+
+wp.set_module_options(OPTIONS)
+
+
+@wp.func
+def _store(f: wp.array(dtype=Any), q: vec19, s: Numbers, x: int, y: int, z: int):
+    cells = s.nx * s.ny * s.nz
+    here = (x * s.ny + y) * s.nz + z
+    for i in range(wp.static(Q)):
+        poke(f, i * cells + here, q[i])
+
+
+@wp.kernel
+def settle(
+    s: Numbers,
+    flow: Inflow,
+    low: wp.vec3i,
+    clock: wp.array(dtype=int),
+    f: wp.array(dtype=Any),
+    u: wp.array3d(dtype=wp.vec3),
+):
+    """Equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
+    i, j, k = wp.tid()
+    wx, wy, wz = low[0] + i, low[1] + j, low[2] + k
+    x, y, z = folded(wx, s.nx), folded(wy, s.ny), folded(wz, s.nz)
+    v = background(flow, wp.vec3(float(wx), float(wy), float(wz)), clock[0])
+    _store(f, populations(0.0, v, v, vec6()), s, x, y, z)
+    u[x, y, z] = v
+
+
+@wp.kernel
+def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=Any)):
+    """A given field with its viscous stress, P = -2 rho c_s^2 tau S, derivatives across the periodic box."""
+    x, y, z = wp.tid()
+    xm, xp = folded(x - 1, s.nx), folded(x + 1, s.nx)
+    ym, yp = folded(y - 1, s.ny), folded(y + 1, s.ny)
+    zm, zp = folded(z - 1, s.nz), folded(z + 1, s.nz)
+    dx = 0.5 * (u[xp, y, z] - u[xm, y, z])
+    dy = 0.5 * (u[x, yp, z] - u[x, ym, z])
+    dz = 0.5 * (u[x, y, zp] - u[x, y, zm])
+    tau = 0.5 + 3.0 * s.nu
+    scale = -tau * (1.0 + drho[x, y, z]) / 3.0
+    p = scale * vec6(2.0 * dx[0], 2.0 * dy[1], 2.0 * dz[2], dy[0] + dx[1], dz[0] + dx[2], dz[1] + dy[2])
+    v = u[x, y, z]
+    _store(f, populations(drho[x, y, z], v, v, relaxed(p, 1.0 / tau, s.omega_bulk)), s, x, y, z)
+
+
+@wp.func
+def _loaded(f: wp.array(dtype=Any), s: Numbers, x: int, y: int, z: int):
+    cells = s.nx * s.ny * s.nz
+    here = (x * s.ny + y) * s.nz + z
+    q = vec19()
+    for i in range(wp.static(Q)):
+        q[i] = peek(f, i * cells + here)
+    return q
+
+
+@wp.kernel
+def weigh(s: Numbers, f: wp.array(dtype=Any), drho: wp.array3d(dtype=float)):
+    """Density minus one at every memory node."""
+    x, y, z = wp.tid()
+    drho[x, y, z] = density(_loaded(f, s, x, y, z))
+
+
+@wp.kernel
+def derive(s: Numbers, f: wp.array(dtype=Any), u: wp.array3d(dtype=wp.vec3)):
+    """Velocity from the populations, where the step does not keep it: u + G, the force's second half included."""
+    x, y, z = wp.tid()
+    q = _loaded(f, s, x, y, z)
+    u[x, y, z] = momentum(q) / (1.0 + density(q))
+
+
+@wp.kernel
+def survey(
+    s: Numbers,
+    f: wp.array(dtype=Any),
+    u: wp.array3d(dtype=wp.vec3),
+    planes: int,
+    least: wp.array(dtype=float),
+    greatest: wp.array(dtype=float),
+    fastest: wp.array(dtype=float),
+    mass: wp.array(dtype=wp.float64),
+    lost: wp.array(dtype=int),
+):
+    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; a thread for some planes."""
+    part, y, z = wp.tid()
+    low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)  # noqa: UP018  variables to Warp
+    for x in range(part * planes, wp.min((part + 1) * planes, s.nx)):
+        drho = density(_loaded(f, s, x, y, z))
+        speed2 = wp.length_sq(u[x, y, z])
+        if wp.isfinite(drho) and wp.isfinite(speed2):
+            low, high, fast = wp.min(low, drho), wp.max(high, drho), wp.max(fast, speed2)
+            total += wp.float64(drho)
+        else:
+            bad += 1
+    wp.atomic_min(least, y, low)
+    wp.atomic_max(greatest, y, high)
+    wp.atomic_max(fastest, y, fast)
+    wp.atomic_add(mass, y, total)
+    if bad > 0:
+        wp.atomic_add(lost, y, bad)
+
+
+@wp.kernel
+def rest(low: wp.vec3i, s: Numbers, force: wp.array3d(dtype=wp.vec3)):
+    """No force in a box of world nodes."""
+    i, j, k = wp.tid()
+    force[folded(low[0] + i, s.nx), folded(low[1] + j, s.ny), folded(low[2] + k, s.nz)] = wp.vec3()

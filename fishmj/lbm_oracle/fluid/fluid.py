@@ -1,0 +1,294 @@
+"""The water: arrays, one step, the velocity that a body would meet, and what can be read out.
+
+Two copies of the populations and of the velocity take turns; `f`, `u` and `clock` are the present ones. Step n reads copy
+n % 2 and writes the other, so a captured graph holds an even number of steps.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from fishmj.calib import constant
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid import fields, thread_slabs
+from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.diagnostics import Survey, Surveyor
+from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
+from fishmj.lbm_oracle.fluid.inflow import inflow_of
+from fishmj.lbm_oracle.fluid.lattice import Q
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.step import Numbers, box_array, kernels
+from fishmj.lbm_oracle.fluid.storage import STORAGE
+
+SUBGRID = ("wale", "none")
+CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
+NOWHERE = ((0, 0, 0), (0, 0, 0))
+STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
+BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
+
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
+
+
+class Fluid:
+    """A box of water, still or in the background flow, on `cpu` or `cuda`.
+
+    Attributes:
+        f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
+            scaled (`memory`), which no body may touch yet.
+        u: (nx, ny, nz) vec3, velocity of the last step; without `keep_velocity` it is derived when asked for.
+        force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
+        box: (6,) int32, low and high world node of that box, on the device.
+        origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
+        clock: (1,) int32, steps done.
+
+    `blend` (collide.py) is quoted at the paper's grid; 0 is kept to show that it fails. Arrays are indexed by world node modulo
+    shape. Raises ConfigError and UnknownName for what cannot be.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        shape: tuple[int, int, int],
+        device: Any = "cpu",
+        *,
+        boundaries: Boundaries = PERIODIC,
+        subgrid: str = "wale",
+        flow: Flow | None = None,
+        drive: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        cw: float = CW,
+        omega_bulk: float = OMEGA_BULK,
+        blend: float = BLEND,
+        dtype: str = "float32",
+        keep_velocity: bool = True,
+        threads: int | None = None,
+    ):
+        if subgrid not in SUBGRID:
+            raise UnknownName("subgrid model", subgrid, SUBGRID)
+        if dtype not in STORAGE:
+            raise UnknownName("storage", dtype, STORAGE)
+        if subgrid != "none" and not keep_velocity:
+            raise ConfigError("fluid: the eddy viscosity reads the velocity of the last step; keep_velocity must be True with it")
+        if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
+            raise ConfigError(f"fluid: shape = {shape}; expected three sizes of at least 1, in all under {2**31 // Q} cells")
+        self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
+        self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
+        self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
+        self.flow = flow or Flow()
+        self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
+        self._keeps = keep_velocity
+        self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend)
+        self.threads = thread_slabs.slabs_for(self.device, shape[0], threads)
+        with wp.ScopedDevice(self.device):
+            self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
+            self._u = [wp.zeros(shape, dtype=wp.vec3) for _ in range(2)]
+            self._clock = [wp.zeros(1, dtype=int) for _ in range(2)]
+            self.force = wp.zeros(shape, dtype=wp.vec3)
+            self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
+        self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
+        self._launches: list[list[Any]] | None = None
+        self._graphs: dict[int, wp.Graph] = {}
+        self._surveyor = Surveyor(shape, self.device)
+        self.set_flow(self.flow)
+        self.settle()
+
+    @property
+    def f(self) -> wp.array:
+        return self._f[self.parity]
+
+    @property
+    def u(self) -> wp.array:
+        if not self._keeps:
+            args = [self._numbers, _flat(self.f), self._u[self.parity]]
+            wp.launch(fields.derive, dim=self.shape, inputs=args, device=self.device)
+        return self._u[self.parity]
+
+    @property
+    def clock(self) -> wp.array:
+        return self._clock[self.parity]
+
+    @property
+    def numbers(self) -> Numbers:
+        return self._numbers
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.steps * self.lattice.dt
+
+    @property
+    def cells(self) -> int:
+        return int(np.prod(self.shape))
+
+    def set_flow(self, flow: Flow) -> None:
+        """Change the background flow from now on; the water inside follows through the sponge."""
+        self.flow = flow
+        self._inflow = inflow_of(flow, self.lattice, self.device)
+        self._launches, self._graphs = None, {}
+
+    def settle(self) -> None:
+        """Undisturbed background flow everywhere, at the present time."""
+        self._settle(self.origin_lu, self.shape)
+
+    def _settle(self, low, size) -> None:
+        inputs = [self._numbers, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
+        wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
+
+    def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
+        """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them."""
+        u_lu = np.asarray(u, np.float32) / self.lattice.velocity
+        drho = np.zeros(self.shape, np.float32) if pressure is None else np.asarray(pressure) * 3 / self.lattice.pressure
+        now = self.u
+        now.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
+        rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, now, _flat(self.f)], device=self.device)
+
+    def step(self, box: Box | None = None) -> None:
+        """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
+        self.set_box(box or NOWHERE)
+        self.advance()
+
+    def set_box(self, box: Box) -> None:
+        """The world nodes where `force` acts, until told otherwise."""
+        if box != self._box:
+            self.box.assign(box_array(box))
+            self._box = box
+
+    def advance(self) -> None:
+        """One time step with the force in `self.box`; no host transfer, so that a graph can capture it."""
+        if self._launches is None:
+            self._launches = [self._recorded(parity) for parity in range(2)]
+        thread_slabs.launch(self._launches[self.parity])
+        self.parity, self.steps = 1 - self.parity, self.steps + 1
+
+    def _recorded(self, parity: int) -> list[Any]:
+        """The launches of a step that starts from this parity."""
+        a, b = parity, 1 - parity
+        args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
+        args += [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
+        planes, plane = self.shape[0], self.shape[1] * self.shape[2]
+        return thread_slabs.record(self._kernels.advance, planes, plane, args, self.device, self.threads)
+
+    def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
+        """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
+        self.set_box(NOWHERE)
+        if before is None and self.device.is_cuda and steps >= 4:
+            if self.parity:
+                self.advance()
+                steps -= 1
+            for stride in STRIDES:
+                for _ in range(steps // stride):
+                    wp.capture_launch(self._captured(stride))
+                self.steps += steps // stride * stride
+                steps %= stride
+        for _ in range(steps):
+            if before is not None:
+                before()
+            self.advance()
+
+    def _captured(self, stride: int) -> wp.Graph:
+        """A graph of an even number of steps from even parity; capturing does not run them."""
+        if stride not in self._graphs:
+            self._kernels.advance.module.load(self.device)
+            steps = self.steps
+            with wp.ScopedCapture(self.device) as capture:
+                for _ in range(stride):
+                    self.advance()
+            self._graphs[stride], self.steps = capture.graph, steps
+        return self._graphs[stride]
+
+    def predict(self, box: Box, out_u: wp.array, out_rho: wp.array) -> None:
+        """Velocity [lu] and density that the next step would find without a body, at the nodes of a box.
+
+        u* = sum c_i f_i / rho + drive, pulled through the same faces. The outputs are (nx, ny, nz) arrays, indexed like `u`.
+        """
+        self.set_box(box)
+        size = tuple(int(b - a) for a, b in zip(*box, strict=True))
+        inputs = [self._numbers, self.origin, self.box, _flat(self.f), out_u, out_rho]
+        wp.launch(self._kernels.predict, dim=size, inputs=inputs, device=self.device)
+
+    def clear_force(self, box: Box) -> None:
+        """No force at the nodes of a box."""
+        size = tuple(int(b - a) for a, b in zip(*box, strict=True))
+        wp.launch(fields.rest, dim=size, inputs=[wp.vec3i(*map(int, box[0])), self._numbers, self.force], device=self.device)
+
+    def shift(self, by: tuple[int, int, int]) -> None:
+        """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
+        if any(abs(b) >= n for b, n in zip(by, self.shape, strict=True)):
+            raise ConfigError(f"fluid: shift by {by} cells in a window of {self.shape}; a shift is smaller than the window")
+        self._place(self.origin_lu + by)
+        for axis in np.flatnonzero(by):
+            low, size = self.origin_lu.copy(), np.array(self.shape)
+            size[axis] = abs(by[axis])
+            if by[axis] > 0:
+                low[axis] += self.shape[axis] - by[axis]
+            self._settle(low, size)
+
+    def _place(self, origin: np.ndarray) -> None:
+        self.origin_lu = origin
+        self.origin.assign(np.concatenate([origin, origin % self.shape]).astype(np.int32))
+
+    def velocity(self) -> np.ndarray:
+        """(nx, ny, nz, 3) m/s, low corner first."""
+        return np.roll(self.u.numpy(), -self.origin_lu, (0, 1, 2)) * self.lattice.velocity
+
+    def pressure(self) -> np.ndarray:
+        """(nx, ny, nz) Pa over still water, low corner first."""
+        return np.roll(self.drho().numpy(), -self.origin_lu, (0, 1, 2)) * self.lattice.pressure / 3
+
+    def drho(self) -> wp.array:
+        """(nx, ny, nz) density minus one, in memory order."""
+        out = wp.empty(self.shape, dtype=float, device=self.device)
+        wp.launch(fields.weigh, dim=self.shape, inputs=[self._numbers, _flat(self.f), out], device=self.device)
+        return out
+
+    def survey(self) -> Survey:
+        """Extremes of density and speed, mass, and nodes that are not finite."""
+        self.begin_survey()
+        wp.synchronize_device(self.device)
+        return self.surveyed()
+
+    def begin_survey(self) -> None:
+        """Queue a survey on the present stream; the host goes on."""
+        self._surveyor.start(self._numbers, _flat(self.f), self.u)
+
+    def surveyed(self) -> Survey:
+        """What the last one found; to be asked once the device is through with it."""
+        return self._surveyor.result()
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
+        f, u = self.f.numpy().copy(), self.u.numpy().copy()
+        return {"f": f, "u": u, "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a snapshot, bit for bit.
+
+        Raises:
+            ConfigError: it was taken in a box of another shape.
+        """
+        if state["f"].shape != (Q, *self.shape):
+            raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
+        self.f.assign(state["f"])
+        self.u.assign(state["u"])
+        self.steps = int(state["steps"])
+        self._place(np.array(state["origin"], int))
+        self.clock.fill_(self.steps)
+
+
+def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend) -> Numbers:
+    made = Numbers()
+    made.nx, made.ny, made.nz = shape
+    made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
+    share = blend * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity  # the same loss in a second
+    made.borrowed, made.borrowed_layer = min(1.0, share), min(1.0, LAYER * share)
+    made.drive, made.slide = wp.vec3(*(np.asarray(drive, float) / lattice.acceleration)), wp.vec3(*boundaries.slide_lu)
+    made.sponge, made.sponge_rate = max(boundaries.sponge, 1), boundaries.sponge_rate
+    return made
+
+
+def _flat(f: wp.array) -> wp.array:
+    """One-dimensional view: kernels compute their own offsets."""
+    return f.flatten()

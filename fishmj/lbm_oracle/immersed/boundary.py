@@ -1,0 +1,247 @@
+"""The immersed boundary of one body on one device: its arrays, and the order in which the kernels of a step run.
+
+    listen   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
+    decide   (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
+             F = F0 + sum v_j F_j -> link wrenches       v and wrenches are written into the host's memory
+    answer   F -> G                                      the force field of this step
+
+All three are queues of launches without a look at the host; a GPU captures each as a graph. `listen` needs the body's place only,
+and the host makes up its equation meanwhile. What the host sends is free to be written again once the velocity has come back.
+"""
+
+from contextlib import nullcontext
+
+import numpy as np
+import warp as wp
+
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice import C
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.immersed import fsi_solve, interior, kernels
+from fishmj.lbm_oracle.immersed.delta import check_width
+from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.immersed.markers import Markers
+
+GPU_CHUNKS = 16  # partial sums over the markers; one on the CPU
+MARGIN = 4  # cells of the scratch box round the markers: half a kernel, rounding, the bend of the skin
+
+
+def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004) -> float:
+    """The slip ratio of this grid for one quoted at the paper's: s = exp(-c dt / dx), c = -ln(slip) dx0 / dt0.
+
+    c [m/s] is the wall stress over rho and the slip velocity, so that neither the time step nor the cell changes the friction.
+    slip = 1 is a frictionless wall and 0 no slip on every grid.
+    """
+    if not 0 <= slip <= 1:
+        raise ConfigError(f"slip = {slip}; expected 0 (no slip) to 1 (free slip)")
+    return float(slip ** ((lattice.dt / lattice.dx) * (dx / dt))) if slip > 0 else 0.0
+
+
+class Boundary:
+    """Markers of one body in one fluid.
+
+    Args:
+        markers: in the frames of the body's links. body: its degrees of freedom and motion axes.
+        width: of the kernel, 3 or 4. passes: of the direct forcing. slip: quoted at the paper's grid.
+    """
+
+    def __init__(self, markers: Markers, body, fluid: Fluid, *, width: int = 3, passes: int = 2, slip: float = 1.0):
+        lattice, device = fluid.lattice, fluid.device
+        self.markers, self.lattice, self.shape, self.device = markers, lattice, fluid.shape, device
+        self.width, self.passes, self.slip = check_width(width), int(passes), slip_here(slip, lattice)
+        if self.passes < 1:
+            raise ConfigError(f"immersed boundary: passes = {passes}; expected 1 or more, 2 by default")
+        self.drive = fluid.numbers.drive
+        self.wraps = wp.vec3i(*(int(axis.low == "periodic") for axis in fluid.boundaries.axes))
+        n, self.dofs, self.links = len(markers), body.dofs, body.links
+        if n == 0:
+            raise ConfigError("immersed boundary: no markers")
+        self.count, self.rhs = n, self.dofs + 1
+        self.layout = _layout(self.links, self.dofs)
+        self.corners = Corners.of(markers, body.water.centre)
+        size = body.largest_extent(self.corners)
+        self.box_shape = tuple(int(np.ceil(s / lattice.dx)) + 2 * MARGIN for s in size)
+        self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
+        make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)
+        self.rest = make(markers.rest, wp.vec3d)
+        self.rest_normal = make(markers.normal, wp.vec3d)
+        self.pivot = make(markers.pivot, wp.vec3d)
+        self.before, self.after = make(markers.before.astype(np.int32), wp.int32), make(markers.after.astype(np.int32), wp.int32)
+        self.share = make(markers.share.astype(float), wp.float64)
+        self.volume = make((markers.area / lattice.dx**2).astype(np.float32), wp.float32)
+        self.slips = make(np.full(n, self.slip, np.float32), wp.float32)
+        self.moves, self.slides = make(body.reach, wp.float64), make(body.slides, wp.int32)
+        self.directions = make(np.array(C, np.int32), wp.vec3i)
+        empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)
+        self.host = empty(self.layout.size, wp.float64)
+        self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.inbox = wp.zeros(self.dofs + 7 * self.links, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        self.outbox = self.inbox[: self.dofs]  # the velocity on the host
+        self.world, self.cell, self.normal = empty(n, wp.vec3d), empty(n, wp.vec3), empty(n, wp.vec3)
+        self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
+        self.box_u, self.box_rho = empty(self.box_shape, wp.vec3), empty(self.box_shape, wp.float32)
+        self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
+        self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)
+        self.final = empty(n, wp.vec3)
+        chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
+        self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
+        self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
+        self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
+        sent, told = (_reached(array, device) for array in (self.staging, self.inbox))
+        first = self.layout.system  # the place of the body goes ahead of its equation
+        self._sent = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
+        velocity, impulse = self.dofs, self.dofs + 6 * self.links
+        self._told = told[:velocity], told[velocity:impulse].reshape((self.links, 6)), told[impulse:]
+        self.wrench_part = empty((chunks, self.links, 6), wp.float64)
+        self._holds = False  # velocities were prescribed in the last step
+        self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
+        self._heard = True  # `inbox` holds what is in `_wrench`
+        heard = self.inbox.numpy()
+        self.found, self.slide = heard[:velocity], heard[impulse:]  # views
+        self._impulse = heard[velocity:impulse].reshape(self.links, 6)
+        self.inside, self._beside = body.water.points, wp.Stream(device) if device.is_cuda else None
+        if self.inside is not None:
+            self._inside = make(self.inside.place, wp.vec3d), make(self.inside.link.astype(np.int32), wp.int32)
+            self._along, self._shares = empty(len(self.inside.link), wp.float32), make(self.inside.share, wp.float32)
+        self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
+        self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
+        self.view["origin"][:] = lattice.corner
+
+    def place(self, body) -> None:
+        """Write where the body is into the staging block."""
+        self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
+
+    def fill(self, system, right, velocity, fixed=None, value=None) -> None:
+        """Write the body's equation into it; `fixed` (n,) marks velocities that are prescribed by `value`."""
+        view = self.view
+        view["system"][:], view["momentum"][:], view["before"][:] = system, right, velocity
+        if fixed is not None or self._holds:
+            view["fixed"][:] = 0.0 if fixed is None else fixed
+            view["value"][:] = 0.0 if value is None else value
+            self._holds = fixed is not None
+        view["fresh"][:], self._taken, self._heard = self._taken, False, True
+
+    def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
+        """Queue everything up to K and b0, and how the inside water slides, after `place`.
+
+        Args:
+            f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
+            acts: (6,) world nodes between which the fluid looks for a force; written here.
+        """
+        lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
+        self._fetch(*self._sent[0])
+        with nullcontext() if self._beside is None else wp.ScopedStream(self._beside):  # a branch of its own
+            self._look_inside(f, shape)
+        pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
+        pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
+        pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
+        self._launch(kernels.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
+        read_in = [f, self.directions, self.drive, self.cell, self.store, w, shape]
+        self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
+        aim_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
+        self._launch(kernels.aim, (n, self.rhs), aim_in, [self.wanted, self.force])
+        for _ in range(self.passes - 1):
+            self.scratch.zero_()
+            self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
+            self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
+        scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
+        self._launch(fsi_solve.weigh, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
+        self._launch(fsi_solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
+        if self._beside is not None:
+            wp.get_stream(self.device).wait_stream(self._beside)
+
+    def _look_inside(self, f: wp.array, shape: wp.vec3i) -> None:
+        """Queue how the inside water slides along the links."""
+        if self.inside is None:
+            return
+        args = [self.host, self.layout, *self._inside, f, self.directions, self.drive, wp.float64(self.lattice.dx), shape]
+        self._launch(interior.look, len(self._along), args, [self._along])
+        args = [self._along, self._inside[1], self._shares, self.lattice.velocity]
+        self._launch(interior.mean, self.links, args, [self._told[2]])
+
+    def decide(self, implicit: bool = True) -> None:
+        """Queue the solve and the wrench on every link, which write into the host's memory, after `fill`."""
+        lat = self.lattice
+        self._fetch(*self._sent[1])
+        args = [self.host, self.layout, self.water, int(implicit)]
+        self._launch(fsi_solve.solver(self.dofs), 1, args, [self._told[0], self.target])
+        self._launch(kernels.combine, self.count, [self.force, self.target], [self.final])
+        args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
+        self._launch(fsi_solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
+        args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]
+        self._launch(fsi_solve.add_wrench, (self.links, 6), args, [self._wrench, self._told[1]])
+
+    def answer(self, acceleration: wp.array) -> None:
+        """Queue the final force into the fluid's `acceleration`."""
+        args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
+        self._launch(kernels.push, (self.count, self.width), args, [acceleration])
+
+    def clear(self, acceleration: wp.array) -> None:
+        """Queue G = 0 where the last answer pushed."""
+        args = [self.store, self.width, wp.vec3i(*self.shape)]
+        self._launch(kernels.clear, (self.count, self.width**3), args, [acceleration])
+
+    def take_wrench(self) -> np.ndarray:
+        """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin.
+
+        It came with the velocity of the last step, so that nobody waits for the water.
+        """
+        if self._taken:
+            return np.zeros((self.links, 6))
+        self._taken = True
+        if self._heard:
+            return self._impulse.copy()
+        wp.synchronize_device(self.device)
+        return self._wrench.numpy().copy()
+
+    @property
+    def wrench(self) -> wp.array:
+        """That impulse on the device, (L, 6), to be kept or set between two steps."""
+        if self._taken:
+            self._wrench.zero_()
+        self._taken = self._heard = False
+        return self._wrench
+
+    @property
+    def answer_matrix(self) -> tuple[np.ndarray, np.ndarray]:
+        """K (n, n) and b0 (n,) of the last step, SI momentum units."""
+        water = self.water.numpy()
+        return water[:, 1:].copy(), water[:, 0].copy()
+
+    def _fetch(self, sent: wp.array, host: wp.array) -> None:
+        self._launch(fsi_solve.fetch, len(sent), [sent], [host])
+
+    def _launch(self, kernel, dim, inputs, outputs) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def _reached(array: wp.array, device) -> wp.array:
+    """A pinned array of the host as the device sees it: at the same address, so that no copy stands between two kernels."""
+    return wp.array(ptr=array.ptr, dtype=array.dtype, shape=array.shape, device=device)
+
+
+def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
+    """Fields of the host block in their order."""
+    shapes: dict[str, tuple[int, ...]] = {"frame": (links, 12), "angle": (links,), "axis": (dofs, 3), "anchor": (dofs, 3)}
+    shapes |= {"origin": (3,), "box": (3,), "system": (dofs, dofs), "momentum": (dofs,)}
+    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"fresh": (1,)}
+
+
+def _layout(links: int, dofs: int) -> kernels.Layout:
+    at, place = kernels.Layout(), 0
+    at.links, at.dofs = links, dofs
+    for name, shape in _shapes(links, dofs).items():
+        setattr(at, name, place)
+        place += int(np.prod(shape))
+    at.size = place
+    return at
+
+
+def _views(block: np.ndarray, links: int, dofs: int) -> dict[str, np.ndarray]:
+    views, place = {}, 0
+    for name, shape in _shapes(links, dofs).items():
+        size = int(np.prod(shape))
+        views[name] = block[place : place + size].reshape(shape)
+        place += size
+    return views

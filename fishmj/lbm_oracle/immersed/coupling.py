@@ -1,0 +1,193 @@
+"""The coupled step: fish and water find their common velocity together.
+
+    host:    where the body is                 ->  to the device
+    device:  listen (K, b0)                        while the host makes up M, forces, interior water  ->  to the device
+             decide (v+)                       ->  v+ to the host, while the device goes on with
+             answer (force), fluid step
+    host:    mj_step to v+                     ->  the next place
+
+The solve is implicit in the velocity of the joints, so that a body as light as water, or a thin light tail, is stable; the
+explicit scheme diverges there (docs/oracle_coupling.md). `Coupled.step` is the main loop.
+"""
+
+from contextlib import nullcontext
+
+import numpy as np
+import warp as wp
+
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.boundary import Boundary
+from fishmj.lbm_oracle.immersed.markers import Markers
+
+SCHEMES = ("implicit", "explicit")
+NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
+
+
+class Coupled:
+    """One body in one fluid.
+
+    Args:
+        slip: ratio quoted at the paper's grid; 1 lets the water slide along the hull, 0 holds it.
+        width, passes: of the immersed boundary.
+        scheme: "implicit"; "explicit" is kept to show that it fails.
+        interior: add the momentum of the water inside the hull; False is kept for the same reason.
+
+    Raises:
+        ConfigError: the two clocks differ, or a name is unknown.
+    """
+
+    def __init__(
+        self, fluid: Fluid, body: Body, markers: Markers, *, slip=1.0, width=3, passes=2, scheme="implicit", interior=True
+    ):
+        if scheme not in SCHEMES:
+            raise UnknownName("coupling scheme", scheme, SCHEMES)
+        if abs(fluid.lattice.dt - body.dt) > 1e-12:
+            raise ConfigError(f"coupled: the fluid steps {fluid.lattice.dt} s and the body {body.dt} s; give both the same dt")
+        self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
+        self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
+        self.steps = 0
+        self.gain = np.zeros((body.links, 6))  # momentum of the inside water handed to the links since `take_wrench`
+        self._graphs = _Graphs(self) if fluid.device.is_cuda else None
+
+    @property
+    def time(self) -> float:
+        """s of the body's clock."""
+        return float(self.body.data.time)
+
+    def step(self, fixed=None, value=None) -> np.ndarray:
+        """One time step; returns the new velocity of the body, (n,).
+
+        Args:
+            fixed: (n,) 1 where the velocity is prescribed. value: (n,) that velocity, m/s or rad/s.
+
+        Raises:
+            SimDiverged: the body's velocity is not finite.
+        """
+        self.ask()
+        self.tell(fixed, value)
+        velocity = self.finish()
+        self.join()
+        return velocity
+
+    def scope(self):
+        """The stream of this tank: whatever else looks at its arrays or moves them does so inside."""
+        return nullcontext() if self._graphs is None else wp.ScopedStream(self._graphs.stream)
+
+    def join(self) -> None:
+        """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""
+        if self._graphs is not None:
+            self._graphs.join()
+
+    def ask(self) -> None:
+        """Where the body is; the water begins to work out what it would answer to any velocity."""
+        self.boundary.place(self.body)
+        self._queue("listen")
+
+    def tell(self, fixed=None, value=None) -> None:
+        """The body's equation, and the launches of the rest of the step. Several tanks come so far before one finishes."""
+        body = self.body
+        system, right = body.equation(interior=self.interior)
+        self.boundary.fill(system, right, body.data.qvel, fixed, value)
+        self._queue("decide")
+        self._queue("answer")
+        if self.interior:  # what no launch waits for comes behind them
+            self.gain += body.gain
+
+    def finish(self) -> np.ndarray:
+        """Wait for the velocity, (n,), and let MuJoCo take it."""
+        if self._graphs is not None:
+            self._graphs.wait()
+        velocity = self.boundary.found.copy()  # the device writes there again in the next step
+        if self.boundary.inside is not None:
+            self.body.hear(self.boundary.slide)
+        self.body.advance(velocity)
+        self.steps += 1
+        return velocity
+
+    def listen(self) -> None:
+        """Launch what the water would answer to any velocity."""
+        self.boundary.listen(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
+
+    def decide(self) -> None:
+        """Launch the search for the velocity, up to its way to the host."""
+        self.boundary.decide(self.scheme == "implicit")
+
+    def answer(self) -> None:
+        """Launch the force, and the fluid's step under it."""
+        self.boundary.answer(self.fluid.force)
+        self.fluid.advance()
+        self.boundary.clear(self.fluid.force)
+
+    def _queue(self, part: str) -> None:
+        """Launch one of these three, from a graph where there are graphs."""
+        if self._graphs is None:
+            getattr(self, part)()
+        else:
+            self._graphs.launch(part)
+
+    def take_wrench(self, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mean wrench of the water on every link over the last `seconds` (since the last call), each (L, 6).
+
+        World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
+        momentum of the inside water added: the force of the real water on a hull that holds none.
+        """
+        raw = self.boundary.take_wrench() / seconds
+        gain, self.gain = self.gain / seconds, np.zeros(self.gain.shape)
+        turn = (self.body.centre - self.body.data.xpos[1:])[:, NEXT] * gain[:, LAST]
+        gain[:, 3:] += turn[:, :3] - turn[:, 3:]
+        return raw, raw + gain
+
+
+class _Graphs:
+    """The three parts of a step, captured for each parity of the fluid's copies, on a stream of their own."""
+
+    def __init__(self, coupled: Coupled):
+        self.coupled, self.device = coupled, coupled.fluid.device
+        self.stream, self.decided = wp.Stream(self.device), wp.Event(self.device)
+        self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
+        self.warm: set[tuple[str, int]] = set()
+        self.graphs: dict[tuple[str, int], wp.Graph] = {}
+        self.flow, self.joined = coupled.fluid.flow, True
+        wp.synchronize_device(self.device)  # the arrays were made on another stream
+
+    def launch(self, part: str) -> None:
+        """Queue it: launch by launch the first time, which loads the modules, and from a graph ever after."""
+        fluid = self.coupled.fluid
+        if fluid.flow is not self.flow:  # a new background flow has new launches
+            self.flow, self.graphs = fluid.flow, {}
+        if self.joined:
+            self.stream.wait_stream(self.device.stream)  # what was queued outside `scope` since
+            self.joined = False
+        key = part, fluid.parity
+        if key not in self.graphs:
+            with wp.ScopedStream(self.stream):
+                if key in self.warm:
+                    self.graphs[key] = self._capture(part)
+                else:
+                    getattr(self.coupled, part)()
+        if key in self.graphs:
+            with self.here:
+                wp.capture_launch(self.graphs[key], self.stream)
+            if part == "answer":  # has moved the fluid on
+                fluid.parity, fluid.steps = 1 - fluid.parity, fluid.steps + 1
+        self.warm.add(key)
+        if part == "decide":
+            self.stream.record_event(self.decided)
+
+    def join(self) -> None:
+        self.device.stream.wait_stream(self.stream)
+        self.joined = True
+
+    def wait(self) -> None:
+        """Until the velocity is on the host."""
+        wp.synchronize_event(self.decided)
+
+    def _capture(self, part: str) -> wp.Graph:
+        fluid = self.coupled.fluid
+        parity, steps = fluid.parity, fluid.steps
+        with wp.ScopedCapture(self.device, stream=self.stream) as captured:
+            getattr(self.coupled, part)()
+        fluid.parity, fluid.steps = parity, steps
+        return captured.graph

@@ -1,0 +1,260 @@
+"""The immersed boundary: markers pose, read the fluid, answer linearly to the body's velocity, and push back.
+
+For marker k with position X_k, unit normal n_k, volume V_k and Jacobian J_k (U = J_k v), lattice units, rho0 = 1:
+
+    u*(x)   = sum_i c_i f_i / rho                      fluid velocity before any force
+    u*_k    = sum_x u*(x) d(x - X_k)
+    U_k(v)  = J_k v + s P_k (u*_k - J_k v)             slip target; P = I - n n^T, so s = 1 is impermeable and frictionless
+    d_k     = U_k - (u* + G)_k,  F_k += d_k,  G(x) += sum_k V_k d_k d(x - X_k) / rho(x)          `passes` times
+    F_k(v)  = F0_k + sum_j v_j F_j,k                   the passes are linear: one run for all nv + 1 right-hand sides
+    K       = sum_k V_k J_k^T F_j,k,   b0 = sum_k V_k J_k^T F0_k         impulse of the body on the fluid: K v + b0
+
+Departures from the textbook (Wang, Fan, Luo 2008; Kang, Hassan 2011):
+    1. the slip target is frozen over the passes, so that the tangential force does not depend on their number;
+    2. the spread force is divided by the local density, so that sum(rho G) = sum(V F) to round-off;
+    3. no marker is ever looped over in Python, and nothing but v crosses to the host in a step.
+The kernels below run one marker (and right-hand side, and plane of its cells) a thread, on CPU and GPU alike.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from fishmj.lbm_oracle.fluid.lattice import Q
+from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, peek, point3
+from fishmj.lbm_oracle.immersed.delta import first, phi, weight, wrap
+
+wp.set_module_options({"enable_backward": False, "max_unroll": Q})
+
+
+@wp.struct
+class Layout:
+    """Where things lie in the float64 block that the host sends every step; L links, n degrees of freedom."""
+
+    links: int
+    dofs: int
+    frame: int  # L x 12: position, rotation (rows)
+    angle: int  # L: angle of the hinge that carries the link
+    axis: int  # n x 3
+    anchor: int  # n x 3
+    origin: int  # 3: world position of the centre of cell (0, 0, 0), m
+    box: int  # 3: first cell of the scratch box
+    system: int  # n x n: M + dt D
+    momentum: int  # n: right-hand side without the fluid
+    before: int  # n: velocity at the start of the step
+    fixed: int  # n: 1 where the velocity is prescribed
+    value: int  # n: the prescribed velocity
+    fresh: int  # 1 where the sum of the wrenches starts anew
+    size: int
+
+
+@wp.kernel
+def pose(
+    host: wp.array(dtype=wp.float64),
+    at: Layout,
+    rest: wp.array(dtype=wp.vec3d),
+    rest_normal: wp.array(dtype=wp.vec3d),
+    pivot: wp.array(dtype=wp.vec3d),
+    before: wp.array(dtype=int),
+    after: wp.array(dtype=int),
+    share: wp.array(dtype=wp.float64),
+    reach: wp.array2d(dtype=wp.float64),
+    slides: wp.array(dtype=int),
+    dx: wp.float64,
+    dt: wp.float64,
+    width: int,
+    shape: wp.vec3i,
+    box: wp.vec3i,
+    wraps: wp.vec3i,
+    corner: wp.array(dtype=int),
+    acts: wp.array(dtype=int),
+    world: wp.array(dtype=wp.vec3d),
+    cell: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    store: wp.array(dtype=wp.vec3i),
+    jacobian: wp.array2d(dtype=wp.vec3),
+):
+    """Positions in the world [m], in box cells, normals, and Jacobians [cells a step per unit velocity]."""
+    k = wp.tid()
+    if k < 3:  # nodes where the fluid will look for a force: the box, or all of an axis that wraps round
+        acts[k] = wp.where(wraps[k] == 1, corner[k], int(host[at.box + k]))
+        acts[k + 3] = acts[k] + wp.where(wraps[k] == 1, shape[k], box[k])
+    b, a, s = before[k], after[k], share[k]
+    turn = s * host[at.angle + a]
+    c, sn = wp.cos(turn), wp.sin(turn)
+    r, m = rest[k] - pivot[k], rest_normal[k]
+    local = wp.vec3d(c * r[0] - sn * r[1], sn * r[0] + c * r[1], r[2]) + pivot[k]
+    rotation = matrix3(host, at.frame + 12 * b + 3)
+    x = point3(host, at.frame + 12 * b) + rotation * local
+    out = rotation * wp.vec3d(c * m[0] - sn * m[1], sn * m[0] + c * m[1], m[2])
+    world[k] = x
+    normal[k] = wp.vec3(float(out[0]), float(out[1]), float(out[2]))
+    grid = (x - point3(host, at.origin)) / dx
+    low = point3(host, at.box)
+    inner = grid - low
+    place = wp.vec3(float(inner[0]), float(inner[1]), float(inner[2]))
+    cell[k] = place
+    i = wrap(first(place[0], width) + int(low[0]), shape[0])
+    j = wrap(first(place[1], width) + int(low[1]), shape[1])
+    store[k] = wp.vec3i(i, j, wrap(first(place[2], width) + int(low[2]), shape[2]))
+    for d in range(at.dofs):
+        w = ((wp.float64(1.0) - s) * reach[b, d] + s * reach[a, d]) * dt / dx
+        axis = point3(host, at.axis + 3 * d)
+        column = w * axis
+        if slides[d] == 0:
+            column = w * wp.cross(axis, x - point3(host, at.anchor + 3 * d))
+        jacobian[k, d] = wp.vec3(float(column[0]), float(column[1]), float(column[2]))
+
+
+@wp.func
+def pulled(f: wp.array(dtype=Any), directions: wp.array(dtype=wp.vec3i), x: int, y: int, z: int, shape: wp.vec3i):
+    """rho and rho u* of a cell, from the populations that its next step pulls."""
+    rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
+    for q in range(wp.static(Q)):  # unrolled: nineteen loads under way at once
+        c = directions[q]
+        px, py, pz = wrap(x - c[0], shape[0]), wrap(y - c[1], shape[1]), wrap(z - c[2], shape[2])
+        value = peek(f, ((q * shape[0] + px) * shape[1] + py) * shape[2] + pz)
+        rho += value
+        m += value * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
+    return rho, m
+
+
+@wp.kernel
+def read_cells(
+    f: wp.array(dtype=Any),
+    directions: wp.array(dtype=wp.vec3i),
+    drive: wp.vec3,
+    cell: wp.array(dtype=wp.vec3),
+    store: wp.array(dtype=wp.vec3i),
+    width: int,
+    shape: wp.vec3i,
+    box_u: wp.array3d(dtype=wp.vec3),
+    box_rho: wp.array3d(dtype=float),
+):
+    """u* and rho of the cells that marker k touches; markers that share a cell write the same numbers."""
+    k, o = wp.tid()
+    i, j, l = o // (width * width), (o // width) % width, o % width
+    at = store[k]
+    x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
+    rho, m = pulled(f, directions, x, y, z, shape)
+    p = cell[k]
+    bx, by, bz = first(p[0], width) + i, first(p[1], width) + j, first(p[2], width) + l
+    box_u[bx, by, bz] = m / rho + drive
+    box_rho[bx, by, bz] = rho
+
+
+@wp.kernel
+def aim(
+    cell: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    jacobian: wp.array2d(dtype=wp.vec3),
+    slip: wp.array(dtype=float),
+    width: int,
+    box_u: wp.array3d(dtype=wp.vec3),
+    wanted: wp.array2d(dtype=wp.vec3),
+    force: wp.array2d(dtype=wp.vec3),
+):
+    """First pass: wanted velocity change of marker k for right-hand side r; r = 0 is a body at rest in the fluid as it is."""
+    k, r = wp.tid()
+    n, s = normal[k], slip[k]
+    change = wp.vec3(0.0, 0.0, 0.0)
+    if r == 0:
+        p, u = cell[k], wp.vec3(0.0, 0.0, 0.0)
+        x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+        for i in range(width):
+            for j in range(width):
+                for l in range(width):
+                    u += weight(p, x + i, y + j, z + l, width) * box_u[x + i, y + j, z + l]
+        change = s * (u - wp.dot(u, n) * n) - u
+    else:
+        v = jacobian[k, r - 1]
+        change = v - s * (v - wp.dot(v, n) * n)
+    wanted[k, r] = change
+    force[k, r] = change
+
+
+@wp.kernel
+def spread(
+    cell: wp.array(dtype=wp.vec3),
+    volume: wp.array(dtype=float),
+    force: wp.array2d(dtype=wp.vec3),
+    width: int,
+    box_rho: wp.array3d(dtype=float),
+    scratch: wp.array4d(dtype=wp.vec3),
+):
+    """scratch(x) += V_k F_k d(x - X_k) / rho(x) in plane i of the cells that marker k touches, right-hand sides innermost."""
+    k, r, i = wp.tid()
+    p, push = cell[k], volume[k] * force[k, r]
+    x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+    wx = phi(p[0] - float(x + i), width)
+    for j in range(width):
+        wy = wx * phi(p[1] - float(y + j), width)
+        for l in range(width):
+            w = wy * phi(p[2] - float(z + l), width)
+            wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
+
+
+@wp.kernel
+def correct(
+    cell: wp.array(dtype=wp.vec3),
+    wanted: wp.array2d(dtype=wp.vec3),
+    width: int,
+    scratch: wp.array4d(dtype=wp.vec3),
+    force: wp.array2d(dtype=wp.vec3),
+):
+    """One more pass: F_k += wanted_k - G_k."""
+    k, r = wp.tid()
+    p, got = cell[k], wp.vec3(0.0, 0.0, 0.0)
+    x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+    for i in range(width):
+        wx = phi(p[0] - float(x + i), width)
+        for j in range(width):
+            wy = wx * phi(p[1] - float(y + j), width)
+            for l in range(width):
+                got += (wy * phi(p[2] - float(z + l), width)) * scratch[x + i, y + j, z + l, r]
+    force[k, r] = force[k, r] + wanted[k, r] - got
+
+
+@wp.kernel
+def combine(force: wp.array2d(dtype=wp.vec3), v: wp.array(dtype=wp.float64), final: wp.array(dtype=wp.vec3)):
+    """F_k = F0_k + sum_j v_j F_j,k."""
+    k = wp.tid()
+    total = force[k, 0]
+    for j in range(force.shape[1] - 1):
+        total += float(v[j]) * force[k, j + 1]
+    final[k] = total
+
+
+@wp.kernel
+def push(
+    cell: wp.array(dtype=wp.vec3),
+    store: wp.array(dtype=wp.vec3i),
+    volume: wp.array(dtype=float),
+    final: wp.array(dtype=wp.vec3),
+    width: int,
+    shape: wp.vec3i,
+    box_rho: wp.array3d(dtype=float),
+    acceleration: wp.array3d(dtype=wp.vec3),
+):
+    """G(x) += V_k F_k d(x - X_k) / rho(x) in the fluid's own array, in plane i of the cells that marker k touches."""
+    k, i = wp.tid()
+    p, at, whole = cell[k], store[k], volume[k] * final[k]
+    x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+    for j in range(width):
+        for l in range(width):
+            w = weight(p, x + i, y + j, z + l, width) / box_rho[x + i, y + j, z + l]
+            sx, sy, sz = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
+            wp.atomic_add(acceleration, sx, sy, sz, w * whole)
+
+
+@wp.kernel
+def clear(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, acceleration: wp.array3d(dtype=wp.vec3)):
+    """G = 0 in the cells that the markers touched in the last step."""
+    k, o = wp.tid()
+    at = store[k]
+    i, j, l = o // (width * width), (o // width) % width, o % width
+    acceleration[wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])] = wp.vec3(0.0, 0.0, 0.0)
+
+
+for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
+    wp.overload(read_cells, {"f": wp.array(dtype=_storage)})

@@ -1,0 +1,210 @@
+"""How the links of a body and the water inside them move: the host's arithmetic of a step, compiled.
+
+    c_l = p_l + R_l r_l                            centre of link l's water, at r_l in its frame
+    (u_l, w_l) = J_l v                             its motion; columns (a x (c_l - o), a) of a hinge, (a, 0) of a slide
+    h_l = (m_l (u_l + t_l (s_l - t_l . u_l)),      its momentum; s_l along the link as measured, nan for as the link moves
+           R_l I_l R_l^T w_l)
+    right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
+
+A few hundred multiplications take about as long as one call of NumPy does; so each kernel is one call, and one thread. The
+arrays are MuJoCo's own or the `Body`'s: nothing is copied.
+"""
+
+import ctypes
+
+import numpy as np
+import warp as wp
+
+from fishmj.lbm_oracle.fluid.storage import matrix3, point3
+
+wp.set_module_options({"enable_backward": False})
+
+HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; or along one of the world's (FIXED - i); or a free root's own (0, 1, 2)
+
+
+@wp.struct
+class Links:
+    """L links, n degrees of freedom, Q coordinates; all float64 but the tables of integers."""
+
+    links: int
+    dofs: int
+    root: int  # link that a free joint carries, if there is one
+    place: wp.array(dtype=wp.float64)  # 3 L, p
+    turn: wp.array(dtype=wp.float64)  # 9 L, R by rows
+    mujoco_axis: wp.array(dtype=wp.float64)  # 3 a joint
+    mujoco_anchor: wp.array(dtype=wp.float64)
+    qpos: wp.array(dtype=wp.float64)
+    qvel: wp.array(dtype=wp.float64)
+    joint: wp.array(dtype=int)  # n, of every degree of freedom
+    kind: wp.array(dtype=int)  # n, HINGE, FIXED - i or 0, 1, 2
+    slides: wp.array(dtype=int)  # n
+    hinge: wp.array(dtype=int)  # L, where in qpos; -1 for none
+    reach: wp.array(dtype=wp.float64)  # L n, whether the degree of freedom moves the link
+    arm: wp.array(dtype=wp.float64)  # 3 L, r
+    mass: wp.array(dtype=wp.float64)  # L
+    inertia: wp.array(dtype=wp.float64)  # 9 L
+    slide: wp.array(dtype=wp.float64)  # L, s; nan where it moves as the link does
+    pose: wp.array(dtype=wp.float64)  # 12 L + L + 3 n + 3 n: frames, angles, axes a, anchors o
+    centre: wp.array(dtype=wp.float64)  # 3 L, c
+    jacobian: wp.array(dtype=wp.float64)  # 6 L n, J
+    twist: wp.array(dtype=wp.float64)  # 6 L, (u, w)
+    now: wp.array(dtype=wp.float64)  # 6 L, h
+
+
+@wp.struct
+class Balance:
+    """What the equation of a step adds to them; `interior`: whether the inside water's gain counts."""
+
+    body: Links
+    interior: int
+    dt: wp.array(dtype=wp.float64)  # 1
+    damping: wp.array(dtype=wp.float64)  # n
+    passive: wp.array(dtype=wp.float64)
+    actuator: wp.array(dtype=wp.float64)
+    bias: wp.array(dtype=wp.float64)
+    applied: wp.array(dtype=wp.float64)
+    weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
+    last: wp.array(dtype=wp.float64)  # 6 L, h of the step before
+    gain: wp.array(dtype=wp.float64)  # 6 L
+    inside: wp.array(dtype=wp.float64)  # n, I
+    smooth: wp.array(dtype=wp.float64)  # n, f
+    system: wp.array(dtype=wp.float64)  # n n, M on entry, then M + dt D
+    right: wp.array(dtype=wp.float64)  # n
+    found: wp.array(dtype=wp.float64)  # n, the velocity that the step shall end with
+    push: wp.array(dtype=wp.float64)  # n, MuJoCo's qfrc_applied
+    judged: wp.array(dtype=wp.float64)  # greatest |found|, and what |v - found| is off, over 1 + greatest |found|
+
+
+@wp.func
+def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
+    for i in range(3):
+        a[at + i] = v[i]
+
+
+@wp.kernel
+def move(s: Links):
+    """Pose, centres, J, twists and momenta from what `mj_step1` left."""
+    frames, angles = s.pose, 12 * s.links
+    axes = angles + s.links
+    anchors = axes + 3 * s.dofs
+    for d in range(s.dofs):
+        axis, kind = point3(s.mujoco_axis, 3 * s.joint[d]), s.kind[d]
+        if kind <= FIXED:
+            axis = wp.vec3d()
+            axis[FIXED - kind] = wp.float64(1.0)
+        if kind >= 0:
+            own = matrix3(s.turn, 9 * s.root)
+            axis = wp.vec3d(own[0, kind], own[1, kind], own[2, kind])
+        put(s.pose, axes + 3 * d, axis)
+        put(s.pose, anchors + 3 * d, point3(s.mujoco_anchor, 3 * s.joint[d]))
+    for l in range(s.links):
+        place, turn = point3(s.place, 3 * l), matrix3(s.turn, 9 * l)
+        put(frames, 12 * l, place)
+        for i in range(9):
+            frames[12 * l + 3 + i] = s.turn[9 * l + i]
+        if s.hinge[l] >= 0:
+            s.pose[angles + l] = s.qpos[s.hinge[l]]
+        centre = place + turn * point3(s.arm, 3 * l)
+        put(s.centre, 3 * l, centre)
+        u, w = wp.vec3d(), wp.vec3d()
+        for d in range(s.dofs):
+            along = s.reach[l * s.dofs + d] * point3(s.pose, axes + 3 * d)
+            shift = wp.where(s.slides[d] == 1, along, wp.cross(along, centre - point3(s.pose, anchors + 3 * d)))
+            spin = wp.where(s.slides[d] == 1, wp.vec3d(), along)
+            for i in range(3):
+                s.jacobian[(6 * l + i) * s.dofs + d] = shift[i]
+                s.jacobian[(6 * l + 3 + i) * s.dofs + d] = spin[i]
+            u += s.qvel[d] * shift
+            w += s.qvel[d] * spin
+        put(s.twist, 6 * l, u)
+        put(s.twist, 6 * l + 3, w)
+        if s.slide[l] == s.slide[l]:
+            axis = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
+            u += (s.slide[l] - wp.dot(axis, u)) * axis
+        put(s.now, 6 * l, s.mass[l] * u)
+        put(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
+
+
+@wp.func
+def gained(e: Balance):
+    """I: what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
+    s = e.body
+    for d in range(s.dofs):
+        e.inside[d] = wp.float64(0.0)
+    for k in range(6 * s.links):
+        e.gain[k] = s.now[k] - e.last[k]
+        e.last[k] = s.now[k]
+        push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
+        for d in range(s.dofs):
+            e.inside[d] += push * s.jacobian[k * s.dofs + d]
+
+
+@wp.kernel
+def gain(e: Balance):
+    gained(e)
+
+
+@wp.kernel
+def balance(e: Balance):
+    """M + dt D and the right-hand side."""
+    gained(e)
+    s = e.body
+    n, dt = s.dofs, e.dt[0]
+    for i in range(n):
+        e.system[i * n + i] += dt * e.damping[i]
+        e.smooth[i] = e.passive[i] + e.actuator[i] - e.bias[i]
+        total = dt * (e.smooth[i] + e.applied[i]) + e.inside[i]
+        for j in range(n):
+            total += e.system[i * n + j] * s.qvel[j]
+        e.right[i] = total
+
+
+@wp.kernel
+def hand_back(e: Balance):
+    """The force with which MuJoCo's own step ends at the velocity found: (M + dt D) (v+ - v) / dt - f."""
+    n, greatest, lost = e.body.dofs, wp.float64(0.0), wp.float64(0.0)
+    for i in range(n):
+        total = wp.float64(0.0)
+        for j in range(n):
+            total += e.system[i * n + j] * (e.found[j] - e.body.qvel[j])
+        e.push[i] = total / e.dt[0] - e.smooth[i]
+        greatest = wp.max(greatest, wp.abs(e.found[i]))
+        lost += e.found[i] - e.found[i]  # 0, or nan where it is not finite
+    e.judged[0] = greatest + lost
+
+
+@wp.kernel
+def compare(e: Balance):
+    """How far MuJoCo's step ended from it."""
+    off, lost = wp.float64(0.0), wp.float64(0.0)
+    for i in range(e.body.dofs):
+        gap = e.body.qvel[i] - e.found[i]
+        off = wp.max(off, wp.abs(gap))
+        lost += gap - gap
+    e.judged[1] = (off + lost) / (wp.float64(1.0) + e.judged[0])
+
+
+def shared(values: np.ndarray, dtype=wp.float64) -> wp.array:
+    """The same memory as a flat Warp array."""
+    flat = values.reshape(-1)
+    if not np.shares_memory(flat, values):
+        raise ValueError("links: only contiguous arrays are shared")
+    return wp.array(flat, dtype=dtype, device="cpu", copy=False)
+
+
+class Recorded:
+    """One thread of a kernel on the host with its one argument, to be launched again and again.
+
+    It calls the compiled function itself: half a microsecond, where Warp's own launch takes 1.7 to get there.
+    """
+
+    def __init__(self, kernel: wp.Kernel, given):
+        recorded = wp.launch(kernel, dim=1, inputs=[given], device="cpu", record_cmd=True)
+        argument = recorded.params[1]
+        whole = type("Arguments", (ctypes.Structure,), {"_fields_": [("given", type(argument))]})
+        self._kept = recorded, given  # their code and their arrays
+        self._forward = recorded.hooks.forward
+        self._bounds, self._whole = ctypes.byref(recorded.bounds), ctypes.byref(whole(argument))
+
+    def launch(self) -> None:
+        self._forward(self._bounds, self._whole)

@@ -1,0 +1,234 @@
+"""Lagrangian markers: where the immersed body touches the fluid, in the straight pose, about one marker a cell.
+
+A section of height h and width w becomes an ellipse of markers; where it is too thin for two sides (half-width after
+retraction below `SHEET` cells, or behind `fin_from`) it becomes one row of a sheet in the middle plane. Side fins are sheets.
+
+The kernel spreads a marker's force over 1.5 (3-point) or 2 (4-point) cells each way, so the body acts fatter than its
+markers: they are drawn in along the normal by `hydro_offset` cells, at most `CLAMP` of the local half-thickness, and
+sheets are shortened by it on their free edges (docs/oracle_coupling.md has the measurement).
+
+Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link
+before and with weight share to the link behind (`mjcf.skin`), so the hull bends without gaps.
+"""
+
+from dataclasses import dataclass
+from math import ceil, pi
+
+import numpy as np
+
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.mjcf.skin import bend
+
+HELD = {3: 0.7, 4: 0.9}  # cells that markers are drawn in where the water sticks, by the width of the kernel
+SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
+STICKY = 0.95  # slip ratio up to which the drag of a sphere is that without slip
+CLAMP = 0.45  # of the local half-thickness
+SHEET = 0.5  # cells; a retracted half-width below it is one sheet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Markers:
+    """N markers of one body; positions are in the frame of the link `before`, in the straight pose.
+
+    pivot is the hinge in the same frame: position = pivot + Rz(share angle) (rest - pivot), then the frame of `before`.
+    """
+
+    rest: np.ndarray  # (N, 3) m
+    normal: np.ndarray  # (N, 3) unit, outward
+    area: np.ndarray  # (N,) m2
+    pivot: np.ndarray  # (N, 3) m
+    before: np.ndarray  # (N,) int, link
+    after: np.ndarray  # (N,) int, link
+    share: np.ndarray  # (N,) 0..1
+    sheet: np.ndarray  # (N,) bool, single sheet
+
+    def __len__(self) -> int:
+        return len(self.area)
+
+    @classmethod
+    def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False) -> "Markers":
+        """Markers of one rigid link."""
+        n, index = len(rest), np.full(len(rest), link, np.int32)
+        return cls(
+            rest=np.asarray(rest, float),
+            normal=np.asarray(normal, float),
+            area=np.broadcast_to(np.asarray(area, float), n).copy(),
+            pivot=np.zeros((n, 3)),
+            before=index,
+            after=index,
+            share=np.zeros(n),
+            sheet=np.broadcast_to(np.asarray(sheet), n).copy(),
+        )
+
+
+def offset_of(width: int, slip: float = 0.0, hydro_offset: float | None = None) -> float:
+    """Retraction in cells: as given, else the measured one of the kernel of that width (3 or 4) at that slip ratio."""
+    if width not in HELD:
+        raise UnknownName("kernel width", str(width), HELD)
+    if hydro_offset is not None:
+        return float(hydro_offset)
+    free = min(max((slip - STICKY) / (1 - STICKY), 0.0), 1.0)
+    return HELD[width] + free * (SLIDING[width] - HELD[width])
+
+
+def sphere_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None) -> Markers:
+    """A sphere of `radius` m about the origin of link 0: points of a golden spiral, equal areas of about dx^2."""
+    r = radius - offset_of(width, slip, hydro_offset) * dx
+    if r <= dx:
+        raise ConfigError(
+            f"sphere of radius {radius} m: markers drawn in to {r:.4g} m do not resolve it; choose dx < {radius / 3:.3g} m"
+        )
+    n = ceil(4 * pi * r**2 / dx**2)
+    z = 1 - (2 * np.arange(n) + 1) / n
+    turn = pi * (3 - 5**0.5) * np.arange(n)
+    flat = np.sqrt(1 - z**2)
+    unit = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
+    return Markers.rigid(r * unit, unit, 4 * pi * r**2 / n)
+
+
+def fish_markers(
+    robot: "Robot | str" = "fish",
+    dx: float = 0.01,
+    *,
+    slip: float = 1.0,
+    width: int = 3,
+    hydro_offset: float | None = None,
+    spacing: float = 1.0,
+) -> Markers:
+    """Markers of a fish for cells of size dx [m].
+
+    Args:
+        slip: ratio that the boundary will have; a sliding wall acts thinner. width: of the kernel, 3 or 4.
+        hydro_offset: cells; the measured one by default. spacing: cells between markers.
+
+    Raises:
+        ConfigError: nothing of the fish is left at this dx.
+    """
+    robot = load_robot(robot)
+    g = geometry_of(robot)
+    inset, step = offset_of(width, slip, hydro_offset) * dx, spacing * dx
+    parts = [_body(robot, g, inset, step, dx)]
+    parts += [_side_fin(robot, g, fin, side, inset, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
+    point, normal, area, anchor, sheet = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if len(point) == 0:
+        raise ConfigError(
+            f"{robot.name}: no marker fits at dx = {dx} m; the fish is {robot.length} m long, try dx = {robot.length / 27:.3g} m"
+        )
+    hinge, share = bend(robot, g.origin[1:], anchor)
+    before, after = hinge, hinge + 1
+    rigid = (share == 0) | (share == 1)  # one link alone: keep its own index on both sides
+    after = np.where(share == 0, before, after)
+    before_of = np.where(share == 1, hinge + 1, before)
+    pivot = np.stack([g.origin[hinge + 1] - g.origin[before_of], 0 * anchor, 0 * anchor], -1)
+    return Markers(
+        rest=point - np.stack([g.origin[before_of], 0 * anchor, 0 * anchor], -1),
+        normal=normal,
+        area=area,
+        pivot=pivot,
+        before=before_of.astype(np.int32),
+        after=np.where(rigid, before_of, after).astype(np.int32),
+        share=np.where(rigid, 0.0, share),
+        sheet=sheet,
+    )
+
+
+def _profile(robot: Robot, g: Geometry):
+    """Function of the station behind the nose [m] -> half-height, half-width [m]; and the station where the plate begins."""
+    fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])
+    rows = np.concatenate([np.array(link.sections) + [front, 0, 0] for link, front in zip(robot.links, fronts, strict=False)])
+    rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 1e-9])]
+    last = robot.links[-1]
+    plate = fronts[-2] + last.fin_from if last.fin_from is not None else fronts[-1]
+    half = lambda s: (np.interp(s, rows[:, 0], rows[:, 1]) / 2, np.interp(s, rows[:, 0], rows[:, 2]) * g.width_scale / 2)
+    return half, plate
+
+
+def _body(robot: Robot, g: Geometry, inset: float, step: float, dx: float):
+    """Hull rings, nose cap and tail sheet, in the straight pose, body frame."""
+    half, plate = _profile(robot, g)
+    nose, tail = min(inset, CLAMP * robot.length), robot.length - inset
+    n = max(1, round((tail - nose) / step))
+    ds = (tail - nose) / n
+    out = []
+    for i, s in enumerate(nose + (np.arange(n) + 0.5) * ds):
+        a, b = half(s)
+        drawn = min(inset, CLAMP * b)
+        if s >= plate or b - drawn < SHEET * dx:
+            out.append(_row(s, a - min(inset, CLAMP * a), ds, step))
+            continue
+        slope = [(v - u) / (2e-3) for u, v in zip(half(s - 1e-3), half(s + 1e-3), strict=True)]
+        out.append(_ring(s, a - drawn, b - drawn, slope, ds, step))
+        if i == 0:
+            out.append(_cap(nose, a - drawn, b - drawn, step))
+    station, y, z, nx, ny, nz, area, sheet = (np.concatenate(column) for column in zip(*out, strict=True))
+    x = g.reference - station
+    return np.stack([x, y, z], -1), np.stack([nx, ny, nz], -1), area, x, sheet.astype(bool)
+
+
+def _even(count: float) -> int:
+    """The nearest even number: one marker more on one side, and a fish and its mirror image differ by 2.6 % in force."""
+    return 2 * round(count / 2)
+
+
+def _ellipse(a: float, b: float, n: int):
+    """n angles at equal arc length on the ellipse of half-axes a (z) and b (y), and its perimeter."""
+    fine = np.linspace(0, 2 * pi, 721)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(b * np.cos(fine)), np.diff(a * np.sin(fine))))])
+    return np.interp((np.arange(n) + 0.5) / n * length[-1], length, fine), length[-1]
+
+
+def _ring(s, a, b, slope, ds, step):
+    """One elliptical ring; `slope` are the derivatives of half-height and half-width along the body."""
+    n = max(6, _even(_ellipse(a, b, 1)[1] / step))
+    turn, perimeter = _ellipse(a, b, n)
+    c, sn = np.cos(turn), np.sin(turn)
+    across = np.stack([c * a, sn * b], -1)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    lengthwise = across[:, 0] * c * slope[1] + across[:, 1] * sn * slope[0]
+    size = np.sqrt(1 + lengthwise**2)
+    one = np.ones(n)
+    area = perimeter / n * ds * size
+    return s * one, b * c, a * sn, lengthwise / size, across[:, 0] / size, across[:, 1] / size, area, 0 * one
+
+
+def _cap(s, a, b, step):
+    """The nose: concentric ellipses that close the front, normal forwards."""
+    rings = max(1, round(min(a, b) / step))
+    cols = []
+    for r in range(rings):
+        share, area = (r + 0.5) / rings, pi * a * b * (2 * r + 1) / rings**2
+        n = 1 if r == 0 and area < 1.5 * step**2 else max(2, _even(area / step**2))
+        turn, one = _ellipse(share * a, share * b, n)[0], np.ones(n)
+        if n == 1:
+            share = 0.0
+        y, z = share * b * np.cos(turn), share * a * np.sin(turn)
+        cols.append((s * one, y, z, one, 0 * one, 0 * one, area / n * one, 0 * one))
+    return tuple(np.concatenate(column) for column in zip(*cols, strict=True))
+
+
+def _row(s, a, ds, step):
+    """One upright row of a sheet of half-height a, normal to the left."""
+    n = max(1, round(2 * a / step))
+    z = a * (2 * (np.arange(n) + 0.5) / n - 1)
+    one = np.ones(n)
+    return s * one, 0 * one, z, 0 * one, one, 0 * one, 2 * a / n * ds * one, one
+
+
+def _side_fin(robot: Robot, g: Geometry, fin, side: float, inset: float, step: float):
+    """One horizontal plate, shortened by the offset on its three free edges."""
+    i = [link.name for link in robot.links].index(fin.link)
+    rows = np.array(robot.links[i].sections)
+    front = g.origin[i] + g.span[i, 1]
+    root = np.interp(np.mean(fin.station), rows[:, 0], rows[:, 2]) * g.width_scale / 2
+    chord = fin.station[1] - fin.station[0]
+    along, tip = min(inset, CLAMP * chord / 2), min(inset, CLAMP * fin.span)
+    nx, ny = max(1, round((chord - 2 * along) / step)), max(1, round((fin.span - tip) / step))
+    u, v = np.meshgrid((np.arange(nx) + 0.5) / nx, (np.arange(ny) + 0.5) / ny, indexing="ij")
+    x = (front - fin.station[0] - along - u * (chord - 2 * along)).ravel()
+    y = side * (root + v * (fin.span - tip)).ravel()
+    one = np.ones(len(x))
+    area = (chord - 2 * along) / nx * (fin.span - tip) / ny
+    point, normal = np.stack([x, y, 0 * x], -1), np.stack([0 * x, 0 * x, one], -1)
+    return point, normal, area * one, np.full(len(x), front - np.mean(fin.station)), one.astype(bool)

@@ -1,0 +1,82 @@
+"""A coupled run at one instant: saved, restored to the bit, or given to another fish.
+
+`save` and `restore` continue a run exactly (on the CPU to the bit; on a GPU the order of atomic additions differs from run to
+run). `reseed` puts a fish of any state into developed flow: the water was spun up once without a fish, or around another,
+and a segment that starts in it needs about a body length of swimming before its wake is its own.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.store import read_tensors, write_tensors
+
+SCHEMA = "fishmj.oracle-state/1"
+
+
+def snapshot(coupled: Coupled) -> dict[str, np.ndarray]:
+    """Everything that the next step depends on."""
+    body, data = coupled.body, coupled.body.data
+    state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
+    state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
+    state |= {
+        "momentum": body.momentum.copy(),
+        "slide": body.slide.copy(),
+        "gain": coupled.gain.copy(),
+        "steps": np.array(coupled.steps),
+    }
+    return state | {"applied": body.applied.copy(), "wrench": coupled.boundary.wrench.numpy().copy()}
+
+
+def resume(coupled: Coupled, state: dict[str, np.ndarray]) -> None:
+    """Continue from a snapshot.
+
+    Raises:
+        ConfigError: it belongs to another grid or another fish.
+    """
+    body, data = coupled.body, coupled.body.data
+    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.slide)):
+        if state[name].shape != value.shape:
+            raise ConfigError(f"oracle state: {name} has shape {state[name].shape}, this fish needs {value.shape}")
+    coupled.fluid.restore({name.removeprefix("fluid."): value for name, value in state.items() if name.startswith("fluid.")})
+    data.time = float(state["time"])
+    data.ctrl[:], body.applied[:] = state["ctrl"], state["applied"]
+    body.place(state["qpos"], state["qvel"], state["slide"])
+    body.momentum = state["momentum"].copy()
+    coupled.gain, coupled.steps = state["gain"].copy(), int(state["steps"])
+    coupled.boundary.wrench.assign(state["wrench"])
+
+
+def reseed(coupled: Coupled, qpos, qvel=None, *, water: dict[str, np.ndarray] | None = None) -> None:
+    """Start a segment with the fish at qpos (and qvel), in `water` (a fluid's snapshot), or in the water as it is."""
+    if water is not None:
+        coupled.fluid.restore(water)
+    coupled.body.place(qpos, qvel)
+    coupled.gain[:] = 0.0
+    coupled.boundary.wrench.zero_()
+
+
+def save(path: str | Path, coupled: Coupled, **notes) -> Path:
+    """Write a snapshot as one file with its own checksum (safetensors, no pickle)."""
+    lattice = coupled.fluid.lattice
+    meta = {"schema": SCHEMA, "dx": lattice.dx, "dt": lattice.dt, "shape": list(coupled.fluid.shape), **notes}
+    return write_tensors(path, snapshot(coupled), meta)
+
+
+def load(path: str | Path, coupled: Coupled) -> dict:
+    """Continue a coupled run from a file; returns its notes.
+
+    Raises:
+        ConfigError: another schema, grid or fish. StoreError: the file is damaged.
+    """
+    state, meta = read_tensors(path)
+    lattice, shape = coupled.fluid.lattice, list(coupled.fluid.shape)
+    if meta.get("schema") != SCHEMA:
+        raise ConfigError(f"{path}: schema {meta.get('schema')!r}; expected {SCHEMA!r}")
+    if (meta["dx"], meta["dt"], meta["shape"]) != (lattice.dx, lattice.dt, shape):
+        got = f"dx {meta['dx']} m, dt {meta['dt']} s, {meta['shape']} cells"
+        raise ConfigError(f"{path}: a state of {got} does not fit {lattice.dx} m, {lattice.dt} s, {shape}; use its grid")
+    resume(coupled, state)
+    return meta

@@ -1,0 +1,108 @@
+"""Pictures of slices: vorticity with the fish in it, one PNG a frame; velocity panels of a force map, one PNG a map."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from fishmj.lbm_oracle.output.field_options import STRONG
+from fishmj.lbm_oracle.output.map_plots import pyplot
+from fishmj.lbm_oracle.output.slices import Slice
+from fishmj.store import write_bytes
+
+FISH, RIM, INK = "#2B3440", "#FFFFFF", "#3A4350"
+
+DPI = 110
+
+
+class Picture:
+    """One figure that is drawn again for every frame: making the axes anew would take most of the time.
+
+    strong: vorticity at the ends of the colour scale, 1/s, the same for a whole run.
+    """
+
+    def __init__(self, strong: float = STRONG):
+        self.strong = strong
+        self.figure: Any = None
+
+    def write(self, path: Path, one: Slice, title: str = "") -> Path:
+        """Draw the vorticity of a slice with the outline of the fish."""
+        if self.figure is None:
+            self._make(one)
+        self.image.set_data(one.omega_z.T)
+        west, east, south, north = one.extent
+        self.image.set_extent(one.extent)
+        self.axis.set(xlim=(west, east), ylim=(south, north))
+        self.axis.set_title(f"{title}t = {one.t:.2f} s", loc="left")
+        for old in list(self.axis.patches):
+            old.remove()
+        draw_fish(self.axis, one)
+        return _save(self.figure, path)
+
+    def close(self) -> None:
+        if self.figure is not None:
+            pyplot().close(self.figure)
+
+    def _make(self, one: Slice) -> None:
+        plt = pyplot()
+        wide = len(one.y) / len(one.x)
+        self.figure, self.axis = plt.subplots(figsize=(8.6, 7.2 * wide + 0.9), layout="constrained")
+        self.image = self.axis.imshow(
+            one.omega_z.T, origin="lower", vmin=-self.strong, vmax=self.strong, cmap="RdBu_r", interpolation="bilinear"
+        )
+        bar = self.figure.colorbar(self.image, ax=self.axis, shrink=0.85, pad=0.02, extend="both")
+        bar.set_label(r"vorticity $\omega_z$ [1/s]   (red: counter-clockwise)", color=INK)
+        self.axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+def draw_fish(axis, one: Slice) -> None:
+    """The hull from above."""
+    for link in one.outline:
+        axis.fill(link[:, 0], link[:, 1], facecolor=FISH, edgecolor=FISH, lw=0.8, joinstyle="round")
+
+
+def velocity(path: Path, one: Slice, title: str, top: float) -> Path:
+    """Magnitude of the horizontal velocity with the outline of the fish, 0 to `top` m/s."""
+    return panels([("", one)], path, title, top)
+
+
+def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: float) -> Path:
+    """Magnitude of the horizontal velocity of several slices, one panel each, one colour scale from 0 to `top` m/s."""
+    plt = pyplot()
+    columns = min(4, len(slices))
+    rows, wide = -(-len(slices) // columns), 3.4 if len(slices) > 1 else 8.0
+    west, east, south, north = slices[0][1].extent
+    high = wide * (north - south) / (east - west)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(wide * columns + 1.2, (0.92 * high + 0.3) * rows + 0.7), layout="constrained", squeeze=False,
+        sharex=True, sharey=True,
+    )  # fmt: skip
+    for axis, (name, one) in zip(axes.flat, slices, strict=False):
+        image = axis.imshow(
+            one.speed.T,
+            origin="lower",
+            extent=one.extent,
+            vmin=0,
+            vmax=top,
+            cmap="viridis",
+            aspect="equal",
+            interpolation="bilinear",
+        )
+        draw_fish(axis, one)
+        axis.set_title(name, loc="left", fontsize=10)
+    for axis in axes.flat[len(slices) :]:
+        axis.set_visible(False)
+    figure.supxlabel("x [m]", fontsize=10)
+    figure.supylabel("y [m]", fontsize=10)
+    figure.suptitle(title, fontsize=11)
+    figure.colorbar(image, ax=axes, label="|u| [m/s]", shrink=0.9, pad=0.02, extend="max")
+    return _save(figure, path, close=True)
+
+
+def _save(figure, path: Path, *, close: bool = False) -> Path:
+    """PNG, atomically."""
+    buffer = BytesIO()
+    figure.savefig(buffer, dpi=DPI, format="png")
+    if close:
+        pyplot().close(figure)
+    return write_bytes(path, buffer.getvalue())

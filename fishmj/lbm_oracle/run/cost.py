@@ -1,0 +1,48 @@
+"""What swims take on a CPU: cells times steps over the rate at which a core updates cells; asked for before hours of it begin."""
+
+from collections.abc import Iterable
+from math import prod
+
+from fishmj import cost
+from fishmj.cores import usable_cores
+from fishmj.lbm_oracle.fluid.device import accelerator
+from fishmj.lbm_oracle.fluid.thread_slabs import MOST
+from fishmj.lbm_oracle.run.domain import Domain
+
+RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/oracle.md, Speed)
+UNASKED = 3600.0  # s of a CPU that `--device auto` begins without being asked
+
+Work = Iterable[tuple[Domain, float]]  # boxes, and s of water in each
+
+
+def cpu_seconds(work: Work) -> float:
+    """Wall clock on the cores of this machine."""
+    return sum(prod(box.shape) * water / box.dt for box, water in work) / (RATE * min(usable_cores(), MOST))
+
+
+def agree(
+    verb: str, device: str, work: Work, *, instead: str, tanks: int = 1, flag: str = "--device cpu", asked: bool = False
+) -> None:
+    """Refuse, or have agreed to, what takes a CPU too long or does not fit into its memory.
+
+    Args:
+        device: as asked for; one by name is agreed to. tanks: boxes side by side. asked: the time was agreed to otherwise.
+
+    Raises:
+        TooMuch: nobody agreed.
+    """
+    from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL
+
+    work = list(work)
+    if device.startswith("cuda") or not work:
+        return
+    need = BYTES_PER_CELL * max(prod(box.shape) for box, _ in work)
+    if device == "auto" and accelerator(need):
+        return
+    cells = f"boxes of up to {max(prod(box.shape) for box, _ in work) / 1e6:.3g} M cells"
+    cost.memory(verb, need * tanks, f"{tanks} x {cells}", instead="take a coarser grid or fewer --tanks")
+    water = sum(water for _, water in work)
+    why = f"on {usable_cores()} cores, and no accelerator was found"
+    agreed = asked or device != "auto"
+    what = f"{water:.0f} s of water in {cells}"
+    cost.time(verb, cpu_seconds(work), what, instead=instead, flag=flag, agreed=agreed, limit=UNASKED, why=why)

@@ -1,0 +1,141 @@
+"""The box of water: a fixed tank, or a window that follows the fish.
+
+A window moves by whole cells. Its velocities stay those of the world: there is no fictitious force and nothing is interpolated.
+The fish keeps `lead` of the window's length ahead of it; the lead turns with the heading no faster than `TURN`.
+
+Both are centred: the tank's middle is the world's origin, mid-depth is z = 0, the plane in which the fish swims.
+"""
+
+from dataclasses import dataclass, replace
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+
+from fishmj.calib import constant
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.units import wrap
+
+TURN = 0.5  # rad/s, greatest rate at which the window's lead follows the heading
+LEAD = 0.15  # of the window's length: the fish sits this far behind the middle and leaves its wake the longer part
+BOTTOMS = ("slip", "wall")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Domain:
+    """Cells (nx, ny, nz) of dx [m], time step dt [s]; `follows` makes it a window. `bottom`: `slip` or `wall`.
+
+    `sides` are the kinds of the four side faces, `open` for a current, `wall` for a basin.
+    """
+
+    name: str
+    shape: tuple[int, int, int]
+    dx: float
+    dt: float
+    follows: bool = False
+    bottom: str = "slip"
+    sides: str = "open"
+    sponge: int = SPONGE
+
+    def __post_init__(self):
+        if self.bottom not in BOTTOMS:
+            raise UnknownName("kind of bottom", self.bottom, BOTTOMS)
+        if self.follows and self.sides != "open":
+            raise ConfigError(f"domain {self.name}: a window moves through open water; sides = {self.sides!r}, expected 'open'")
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """m."""
+        x, y, z = (n * self.dx for n in self.shape)
+        return x, y, z
+
+    @property
+    def lattice(self) -> Lattice:
+        x, y, z = (-(n - 1) / 2 * self.dx for n in self.shape)
+        return Lattice(dx=self.dx, dt=self.dt, corner=(x, y, z))
+
+    @property
+    def boundaries(self) -> Boundaries:
+        if self.sides == "open":
+            return channel(bottom=self.bottom, sponge=self.sponge)
+        side = Axis(self.sides, self.sides)
+        return Boundaries(x=side, y=side, z=Axis(self.bottom, "slip"))
+
+    def changed(self, *, depth: float | None = None, dx: float | None = None, dt: float | None = None, **more: Any) -> "Domain":
+        """The same box with another depth [m], cell or time step; a new cell keeps the size and, unless dt is given, dx / dt."""
+        dx_new, (x, y, z) = dx or self.dx, self.size
+        nx, ny, nz = (max(1, round(s / dx_new)) for s in (x, y, depth or z))
+        return replace(self, shape=(nx, ny, nz), dx=dx_new, dt=dt or self.dt * dx_new / self.dx, **more)
+
+
+def tank(name: str, size, dx: float, dt: float, **more: Any) -> Domain:
+    """A fixed box of `size` (3,) m."""
+    return Domain(name=name, shape=tuple(round(s / dx) for s in size), dx=dx, dt=dt, **more)
+
+
+def _presets() -> dict[str, Domain]:
+    dx, dt = constant("oracle", "dx"), constant("oracle", "dt")
+    return {
+        "paper": tank("paper", constant("oracle", "domain"), dx, dt),
+        "forcemap": tank("forcemap", constant("oracle", "domain_force_map"), dx, dt),
+        "flow_tank": tank("flow_tank", constant("tank", "size"), dx, dt),
+        "window": Domain(name="window", shape=(192, 128, 80), dx=0.01, dt=0.002, follows=True),
+        "window_fine": Domain(name="window_fine", shape=(384, 256, 160), dx=0.005, dt=0.001, follows=True),
+        "window_coarse": Domain(name="window_coarse", shape=(112, 80, 50), dx=dx, dt=dt, follows=True),
+        "laptop": Domain(name="laptop", shape=(80, 56, 30), dx=0.02, dt=0.004, follows=True),
+    }
+
+
+PREVIEWS = ("laptop",)  # too coarse for a judgement
+NAMES = ("paper", "forcemap", "flow_tank", "window", "window_fine", "window_coarse", "laptop")
+
+
+def preset(name: str) -> Domain:
+    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop.
+
+    Raises:
+        UnknownName: none of them.
+    """
+    table = _presets()
+    if name not in table:
+        raise UnknownName("domain", name, table)
+    return table[name]
+
+
+class Follower:
+    """Decides when a window moves; `shift` returns whole cells, most of the time (0, 0, 0)."""
+
+    def __init__(self, domain: Domain, heading: float = 0.0):
+        self.domain, self.heading = domain, float(heading)
+
+    def shift(self, fluid, position, heading: float) -> tuple[int, int, int]:
+        """Cells to move so that the fish at `position` (3,) m with `heading` rad sits where it should, to within one cell."""
+        if not self.domain.follows:
+            return 0, 0, 0
+        most = TURN * self.domain.dt
+        self.heading += float(np.clip(wrap(np, heading - self.heading), -most, most))
+        ahead = LEAD * np.array([self.domain.size[0] * cos(self.heading), self.domain.size[1] * sin(self.heading), 0.0])
+        middle = fluid.lattice.to_si(fluid.origin_lu + (np.array(fluid.shape) - 1) / 2)
+        off = (np.asarray(position, float) + ahead - middle) / self.domain.dx
+        step = np.trunc(off).astype(int)
+        return int(step[0]), int(step[1]), 0
+
+    def follow(self, fluid, position, heading: float) -> bool:
+        """Move the fluid's window if it is time to; True if it moved. Cells are moved at most a quarter of the window at once."""
+        by = self.shift(fluid, position, heading)
+        if not any(by):
+            return False
+        limit = [n // 4 for n in fluid.shape]
+        fluid.shift(tuple(int(np.clip(b, -m, m)) for b, m in zip(by, limit, strict=True)))
+        return True
+
+
+def margin(fluid, low, high) -> float:
+    """Least distance in cells between a box of points, low and high (3,) m, and the faces of the fluid; negative outside."""
+    dx, room = fluid.lattice.dx, float("inf")
+    sides = zip(low, high, fluid.lattice.corner, fluid.origin_lu.tolist(), fluid.shape, strict=True)
+    for a, b, corner, first, n in sides:  # plain numbers: a handful is faster so than in NumPy
+        room = min(room, (a - corner) / dx - first, first + n - 1 - (b - corner) / dx)
+    return float(room)

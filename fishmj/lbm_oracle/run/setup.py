@@ -1,0 +1,101 @@
+"""A fish in a box of water, put together: domain, flow, markers, coupling and what happens at the edge."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fishmj.errors import ConfigError
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.markers import fish_markers
+from fishmj.lbm_oracle.run import stability
+from fishmj.lbm_oracle.run.domain import Domain, Follower, margin, preset
+from fishmj.lbm_oracle.run.run import LeftDomain, Run
+from fishmj.mjcf import Robot, load_robot
+from fishmj.mjcf.model import reference_pose, reference_qpos
+
+LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """What a run is made of.
+
+    slip: ratio quoted at the paper's grid, 1 = the water slides along the hull. pose: (x, y, yaw) m, rad of the reference point.
+    joints: (J,) rad. width, passes, hydro_offset, spacing: of the immersed boundary. robot: description, path or name.
+    """
+
+    domain: Domain = field(default_factory=lambda: preset("window"))
+    robot: "Robot | str" = "fish"
+    flow: Flow = field(default_factory=Flow)
+    slip: float = 1.0
+    root: str = "planar"
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    joints: tuple[float, ...] = ()
+    device: str = "cpu"
+    width: int = 3
+    passes: int = 2
+    hydro_offset: float | None = None
+    spacing: float = 1.0
+    threads: int | None = None
+
+    def coupled(self) -> Coupled:
+        """Fish and water at t = 0: the undisturbed flow, the fish at rest over ground.
+
+        Raises:
+            OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
+        """
+        robot, domain = load_robot(self.robot), self.domain
+        fluid = Fluid(
+            domain.lattice, domain.shape, self.device, boundaries=domain.boundaries, flow=self.flow, threads=self.threads
+        )
+        body = Body.of(robot, self.root, domain.dt)
+        joints = np.asarray(self.joints or np.zeros(robot.n_joints), float)
+        if joints.shape != (robot.n_joints,):
+            raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
+        body.place(reference_qpos(body.model, self.pose, joints))
+        slip, width = self.slip, self.width
+        markers = fish_markers(robot, domain.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
+        made = Coupled(fluid, body, markers, slip=slip, width=width, passes=self.passes)
+        edge = Edge(domain, self.pose[2])
+        while edge.follow(made):  # a window starts round its fish
+            pass
+        room = margin(fluid, *body.bounds(made.boundary.corners))
+        stability.check(domain, speed=max(self.flow.speed, stability.SLOW), spacing=self.spacing * domain.dx, clearance=room)
+        return made
+
+    def run(self, **options) -> Run:
+        """The same as a run by bus ticks; options are those of `Run`."""
+        return Run(self.coupled(), self.robot, follow=Edge(self.domain, self.pose[2]), **options)
+
+
+class Edge:
+    """What happens after every step: a window follows the fish, and a fish that comes too close to a face ends the run."""
+
+    def __init__(self, domain: Domain, heading: float = 0.0):
+        self.domain, self.follower = domain, Follower(replace(domain, dt=LOOK * domain.dt), heading)
+
+    def __call__(self, coupled: Coupled) -> None:
+        """Raises LeftDomain when a marker is nearer than the margin."""
+        if coupled.steps % LOOK:
+            return
+        if self.domain.follows:
+            with coupled.scope():
+                self.follow(coupled)
+        body, fluid = coupled.body, coupled.fluid
+        room = margin(fluid, *body.bounds(coupled.boundary.corners))
+        if room < stability.CLEARANCE:
+            at = ", ".join(f"{value:.3f}" for value in body.data.xpos[1])
+            raise LeftDomain(
+                f"left_domain at t = {coupled.time:.3f} s: the fish at ({at}) m is {room:.1f} cells from a face of the"
+                f" {self.domain.name} domain; it needs {stability.CLEARANCE:g}. What was recorded before is kept"
+            )
+
+    def follow(self, coupled: Coupled) -> bool:
+        """Move a window so that the middle of the fish sits where it should; True if it moved."""
+        body = coupled.body
+        low, high = body.bounds(coupled.boundary.corners)
+        heading = float(reference_pose(body.model, body.data)[2])
+        return self.follower.follow(coupled.fluid, 0.5 * (low + high), heading)

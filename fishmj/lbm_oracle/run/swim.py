@@ -1,0 +1,262 @@
+"""`fishmj lbm_oracle swim`: a gait in the flow solver, free or tethered; writes a trial folder.
+
+python -m fishmj.lbm_oracle swim --preset laptop --beats 5
+python -m fishmj.lbm_oracle swim --tethered --prescribed --speed 0.3 --direction 180 --seconds 4 --out thrust
+python -m fishmj.lbm_oracle swim --preset laptop --out runs/a --fields runs/a_fields
+
+Ctrl-C ends the run after the tick that is under way; trial, state and fields up to then are kept.
+"""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from math import degrees, radians
+
+import numpy as np
+
+from fishmj import console, interrupt
+from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
+from fishmj.flow import PRESETS, Flow
+from fishmj.lbm_oracle.immersed import snapshot
+from fishmj.lbm_oracle.output.field_options import STRONG, add_fields
+from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from fishmj.lbm_oracle.run.gait import Gait
+from fishmj.lbm_oracle.run.last_good_state import LastGood
+from fishmj.lbm_oracle.run.run import LeftDomain, Run
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.log import write_trial
+from fishmj.mjcf import load_robot
+
+INTERRUPTED = "interrupted"  # of `Run.stopped`
+
+
+def main(argv: list[str]) -> int:
+    args = _parser().parse_args(argv)
+    if args.volume and args.fields is None:
+        raise ConfigError("lbm_oracle swim: --volume is of --fields; add --fields FOLDER, or leave it out")
+    robot, gait = load_robot(args.robot), _gait(args)
+    seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
+    if args.out and args.out.exists() and not args.overwrite:
+        raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
+    stage = _stage(args)
+    less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
+    cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
+    run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
+    if args.start is not None:
+        snapshot.load(args.start, run.coupled)
+        run.begin()
+    if args.preset in PREVIEWS:
+        console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
+    recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
+    with interrupt.finishing(lambda: _words(args, run)):
+        wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
+    found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
+    if args.out:
+        found["out"] = str(write_trial(args.out, run.trial(), overwrite=args.overwrite))
+    if recorder:
+        found |= {"fields": str(recorder.folder), "frames": recorder.frames}
+    lost = run.stopped.startswith("diverged")
+    if lost and kept:
+        found["last_good"] = kept.save(args.save or f"{args.out}.last_good.safetensors", run)
+    elif args.save:
+        found["state"] = str(snapshot.save(args.save, run.coupled, robot=robot.name))
+    console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
+    if args.json:
+        console.emit_json(found)
+    if run.stopped == INTERRUPTED:
+        return console.INTERRUPTED
+    return console.FAILED_CHECK if lost or run.stopped.startswith("fields") else console.OK
+
+
+def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder=None, kept: "LastGood | None" = None) -> float:
+    """Swim with progress; returns seconds of wall time. A run that stops early says why in `run.stopped`.
+
+    Args:
+        recorder: writes fields between ticks (see `record_fields`). kept: looks after the last sound state.
+    """
+    start, ticks = time.perf_counter(), round(seconds / run.robot.timing.bus_dt)
+    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar, _between_ticks() as asked:
+        for n in range(ticks + 1):
+            try:
+                if recorder:
+                    recorder.look(run)
+                if n < ticks:
+                    run.tick(gait(run.time))
+                    if kept:
+                        kept.look(run)
+            except LeftDomain as error:
+                run.stopped = f"{error}"
+            except (SimDiverged, OracleUnstable) as error:
+                run.stopped = f"diverged: {error}"
+            except StoreError as error:
+                run.stopped = f"fields: {error}"
+            if asked and not run.stopped:
+                run.stopped = INTERRUPTED
+            if run.stopped:
+                console.warn(f"stopped after {run.time:.2f} s, everything before is kept: {run.stopped}")
+                break
+            if n < ticks:
+                bar.update(run.time, speed=float(np.hypot(*run.pose[3:5])))
+    if recorder:
+        recorder.close()
+    return time.perf_counter() - start
+
+
+def _words(args, run: Run) -> str:
+    """Of an interrupt that a tick keeps waiting: writes the trial of those before it, in another thread."""
+    if not args.out or not run.rows:
+        return "nothing was kept" + ("" if args.out else ": with --out FOLDER the trial is")
+    return f"the trial up to then is in {write_trial(args.out, run.trial(), overwrite=args.overwrite)}"
+
+
+@contextmanager
+def _between_ticks() -> Iterator[list[int]]:
+    """A list that fills on Ctrl-C or SIGTERM, so that no tick is left half done; asked twice, Ctrl-C interrupts at once."""
+    asked: list[int] = []
+
+    def hear(number, frame) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    old = {}
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            old[number] = signal.signal(number, hear)
+    except ValueError:  # not the main thread: the caller keeps its own handlers
+        pass
+    try:
+        yield asked
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def _recorder(args, run: Run):
+    """What writes the fields, or None."""
+    if args.fields is None:
+        return None
+    from fishmj.lbm_oracle.output.record_fields import Recorder
+
+    options = {"every": args.every, "z": args.slice, "whole": args.volume, "overwrite": args.overwrite}
+    return Recorder(args.fields, run, strong=args.strong, **options)
+
+
+def figures(run: Run, frequency: float) -> dict:
+    """Speed over ground, direction, yaw and power over the last two beats (or what there is), and the mean force on the fish.
+
+    `course` is the direction of the path; `thrust` the mean force along the heading, of interest for a tethered fish.
+    """
+    table = run.trial().tables
+    truth, wrench, power = table["truth"], table["wrench"], table.get("power")
+    beats = 2 / frequency
+    last = truth["t"] > truth["t"][-1] - min(beats, truth["t"][-1] / 2) - 1e-9
+    x, y, t = truth["x"][last], truth["y"][last], truth["t"][last]
+    yaw, span = truth["yaw"][last], max(t[-1] - t[0], 1e-9)
+    mean_yaw = float(np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean()))
+    fx, fy = (sum(wrench[name][last] for name in wrench if name[0] == "f" and name.endswith(axis)) for axis in "xy")
+    return {
+        "seconds": float(truth["t"][-1]),
+        "speed_m_s": float(np.hypot(x[-1] - x[0], y[-1] - y[0]) / span),
+        "course_deg": degrees(float(np.arctan2(y[-1] - y[0], x[-1] - x[0]))),
+        "heading_deg": degrees(mean_yaw),
+        "yaw_amplitude_deg": degrees(float(np.ptp(yaw)) / 2),
+        "yaw_rate_deg_s": degrees(float((yaw[-1] - yaw[0]) / span)),
+        "thrust_N": float((fx * np.cos(mean_yaw) + fy * np.sin(mean_yaw)).mean()),
+        "power_W": float((power["V"] * power["I"])[last].mean()) if power else None,
+        "refined_ticks": run.refined,
+        "fastest_water_m_s": run.watch.fastest,
+    }
+
+
+def _gait(args) -> Gait:
+    joints = load_robot(args.robot).n_joints
+    one = lambda values: tuple(radians(v) for v in values) if len(values) > 1 else radians(values[0])
+    return Gait(
+        joints=joints,
+        frequency=args.frequency,
+        amplitude=one(args.amplitude),
+        lag=radians(args.lag),
+        bias=one(args.bias),
+        ramp=args.ramp,
+    )
+
+
+def _stage(args) -> Stage:
+    domain = preset(args.preset)
+    if args.depth is not None or args.dx is not None or args.dt is not None:
+        domain = domain.changed(depth=args.depth, dx=args.dx, dt=args.dt)
+    if args.bottom != domain.bottom:
+        domain = replace(domain, bottom=args.bottom)
+    flow = Flow(
+        speed=args.speed,
+        direction=radians(args.direction),
+        turbulence=args.turbulence,
+        intensity=args.intensity,
+        seed=args.seed,
+    )
+    x, y, yaw = args.pose
+    return Stage(
+        domain=domain,
+        robot=args.robot,
+        flow=flow,
+        slip=args.slip,
+        root=args.root,
+        pose=(x, y, radians(yaw)),
+        device=args.device,
+        width=args.kernel,
+        passes=args.passes,
+        hydro_offset=args.hydro_offset,
+    )
+
+
+def _parser() -> console.Parser:
+    p = console.parser("lbm_oracle swim", "A gait in the flow solver; writes a trial folder.")
+    add, angle = p.add_argument, console.number(-360, 360)
+    add("--preset", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--frequency", type=console.number(0.01, 20), default=1.0, metavar="HZ", help="of the beat")
+    bend = console.number(-180, 180)
+    add("--amplitude", type=bend, nargs="+", default=[30.0], metavar="DEG", help="of the joints: one, or one a joint")
+    add("--lag", type=angle, default=60.0, metavar="DEG", help="from joint to joint")
+    add("--bias", type=bend, nargs="+", default=[0.0], metavar="DEG", help="mean of the joints: one, or one a joint")
+    add("--ramp", type=console.number(0, 100), default=1.0, metavar="S", help="smooth start")
+    add("--beats", type=console.number(0, 10_000, above=True), default=5.0, help="of the swim")
+    seconds = "of the swim; by default so many as --beats take"
+    add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
+    add("--prescribed", action="store_true", help="joints follow the gait to the letter, without servos")
+    add("--tethered", action="store_true", help="the root does not move")
+    add("--root", choices=("planar", "free"), default="planar", help="how the root moves")
+    add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    add("--speed", type=console.number(0, 4), default=0.0, help="of the current, m/s")
+    add("--direction", type=angle, default=180.0, metavar="DEG", help="where the water moves to")
+    add("--turbulence", choices=PRESETS, default="none", help="of the current")
+    add("--intensity", type=console.number(0, 0.99), default=0.05, help="of the turbulence: u_rms / max(speed, 0.1 m/s)")
+    add("--seed", type=console.SEED, default=0, help="of the turbulence")
+    place = console.number(-360, 360)
+    pose = "start of the fish: m, m, deg"
+    add("--pose", type=place, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"), help=pose)
+    add("--depth", type=console.number(0.05, 10), metavar="M", help="of the water; by default the domain's")
+    add("--bottom", choices=("slip", "wall"), default="slip", help="of the water")
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    add("--dt", type=console.number(1e-5, 0.1), metavar="S", help="another time step; by default the domain's")
+    add("--latency", type=console.number(0, 10), metavar="S", help="of commands; the robot's by default")
+    add("--kernel", type=console.whole(3, 4), default=3, help="points of the immersed boundary's kernel: 3 or 4")
+    add("--passes", type=console.whole(1, 100), default=2, help="of the direct forcing")
+    offset = "retraction of the markers; the measured one by default"
+    add("--hydro-offset", type=console.number(-5, 5), metavar="CELLS", help=offset)
+    add("--start", type=console.path, metavar="FILE", help="continue from a saved state; by default from rest")
+    add("--save", type=console.out_file, metavar="FILE", help="save the state at the end, in place of an old one; by default not")
+    out = "trial folder to write; by default none; one that is there is refused without --overwrite"
+    add("--out", type=console.out_folder, metavar="FOLDER", help=out)
+    add("--overwrite", action="store_true", help="trial and fields of another run are replaced")
+    add_fields(p)
+    add("--every", type=console.number(0, 1000, above=True), default=0.1, metavar="S", help="between two frames of the fields")
+    strong = "vorticity at the ends of the colour scale"
+    add("--strong", type=console.number(0, 1e6, above=True), default=STRONG, metavar="1/S", help=strong)
+    return p

@@ -1,0 +1,132 @@
+"""A tick that is too fast for the grid's time step is done again from its start with a finer one; the trial goes on.
+
+    dt' = r dt, r = 1/2 or 1/4:   rho' - 1 = r^2 (rho - 1),   u' = r u,   P' = r P
+
+Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay what they are; the departure P from equilibrium is a rate of strain
+and scales like u where the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r.
+The finer water has the same cells, and takes its memory when it is first needed.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from fishmj.lbm_oracle.fluid.collide import density, departure, momentum, populations
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice import Q, vec19
+from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, poke
+from fishmj.lbm_oracle.immersed.coupling import Coupled
+
+FACTORS = (2, 4)  # finer steps in one
+
+
+@cache
+def _rescale(dtype: type) -> wp.Kernel:
+    """The kernel for populations stored as `dtype`."""
+
+    @wp.kernel(module="unique", module_options={"max_unroll": 32, "enable_backward": False})
+    def rescale(
+        f: wp.array(dtype=dtype),
+        u: wp.array(dtype=wp.vec3),
+        r: float,
+        f_out: wp.array(dtype=dtype),
+        u_out: wp.array(dtype=wp.vec3),
+    ):
+        """Moments of every cell for another time step."""
+        cell = wp.tid()
+        cells = u.shape[0]
+        q = vec19()
+        for i in range(wp.static(Q)):
+            q[i] = peek(f, i * cells + cell)
+        drho = density(q)
+        v = momentum(q) / (1.0 + drho)
+        q = populations(r * r * drho, r * v, r * v, r * departure(q, drho, v))
+        for i in range(wp.static(Q)):
+            poke(f_out, i * cells + cell, q[i])
+        u_out[cell] = r * u[cell]
+
+    return rescale
+
+
+class Checkpoint(NamedTuple):
+    """A coupled fish at the start of a tick, the water still on its device."""
+
+    f: wp.array
+    u: wp.array
+    origin: wp.array
+    origin_lu: np.ndarray
+    steps: int
+    body: tuple  # qpos, qvel, ctrl, time, momentum, slide
+    gain: np.ndarray
+    wrench: wp.array
+    done: int
+
+
+def checkpoint(coupled: Coupled) -> Checkpoint:
+    """Copy what the next step depends on."""
+    fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
+    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.slide.copy()
+    with coupled.scope():
+        water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
+        return Checkpoint(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
+
+
+def restore(coupled: Coupled, kept: Checkpoint) -> None:
+    """Back to a checkpoint, and to the coupled fish's own time step."""
+    fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
+    body.set_step(fluid.lattice.dt)
+    with coupled.scope():
+        wp.copy(fluid.f, kept.f)
+        wp.copy(fluid.u, kept.u)
+        wp.copy(coupled.boundary.wrench, kept.wrench)
+        _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
+    qpos, qvel, data.ctrl[:], data.time, momentum_before, slide = kept.body
+    body.place(qpos, qvel, slide)
+    body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
+
+
+def finer(coupled: Coupled, factor: int) -> Coupled:
+    """The same body in water of the same cells with a step `factor` times finer; its arrays are new, its state is not set."""
+    old, edge = coupled.fluid, coupled.boundary
+    lattice = old.lattice
+    fine = Lattice(dx=lattice.dx, dt=lattice.dt / factor, rho=lattice.rho, nu=lattice.nu, corner=lattice.corner)
+    water = Fluid(
+        fine,
+        old.shape,
+        old.device,
+        dtype=next(name for name, kind in STORAGE.items() if kind is old.f.dtype),
+        boundaries=old.boundaries,
+        subgrid=old.subgrid,
+        flow=old.flow,
+        threads=old.threads,
+    )
+    coupled.body.set_step(fine.dt)
+    options = {"slip": coupled.slip, "width": edge.width, "passes": edge.passes}
+    return Coupled(water, coupled.body, edge.markers, interior=coupled.interior, **options)
+
+
+def hand_over(giver: Coupled, taker: Coupled) -> None:
+    """Move fish and water from one time step to the other; wrenches stay where they were summed."""
+    r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
+    a, b = giver.fluid, taker.fluid
+    if a.device.is_cuda:
+        wp.synchronize_device(a.device)  # each has its own stream
+    with taker.scope():
+        inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
+        wp.launch(_rescale(a.f.dtype), dim=a.cells, inputs=inputs, device=a.device)
+        _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
+    if a.device.is_cuda:
+        wp.synchronize_device(a.device)
+    body = taker.body
+    now = body.water_momentum()
+    body.momentum = now - r * (now - body.momentum)  # the inside water's gain is one of the new, other step
+    body.set_step(b.lattice.dt)
+
+
+def _set_clock(fluid: Fluid, origin: wp.array, origin_lu: np.ndarray, steps: int) -> None:
+    wp.copy(fluid.origin, origin)
+    fluid.origin_lu, fluid.steps = origin_lu.copy(), int(steps)
+    fluid.clock.fill_(fluid.steps)

@@ -1,0 +1,232 @@
+"""One fish, one controller, and a current and target that may change while it swims."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import controllers, engines
+from fishmj.dynamics import planar_chain
+from fishmj.errors import ConfigError, FishmjError
+from fishmj.flow import Flow, sample
+from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.identity import identity
+from fishmj.source import made_by
+from fishmj.tasks import station_hold as task
+from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
+from fishmj.tasks.sensing import Sensors, readings
+from fishmj.units import wrap
+
+FASTEST = 0.5  # m/s
+SENSED = 4  # stream of random numbers of what is logged, beside that of the observations
+
+
+class Chunk(NamedTuple):
+    """One control step: T bus ticks, N links."""
+
+    t: np.ndarray  # (T,) s
+    q: np.ndarray  # (T, 2 + N) m, rad
+    v: np.ndarray  # (T, 2 + N) m/s, rad/s
+    flow: np.ndarray  # (T, N, 2) m/s
+    power: np.ndarray  # (T,) W with idle
+    command: np.ndarray  # (T, N - 1) rad
+    target: np.ndarray  # (2,) m
+    obs: np.ndarray  # (5 + 2 J,)
+    action: np.ndarray | None  # (J,) of a policy
+    controller: str
+    current: tuple[float, float]  # m/s, rad: the mean, as it was set
+
+
+class Pond:
+    """One nominal fish under a controller, in a current and with a target that may change between control steps."""
+
+    def __init__(
+        self,
+        controller: "controllers.Controller | str" = "dob",
+        robot: "Robot | str" = "fish",
+        flow: Flow | None = None,
+        engine="batch",
+        noise: float = 1.0,
+    ):
+        self.robot = load_robot(robot)
+        self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
+        self.engine = engines.make(engine, self.robot) if isinstance(engine, str) else engine
+        self.engine_name = type(self.engine).__module__.rpartition(".")[2]
+        self._chain = planar_chain.chain_of(self.robot)
+        self._params, self._sensors = engines.nominal_params(self.robot, 1), Sensors(self.robot)
+        late = float(self._sensors.added.late(np, self._params.effects[0], "pose"))
+        self._camera = np.array([max(0, round((self.robot.timing.camera_latency + late) / self.robot.timing.bus_dt))])
+        self._ticks = engines.ticks_per(self.robot)[1]
+        self.choose(controller)
+        self.reset()
+
+    def choose(self, controller: "controllers.Controller | str") -> None:
+        """Hand the fish to another controller, made or by name."""
+        self.controller = controllers.make(controller, self.robot) if isinstance(controller, str) else controller
+        self.controller.reset(1)
+
+    def able(self, name: str) -> bool:
+        """Whether a controller by name can steer this fish."""
+        try:
+            controllers.make(name, self.robot)
+        except FishmjError:
+            return False
+        return True
+
+    def reset(self) -> None:
+        """Back to the start: at rest 0.7 m from the target, heading upstream. What was recorded is dropped."""
+        start = np.array([[-0.7, 0.0, wrap(np, np.pi + self.flow.direction)]])
+        self.target, self.count = np.array([0.7, 0.0]), 0
+        self._start = start[0]
+        self._state = engines.at_rest(self.robot, start)
+        self._history = np.repeat(start[:, None], task.history_length(self.robot), 1)
+        self._joint = np.zeros((1, self.robot.n_joints))
+        self._recent = np.zeros((1, self._sensors.behind + 1, 2 * self.robot.n_joints))
+        self._current, self._random = self.flow.current(), np.random.default_rng(self.flow.seed)
+        self.controller.reset(1)
+        self.chunks: list[Chunk] = []
+
+    def set_flow(self, speed: float, direction: float) -> None:
+        """Change the mean current [m/s, rad]; the eddies around the fish stay where they are."""
+        before = self._current
+        self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
+        now = self.flow.current()
+        if now.table.ndim == 4:  # frozen eddies ride on the mean: carry their phase over
+            shift = (now.mean - before.mean)[0] * self.time
+            c, s = now.turn[0]
+            moved = np.array([[c * shift[0] + s * shift[1], c * shift[1] - s * shift[0]]]) / now.cell
+            now = now._replace(offset=before.offset + moved)
+        self._current = now
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the start."""
+        return self.count * self.robot.timing.control_dt
+
+    @property
+    def q(self) -> np.ndarray:
+        """(2 + N,) pose and joint angles now, m, rad."""
+        return np.concatenate([self._history[0, -1], self._joint[0]])
+
+    def step(self) -> Chunk:
+        """One control step of 0.2 s."""
+        noise = self.noise * self._random.standard_normal((1, 5 + 2 * self.robot.n_joints))
+        seen = (self._history, self._camera, self._recent, self.target[None], noise)
+        obs = task.look(np, self.robot, self._sensors, self._params, *seen)
+        command = np.asarray(self.controller(obs), float)
+        first = np.array([self.count * self._ticks])
+        self._state, trace = self.engine.advance(self._state, command, self._params, self._current, first)
+        trace = engines.Trace(*(np.asarray(a, float) for a in trace))
+        self._history = np.concatenate([self._history, trace.pose], 1)[:, -task.history_length(self.robot) :]
+        self._joint = trace.joint[:, -1]
+        self._recent = np.concatenate([self._recent, readings(np, trace.joint, trace.rate)], 1)[:, -self._sensors.behind - 1 :]
+        q = np.concatenate([trace.pose[0], trace.joint[0]], -1)
+        ticks = first + 1 + np.arange(self._ticks)
+        chunk = Chunk(
+            t=ticks * self.robot.timing.bus_dt,
+            q=q,
+            v=np.concatenate([trace.velocity[0], trace.rate[0]], -1),
+            flow=sample(np, self._current, _centres(self._chain, q), ticks)[0],
+            power=trace.power[0] + self.robot.servo.idle_power,
+            command=command[0],
+            target=self.target.copy(),
+            obs=obs[0],
+            action=None if (action := getattr(self.controller, "action", None)) is None else np.array(action, float)[0],
+            controller=self.controller.name,
+            current=(self.flow.speed, self.flow.direction),
+        )
+        self.count += 1
+        self.chunks.append(chunk)
+        return chunk
+
+    def trial(self) -> Trial:
+        """Everything since the start, in the log's schema: what a robot in a tank would have logged, and the truth."""
+        if not self.chunks:
+            raise ConfigError("play: nothing recorded yet; swim for a moment before saving")
+        t, q, v, flow, power, command = (np.concatenate([getattr(c, name) for c in self.chunks]) for name in Chunk._fields[:6])
+        begun = t - self.robot.timing.bus_dt
+        slow = begun[:: self._ticks]
+        target, obs = (np.array([getattr(c, name) for c in self.chunks]) for name in ("target", "obs"))
+        volts, robot = self.robot.servo.voltage, self.robot
+        pose, joint, rate = q[:, :3], q[:, 3:], v[:, 3:]
+        names = ("x", "y", "yaw", "vx", "vy", "wz")
+        tables = {
+            "cmd": {"t": begun, **numbered("c#", command)},
+            **sensed(
+                robot,
+                t,
+                pose,
+                joint,
+                rate,
+                start=self._start,
+                camera=int(self._camera[0]),
+                effects=np.asarray(self._params.effects[0], float),
+                random=np.random.default_rng([self.flow.seed, SENSED]),
+                strength=self.noise,
+            ),
+            "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
+            "truth": {
+                "t": t,
+                **dict(zip(names, (*pose.T, *v[:, :3].T), strict=True)),
+                **numbered("j#", joint),
+                **numbered("k#", rate),
+            },
+            "target": {"t": slow, "x": target[:, 0], "y": target[:, 1]},
+            "obs": {"t": slow, **numbered("o#", obs)},
+            "flow": {"t": t, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
+        }
+        steered = [
+            i for i, c in enumerate(self.chunks) if c.action is not None
+        ]  # a policy answers, a classical controller does not
+        if steered:
+            tables["action"] = {"t": slow[steered], **numbered("a#", np.array([self.chunks[i].action for i in steered]))}
+        return Trial(self._meta(tables), tables)
+
+    def _meta(self, tables: dict) -> dict:
+        """What a reader must know about the swim."""
+        brains = list(dict.fromkeys(c.controller for c in self.chunks))
+        steady = len({c.current for c in self.chunks}) == 1
+        notes = [NOTE]
+        if not steady:
+            notes.append(
+                "the current was changed by hand: flow.speed and flow.direction are the last ones set, the table flow is exact"
+            )
+        if not (still := len({(*c.target,) for c in self.chunks}) == 1):
+            notes.append("the target was moved by hand: target is where it was last, the table target is exact")
+        if len(brains) > 1:
+            notes.append(f"steered by {', '.join(brains)}, one after the other")
+        return {
+            "schema": SCHEMA,
+            "origin": "synthetic",
+            **identity(self.robot),
+            "medium": "water",
+            "flow": {**vars(self.flow), "known": steady},
+            "water": str(self.robot.water.get("model", "structured")),
+            "root": "planar",
+            "engine": self.engine_name,
+            "controller": brains[-1],
+            "policy_sha256": str(getattr(self.controller, "sha256", "")),
+            "target": self.chunks[-1].target.tolist(),
+            "excitation": "station holding" if still and steady else "live",
+            "replicate_of": "",
+            "start": [float(value) for value in self._start],
+            "push": [0.0, 0.0, 0.0],
+            "sigma": sigmas(self.robot.n_joints, self.noise),
+            "clock": clocks(tables),
+            "latency": {
+                "pose": float(self._camera[0]) * self.robot.timing.bus_dt,
+                "command": float(np.asarray(self._params.delay)[0]) * self.robot.timing.physics_dt,
+            },
+            "seed": self.flow.seed,
+            **made_by("numpy", "mujoco"),
+            "source": "fishmj.play",
+            "licence": "Apache-2.0",
+            "notes": notes if len(notes) > 1 else notes[0],
+        }
+
+
+def _centres(ch: planar_chain.Chain, q: np.ndarray) -> np.ndarray:
+    """Link centres (T, N, 2) of poses q (T, 2 + N)."""
+    from fishmj.engines.planar import link_centres
+
+    return link_centres(np, ch, q)

@@ -1,0 +1,1 @@
+"""Evidence: benchmarks, baselines, ablations, grid studies, other people's robots. Nothing outside imports it."""

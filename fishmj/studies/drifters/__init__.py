@@ -1,0 +1,1 @@
+"""Passive markers in a turbulent current."""

@@ -1,0 +1,1 @@
+"""Steady forces on a held fish over joint angle and angle of attack."""

@@ -1,0 +1,141 @@
+"""`fishmj lbm_oracle forcemap`: steady forces on a held fish against joint angle and angle of attack.
+
+python -m fishmj.lbm_oracle forcemap --device cuda --tanks 6 --fields --out runs/forcemap
+python -m fishmj.lbm_oracle forcemap --what joint --domain laptop --angles 0 30 60 --speeds 0.3 --out runs/preview
+
+Signs (robot frame: x ahead, y left, yaw counter-clockwise):
+
+    drag = -F_x,   lateral = -F_y,   yaw = M_z about the reference point
+    AoA = bearing of the oncoming flow from the heading: 0 head-on, 90 from the left, 180 from behind
+    joint = every joint by the same angle; positive turns the tail to the right of the fish
+
+Each finished point is a row of `forcemap.csv`; a run into the same folder does the missing ones. `--fields` keeps the water at
+the end of the points at 0.2 m/s: slices, a picture each of speed and vorticity, and one of all of them side by side.
+"""
+
+from dataclasses import replace
+from math import pi, radians
+from pathlib import Path
+
+from fishmj import console
+from fishmj.errors import ConfigError
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.output import map_plots
+from fishmj.lbm_oracle.output.field_options import add_fields
+from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.mjcf import load_robot
+from fishmj.studies.force_maps.force_points import OK, Plan, Point, Table, measure
+from fishmj.studies.force_maps.point_fields import keep, panels, slice_path
+from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
+
+SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5)  # m/s, the paper's
+JOINTS = tuple(range(0, 61, 10))  # deg
+ATTACKS = tuple(range(0, 181, 15))  # deg
+BENT = 40.0  # deg, joints of the paper's second map
+PICTURED = 0.2  # m/s, the paper's velocity panels
+
+
+def main(argv: list[str]) -> int:
+    args = _parser().parse_args(argv)
+    domain, robot = _domain(args), load_robot(args.robot)
+    points, plan = _points(args), Plan(settle=args.settle, seconds=args.seconds, length=robot.length)
+    for point in points:
+        if abs(point.joint) > 180 / pi * robot.servo.range + 1e-9:
+            limit = 180 / pi * robot.servo.range
+            raise ConfigError(f"forcemap: joint angle {point.joint:g} deg; the joints of {robot.name} turn by {limit:g} at most")
+        plan.ticks(point.speed, robot.timing.bus_dt)  # refuses what is too short
+    table = Table(Path(args.out), _setup(args, domain), {"source": "fishmj.lbm_oracle forcemap", "origin": "synthetic"})
+    out = Path(args.out)
+    left = [p for p in points if not (p in table and (not _pictured(args, p) or slice_path(out, p).exists()))]
+    tick = robot.timing.bus_dt
+    held = [(domain, sum(plan.ticks(point.speed, tick)) * tick) for point in left]
+    less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
+    cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
+    if args.domain in PREVIEWS:
+        console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
+    console.say(f"{len(points)} points, {len(points) - len(left)} of them done before, in {args.out}")
+
+    def run(point: Point):
+        return stage(domain, point, robot=args.robot, slip=args.slip, device=args.device).run(
+            tethered=True, prescribed=lambda t: point.joints(robot.n_joints)
+        )
+
+    def finished(point: Point, row: dict, held) -> None:
+        if _pictured(args, point):
+            keep(held, out, point, z=args.slice, whole=args.volume)
+        table.add(point, row)
+
+    measure(left, run, plan, tick=tick, tanks=args.tanks, finished=finished, quiet=args.json)
+    rows = [table[p] for p in points]
+    pictures = map_plots.forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
+    console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))
+    lost = [row for row in rows if row["status"] != OK]
+    for row in lost:
+        console.warn(f"joints {row['joint_deg']} deg, AoA {row['aoa_deg']} deg, {row['speed']} m/s: {row['status']}")
+    if args.json:
+        console.emit_json({"rows": rows, "stopped": len(lost), "csv": table.path, "pictures": pictures})
+    return console.FAILED_CHECK if lost else console.OK
+
+
+def stage(domain: Domain, point: Point, **options) -> Stage:
+    """The held fish of one point: the water moves to -x, the heading turns, so that the box is long where the wake is."""
+    joints = tuple(point.joints(load_robot(options.get("robot", "fish")).n_joints))
+    flow = Flow(speed=point.speed, direction=pi)
+    return Stage(domain=domain, flow=flow, pose=(0.0, 0.0, -radians(point.aoa)), joints=joints, **options)
+
+
+def _points(args) -> list[Point]:
+    """Low speeds first: they take longest, so that the tanks run dry at about the same time."""
+    made = []
+    for speed in sorted(args.speeds):
+        if args.what != "aoa":
+            made += [Point("joint", float(a), 0.0, speed) for a in args.angles or JOINTS]
+        if args.what != "joint":
+            made += [Point("aoa", args.bent, float(a), speed) for a in args.angles or ATTACKS]
+    return list(dict.fromkeys(made))
+
+
+def _domain(args) -> Domain:
+    domain = preset(args.domain)
+    return domain if args.dx is None else replace(domain.changed(dx=args.dx), name=f"{domain.name} at {args.dx:g} m")
+
+
+def _setup(args, domain: Domain) -> dict:
+    """What all rows of one table must share."""
+    box = {"domain": domain.name, "shape": list(domain.shape), "dx": domain.dx, "dt": domain.dt}
+    asked = {"robot": load_robot(args.robot).name, "slip": args.slip, "settle": args.settle, "seconds": args.seconds}
+    return box | asked | {"rho": WATER_DENSITY, "nu": WATER_VISCOSITY}
+
+
+def _pictured(args, point: Point) -> bool:
+    return args.fields and abs(point.speed - PICTURED) < 1e-9
+
+
+def _parser() -> console.Parser:
+    p = console.parser("lbm_oracle forcemap", "Steady drag, lateral force and yaw moment of a held fish in a current.")
+    add = p.add_argument
+    add("--what", choices=("joint", "aoa", "both"), default="both", help="the map: joint angle, angle of attack")
+    angles = "of the chosen map; the paper's range by default"
+    add("--angles", type=console.number(-180, 180), nargs="+", action=console.Distinct, metavar="DEG", help=angles)
+    bent = "joint angle of the map over angles of attack"
+    add("--bent", type=console.number(-90, 90), default=BENT, metavar="DEG", help=bent)
+    speeds = console.Listed(console.number(0, 4, above=True))
+    add("--speeds", type=speeds, default=",".join(map(str, SPEEDS)), metavar="U,U,...", help="of the current, m/s")
+    seconds = "averaged over; by default 6 m of water flow past"
+    add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
+    settle = "before; by default 5 body lengths of water flow past"
+    add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
+    add("--domain", choices=NAMES, default="forcemap", help="box of water; laptop is a preview")
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--tanks", type=console.whole(1, 256), default=1, metavar="N", help="points side by side; 4 to 8 fill a GPU")
+    add("--fields", action="store_true", help=f"slices and pictures of the water at {PICTURED} m/s")
+    add_fields(p, folder=False)
+    out = "CSV and pictures; continues what is there"
+    add("--out", type=console.out_folder, default="runs/forcemap", metavar="FOLDER", help=out)
+    return p

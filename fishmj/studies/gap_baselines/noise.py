@@ -1,0 +1,55 @@
+"""Residuals as a fit without null runs sees them: over the sensors' own noise, constants of the fish adapted within tolerance."""
+
+import numpy as np
+
+from fishmj.gap.null.whitening import turned, whitening
+from fishmj.gap.records.records import Record
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.search.effect_fitter import Search
+
+LONGEST = 200  # averages over which an autocorrelation is summed
+
+
+def searching(plant, records: list[Record]) -> Search:
+    """A search whose z is residual over noise, with the constants' tolerance integrated out."""
+    layout = Layout(records)
+    residual, tangents = turned(plant, records, layout, plant.null)
+    return Search(plant, records, layout, whitening(tangents, sigma_of(layout, residual)))
+
+
+def sigma_of(layout: Layout, residual: np.ndarray) -> np.ndarray:
+    """(m,) the sensors' noise; where it is unknown, what the residual scatters from one average to the next."""
+    noise = layout.noise()
+    for b in layout.blocks:
+        if not np.isfinite(noise[b.where]).all():
+            noise[b.where] = np.std(np.diff(residual[b.where])) / np.sqrt(2) + 1e-9
+    return noise
+
+
+def tau(values: np.ndarray) -> float:
+    """Integrated autocorrelation time 1 + 2 sum rho(k), in samples, up to the first k > 5 tau (Sokal)."""
+    x = values - values.mean()
+    power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
+    rho = np.fft.irfft(power)[: min(len(x), LONGEST)]
+    if rho[0] <= 0:
+        return 1.0
+    total = 1.0
+    for k in range(1, len(rho)):
+        total += 2 * rho[k] / rho[0]
+        if k > 5 * total:
+            break
+    return max(1.0, float(total))
+
+
+def channels(layout: Layout) -> dict[str, np.ndarray]:
+    """Places in the vector of every channel."""
+    return {str(c): np.flatnonzero(layout.channel == c) for c in np.unique(layout.channel)}
+
+
+def effective(z: np.ndarray, layout: Layout) -> dict[str, float]:
+    """Independent samples in each channel: sum over its blocks of n / tau."""
+    out: dict[str, float] = {}
+    for b in layout.blocks:
+        part = z[b.where]
+        out[b.channel] = out.get(b.channel, 0.0) + len(part) / tau(part)
+    return out

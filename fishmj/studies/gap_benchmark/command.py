@@ -1,0 +1,157 @@
+"""`gap bench`: how often the search is right, wrong or silent on data whose answer it does not know.
+
+fishmj gap bench --cases 40 --small --jobs 0 --out bench
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from fishmj import console, cost, interrupt
+from fishmj.cores import usable_cores
+from fishmj.errors import ConfigError
+from fishmj.gap import watch
+from fishmj.gap.commands import options
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.workflow import compiled
+from fishmj.store import write_text
+from fishmj.studies.gap_benchmark import cases, logs, solver
+from fishmj.studies.gap_benchmark.rows import keep, kept
+from fishmj.studies.gap_benchmark.run import fish, run
+from fishmj.studies.gap_benchmark.score import score
+from fishmj.studies.gap_benchmark.workers import answered
+
+GENERATORS = ("second", "lbm", "log")
+GENERATED = "second: the second robot; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a term deleted"
+MOST, MOST_JOBS = 100_000, 1024
+A_LOG = 3.3  # s of a core: 720 cases of 9 logs on average take one 30 s each (docs/gap.md)
+ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("gap bench", __doc__)
+    add = parser.add_argument
+    add("--cases", type=console.whole(1, MOST), default=400, metavar="N", help=f"how many, 1 to {MOST} (default 400)")
+    options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
+    kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
+    add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
+    add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")
+    add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
+    add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
+    shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
+    add("--shard", type=_shard, default=(0, 1), metavar="I/N", help=shard)
+    many = f"processes side by side, a core each, to {MOST_JOBS}; 0: one for every core (default 1)"
+    add("--jobs", type=console.whole(0, MOST_JOBS), default=1, metavar="N", help=many)
+    out = "folder for rows.jsonl and score.json; the same command continues where it stopped (default none)"
+    add("--out", type=console.out_folder, help=out)
+    add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
+    add("--yes", action="store_true", help="begin also what takes longer than a week")
+    args = parser.parse_args(argv)
+    if args.baselines and args.generator != "second":
+        raise ConfigError("gap bench: --baselines are judged on --generator second only")
+    index, shards = args.shard
+    jobs = args.jobs or usable_cores()
+    agree(args, len(range(index, args.cases, shards)), jobs)
+    todo, ask = asked(args)
+    todo = todo[: args.cases][index::shards]
+    if not todo:
+        raise ConfigError(f"gap bench: no case is left: {args.cases} cases of these kinds, every {shards}th from {index}")
+    if args.generator != "log":
+        compiled(fish() if args.generator == "second" else solver.plant(), console.say)  # once, before processes begin
+    rows = judged(todo, args.out, ask, jobs)
+    result = score(list(rows))
+    if args.out:
+        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
+    console.say(*told(result))
+    if args.baselines:
+        from fishmj.studies.gap_baselines import beside, compared
+
+        console.say(compared(rows, beside([one.case for one in todo], rows, args.out, jobs)))
+    if args.json:
+        flat = {k: v["value"] if isinstance(v, dict) else v for k, v in result.items()}
+        console.emit_json(flat | {"detail": result})
+    wrong = result["precision"]["n"] - result["precision"]["hits"]
+    fails = wrong > ALLOWED or result["false_alarm_rate"]["hits"] > ALLOWED
+    return console.FAILED_CHECK if args.small and fails else console.OK
+
+
+def agree(args, many: int, jobs: int) -> None:
+    """Have weeks agreed to, before a case is drawn; of the flow solver there are as many as are shipped.
+
+    Raises:
+        TooMuch: nobody agreed.
+    """
+    if args.generator == "lbm":
+        return
+    left = many - len(kept(args.out / "rows.jsonl") if args.out else ())
+    logs = cases.SMALL if args.small else sum(a * b for a, b in zip(cases.BUDGETS, cases.SHARES, strict=True))
+    seconds = left * logs * A_LOG / min(jobs, usable_cores())
+    less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
+    cost.time("gap bench", seconds, f"{left} cases", instead=less, flag="--yes", agreed=args.yes)
+
+
+def _kinds(text: str) -> dict[str, float]:
+    """The `type=` of --kinds: their shares."""
+    return {name: cases.KINDS[name] for name in console.Listed(console.OneOf(tuple(cases.KINDS)))(text)}
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """The `type=` of --shard."""
+    index, _, count = text.partition("/")
+    if not (index.isdecimal() and count.isdecimal() and int(index) < int(count) <= MOST):
+        raise argparse.ArgumentTypeError(f"got {text[:40]!r}, expected I/N with I from 0 to N - 1, such as 0/4")
+    return int(index), int(count)
+
+
+def asked(args) -> tuple[list, Callable]:
+    """(cases of the generator, what makes a row of one)."""
+    kinds = args.kinds
+    if args.generator == "log":
+        return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
+    if args.generator == "lbm":
+        return [one for one in solver.draw() if one.case.kind in kinds], partial(seen, solver.plant, args.weighed)
+    drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
+    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
+
+
+def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:
+    """Row of a case. plant: gives what is questioned, when it is needed."""
+    return run(plant(), one.case, frozen(), one.null, one.trials, weighed)
+
+
+def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
+    """Rows of all cases, those that `out` holds already read from there. what: is done, for the bar."""
+    rows = {}
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
+    with interrupt.keeping(lambda: words(out, len(rows), len(todo))), watch.shown(len(todo), what, "cases") as bar:
+        waiting = [one for one in todo if one.id not in rows]
+        for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
+            rows[row["id"]] = row
+            if out:
+                keep(out / "rows.jsonl", row)
+            bar.update(i)
+    return [rows[one.id] for one in todo]
+
+
+def words(out: Path | None, done: int, of: int) -> str:
+    """What an interrupted benchmark says."""
+    if out is None:
+        return "nothing was kept: with --out DIR every finished case is"
+    return f"{out} holds {done} of {of} cases; {interrupt.again()}"
+
+
+def told(result: dict) -> list[str]:
+    """The score in lines."""
+    lines = []
+    for key, value in result.items():
+        if isinstance(value, dict):
+            of, within = f"{value['hits']} of {value['n']}", f"95 %: {value['low']:.1%} to {value['high']:.1%}"
+            lines.append(f"{key:34s} {value['value']:6.1%}  ({of}; {within})" if value["n"] else f"{key:34s}      -  (none)")
+        else:
+            lines.append(f"{key:34s} {value if value is None or isinstance(value, int) else round(value, 3)}")
+    return lines

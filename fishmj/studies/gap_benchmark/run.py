@@ -1,0 +1,120 @@
+"""One case: make the data, hide the effect, ask the search, write down what it said beside what is true."""
+
+import time
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+
+from fishmj.errors import SimDiverged
+from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.whitening import turned
+from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.residual import Layout
+from fishmj.gap.thresholds import Gates
+from fishmj.gap.verdict import Named
+from fishmj.gap.workflow import investigate
+from fishmj.log import Trial
+from fishmj.studies.gap_benchmark.cases import Case
+
+
+@cache
+def fish():
+    """The model of the second robot, made once a process."""
+    from fishmj.gap.models.swimming_fish import Fish
+
+    return Fish()
+
+
+def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None = None, weighed: bool = False) -> dict:
+    """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so.
+
+    trials: the data where another generator made them; by default the second robot does. weighed: the search also has the page
+    of its weighings, whose errors are the same at every noise.
+    """
+    from fishmj.virtual_robot import generate
+    from fishmj.virtual_robot.weighing import page as weighings
+
+    start = time.monotonic()
+    row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}
+    row |= {"noise": case.noise, "logs": len(case.logs), "weighed": weighed}
+    try:
+        trials = trials or generate(case.effects, case.logs, case.seed, case.noise)
+        row["true_gap"], row["each_gap"] = sizes(true_gap, plant, case)
+        row["beyond_gap"], row["each_beyond"] = sizes(beyond_gap, plant, case)
+    except SimDiverged as error:
+        return row | {"answer": "DIVERGED", "reason": str(error)}
+    page = weighings(case.effects, case.seed) if weighed else None
+    verdict = investigate(plant, trials, gates=gates, null=null, page=page, seed=case.seed).verdict
+    row |= {"answer": verdict.answer, "said": [said(e) for e in verdict.effects], "rivals": [r["name"] for r in verdict.rivals]}
+    row |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
+    row["gap_unseen_before"] = verdict.gap_unseen_before
+    row |= {"explained": verdict.explained, "gates": verdict.gates, "steps": verdict.steps}
+    return row | {"warnings": verdict.warnings, "seconds": time.monotonic() - start}
+
+
+def sizes(gap: Callable, plant, case: Case) -> tuple[float, dict]:
+    """(of all hidden effects together, of each alone)."""
+    whole = gap(plant, case, case.effects)
+    return whole, {n: gap(plant, case, {n: v}) if len(case.effects) > 1 else whole for n, v in case.effects.items()}
+
+
+def said(effect: Named) -> dict:
+    """A named effect in short: values as [value, low, high]."""
+    values = {k: [v.value, v.low, v.high] for k, v in effect.parameters.items()}
+    return {"name": effect.name, "p_best": effect.p_best, "values": values}
+
+
+def true_gap(plant, case: Case, hidden: dict) -> float:
+    """1 + mean square of what `hidden` effects change, in units of the sensors' own noise, without noise and scatter.
+
+    The same fish with and without its effects; every record and channel counts alike.
+    """
+    from fishmj.virtual_robot import generate
+
+    if not hidden:
+        return 1.0
+    sides = []
+    for effects in (hidden, {}):
+        records = [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, 0.0)]
+        sides.append(records)
+    noise = {}
+    for record in (record_of(t, plant.dt) for t in generate({}, case.logs[:1], case.seed, case.noise)):
+        noise = {s: getattr(record, s).sigma for s in ("joint", "pose", "power") if getattr(record, s) is not None}
+    ratios = [r for a, b in zip(*sides, strict=True) for r in _ratios(a, b, noise)]
+    return 1.0 + float(np.mean(ratios))
+
+
+def beyond_gap(plant, case: Case, hidden: dict) -> float:
+    """The same for the part of the change that the fish's own constants, each within its tolerance, cannot imitate.
+
+    s what the effects change, T what the constants' tolerances change, both over the noise: 1 + s (1 + T^T T)^-1 s / m.
+    """
+    from fishmj.virtual_robot import generate
+
+    if not hidden:
+        return 1.0
+    with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (hidden, {}))
+    noisy = Layout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
+    layout = Layout(without)
+    _, tangents = turned(plant, without, layout, plant.null)
+    means = [Layout(r).measured for r in (with_, without)]
+    noise = layout.aligned(noisy, noisy.noise())
+    known = np.isfinite(noise)
+    s = (layout.aligned(Layout(with_), means[0]) - means[1])[known] / noise[known]
+    t = tangents[:, known] / noise[known]
+    seen = t @ s
+    return 1.0 + float(s @ s - seen @ np.linalg.solve(np.eye(len(t)) + t @ t.T, seen)) / len(s)
+
+
+def _ratios(a: Record, b: Record, noise: dict) -> list[float]:
+    """Mean square difference of each channel of two records, over its noise; channels of unknown noise are left out."""
+    out = []
+    for block, other in zip(Layout([a]).blocks, Layout([b]).blocks, strict=True):
+        sigma = noise[block.sensor][block.column] if block.sensor in noise else np.nan
+        if np.isfinite(sigma) and sigma > 0:
+            x, y = getattr(a, block.sensor), getattr(b, other.sensor)
+            t = x.t[x.t <= y.t[-1]]
+            difference = x.values[: len(t), block.column] - np.interp(t, y.t, y.values[:, block.column])
+            out.append(float(np.mean((difference / sigma) ** 2)))
+    return out

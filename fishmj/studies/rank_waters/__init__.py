@@ -1,0 +1,1 @@
+"""Do two waters rank controllers alike?"""

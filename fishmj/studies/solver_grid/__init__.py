@@ -1,0 +1,1 @@
+"""Grid, time step and slip: what the solver's figures depend on."""

@@ -1,0 +1,228 @@
+"""`fishmj lbm_oracle converge fish`: what grid, time step and slip ratio do to the fish itself.
+
+python -m fishmj.lbm_oracle converge fish --device cuda --out runs/converge
+python -m fishmj.lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.98 --what cruise --beats 2 --domain laptop
+
+    cruise      speed of the free fish at 1 Hz and 30 deg over the last two beats, m/s
+    drag        of the straight fish held in 0.3 m/s, N
+    broadside   lateral force on it across that stream, N
+
+The box keeps its size in metres on every grid. A time step is a part of the paper's Courant number, dt = dx / (5 m/s) / part.
+Each finished run is a row of `converge.csv`; the same command does the missing ones, another set-up in the same folder is
+refused. To do one again, delete its line.
+"""
+
+import csv
+import time
+from collections.abc import Iterable
+from io import StringIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj import console
+from fishmj.calib import constant
+from fishmj.errors import ConfigError, StoreError
+from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
+from fishmj.lbm_oracle.run.gait import Gait
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.swim import drive, figures
+from fishmj.mjcf import load_robot
+from fishmj.store import read_json, write_json, write_text
+from fishmj.studies.force_maps.force_points import OK, Plan, Point, measure
+from fishmj.studies.force_maps.forcemap import stage
+
+WHAT = ("cruise", "drag", "broadside")
+GRIDS, PARTS, SLIPS = (0.02, 0.01, 1 / 150), (1, 2), (0.0, 0.95, 0.98, 0.99, 1.0)
+SPEED = 0.3  # m/s
+TICK: float = constant("timing", "bus_dt")  # s
+DIGITS = 7  # of a cell or time step in a key, m or s
+COLUMNS = ("what", "dx", "dt", "slip", "value", "sem", "seconds", "wall_s", "status")
+
+
+class Key(NamedTuple):
+    """One run: quantity, cell m, time step s, slip ratio at the paper's grid."""
+
+    what: str
+    dx: float
+    dt: float
+    slip: float
+
+
+class Found(NamedTuple):
+    """Value and standard error in the quantity's unit (NaN: none), seconds averaged over, and how it ended."""
+
+    value: float
+    sem: float
+    seconds: float
+    status: str
+
+
+def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], slips: Iterable[float]) -> list[Key]:
+    """All runs, the cheap ones first.
+
+    Raises:
+        ConfigError: a cell, part or slip that cannot be, or a time step that does not divide the bus tick.
+    """
+    courant, tick = constant("oracle", "dt") / constant("oracle", "dx"), TICK
+    keys = []
+    for dx in sorted(grids, reverse=True):
+        for part in sorted(parts):
+            if not (dx > 0 and part >= 1):
+                raise ConfigError(f"converge: dx = {dx} m, part = {part}; expected a positive cell and parts of 1 or more")
+            dt = courant * dx / part
+            steps = tick / dt
+            if abs(steps - round(steps)) > 1e-6:
+                near = f"nearest: dx = {tick / max(1, round(steps)) * part / courant:.6g} m"
+                raise ConfigError(f"converge: dx = {dx} m gives dt = {dt:g} s, no whole part of the tick of {tick} s; {near}")
+            keys += [Key(name, round(dx, DIGITS), round(tick / round(steps), DIGITS), slip) for slip in slips for name in what]
+    return keys
+
+
+def box(name: str, key: Key) -> Domain:
+    """That domain's box on the grid of a key, with the time step as a whole part of the bus tick."""
+    return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
+
+
+def cruise(domain: Domain, slip: float, beats: float, device: str) -> Found:
+    """Servo-driven swim from rest."""
+    gait = Gait.of_the_paper()
+    run = Stage(domain=domain, slip=slip, device=device, pose=(0.0, 0.0, 0.0)).run()
+    drive(run, gait, beats / gait.frequency, quiet=True)
+    if not run.rows:
+        return Found(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
+    last = figures(run, gait.frequency)
+    return Found(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
+
+
+def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Found:
+    """The straight fish along the stream or across it."""
+    point = Point("aoa", 0.0, 0.0 if what == "drag" else 90.0, SPEED)
+    robot = load_robot("fish")
+    rows: list[dict] = []
+
+    def make(point: Point):
+        joints = point.joints(robot.n_joints)
+        return stage(domain, point, slip=slip, device=device).run(tethered=True, prescribed=lambda t: joints)
+
+    measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
+    row, name = rows[0], "drag" if what == "drag" else "lateral"
+    return Found(row[f"{name}_N"], row[f"{name}_sem_N"], row["seconds"], row["status"])
+
+
+class Book:
+    """Finished runs in `folder/converge.csv`, beside the set-up that they share.
+
+    Raises:
+        ConfigError: the folder holds another set-up. StoreError: a line there is damaged.
+    """
+
+    def __init__(self, folder: Path, setup: dict):
+        self.path, self.rows, self.setup = folder / "converge.csv", {}, setup
+        self.about = folder / "setup.json"
+        if not self.path.exists():
+            return
+        before = read_json(self.about).get("setup", {})
+        if before != setup:
+            other = [f"{key} = {before.get(key)} (now {value})" for key, value in setup.items() if before.get(key) != value]
+            raise ConfigError(f"{folder} holds runs of another set-up: {', '.join(other)}. Take another --out")
+        with self.path.open(encoding="utf-8", newline="") as file:
+            for number, read in enumerate(csv.DictReader(file), 2):
+                try:
+                    row = {name: read[name] if name in ("what", "status") else float(read[name]) for name in COLUMNS}
+                except (KeyError, TypeError, ValueError) as error:
+                    raise StoreError(f"{self.path}:{number}: {error!r}; delete the line, its run is then done again") from error
+                self.rows[_key(row)] = row
+
+    def add(self, key: Key, found: Found, wall: float) -> None:
+        """Keep a run, on disk before this returns."""
+        if not self.rows:
+            notes = {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": self.setup}
+            write_json(self.about, notes)
+        self.rows[key] = key._asdict() | found._asdict() | {"wall_s": round(wall, 1)}
+        text = StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows[k] for k in sorted(self.rows))
+        write_text(self.path, text.getvalue())
+
+
+def _key(row: dict) -> Key:
+    return Key(row["what"], row["dx"], row["dt"], row["slip"])
+
+
+def biases(rows: Iterable[dict]) -> list[dict]:
+    """For every quantity and slip ratio: the value on the coarsest grid, its bias against the finest, and that of its time step.
+
+    Values are taken at the longest time step of each grid; runs that stopped early count for nothing.
+    """
+    sound = [row for row in rows if row["status"] == OK]
+    table = []
+    for what, slip in sorted({(row["what"], row["slip"]) for row in sound}, key=lambda pair: (WHAT.index(pair[0]), pair[1])):
+        mine = {(row["dx"], row["dt"]): row["value"] for row in sound if (row["what"], row["slip"]) == (what, slip)}
+        coarse, fine = max(dx for dx, _ in mine), min(dx for dx, _ in mine)
+        steps = sorted((dt for dx, dt in mine if dx == coarse), reverse=True)
+        longest = {dx: mine[dx, max(dt for other, dt in mine if other == dx)] for dx in (coarse, fine)}
+        row = {"what": what, "slip": slip, "dx": coarse, "value": longest[coarse], "finest_dx": fine, "finest": longest[fine]}
+        row["bias"] = longest[coarse] / longest[fine] - 1 if fine < coarse else None
+        table.append(row | {"dt_effect": mine[coarse, steps[-1]] / mine[coarse, steps[0]] - 1 if len(steps) > 1 else None})
+    return table
+
+
+def main(argv: list[str]) -> int:
+    args = _parser().parse_args(argv)
+    keys = study(args.what, args.grids, args.parts, args.slips)
+    plan = Plan(settle=args.settle, seconds=args.seconds, length=load_robot("fish").length)
+    held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
+    book = Book(Path(args.out), {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds})
+    left = [key for key in keys if key not in book.rows]
+    cruise_s = args.beats / Gait.of_the_paper().frequency
+    runs = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
+    less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
+    cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
+    device = str(device_of(args.device))
+    console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
+    with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:
+        for number, key in enumerate(left):
+            start, domain = time.perf_counter(), box(args.domain, key)
+            if key.what == "cruise":
+                found = cruise(domain, key.slip, args.beats, device)
+            else:
+                found = held(key.what, domain, key.slip, plan, device)
+            book.add(key, found, time.perf_counter() - start)
+            bar.update(number + 1)
+    rows = [book.rows[key] for key in keys]
+    table, lost = biases(rows), [row for row in rows if row["status"] != OK]
+    console.say(console.table(rows, COLUMNS), "", console.table(table))
+    for row in lost:
+        console.warn(f"{row['what']}, dx {row['dx']:g} m, dt {row['dt']:g} s, slip {row['slip']:g}: {row['status']}")
+    if args.json:
+        console.emit_json({"rows": rows, "biases": table, "stopped": len(lost), "csv": book.path})
+    return console.FAILED_CHECK if lost else console.OK
+
+
+def _parser() -> console.Parser:
+    p = console.parser("lbm_oracle converge fish", "Cruise speed, drag and broadside force over grid, time step and slip ratio.")
+    add = p.add_argument
+    several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
+    add("--what", **several, choices=WHAT, default=list(WHAT), help="quantities")
+    add(
+        "--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help="cells; the paper's is 0.02"
+    )
+    parts = "time steps, as parts of the paper's Courant number"
+    add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
+    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
+    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    add("--domain", choices=NAMES, default="window", help="whose box in metres")
+    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
+    settle = "before a force is averaged; by default 5 body lengths of water flow past"
+    add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
+    seconds = "averaged over; by default 6 m of water flow past"
+    add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    out = "CSV; continues what is there"
+    add("--out", type=console.out_folder, default="runs/converge", metavar="FOLDER", help=out)
+    return p

@@ -1,0 +1,125 @@
+"""`fishmj lbm_oracle speeds`: how fast the free fish swims, over beat frequency, slip ratio and depth.
+
+python -m fishmj.lbm_oracle speeds --device cuda --out runs/speeds
+python -m fishmj.lbm_oracle speeds --preset window --frequencies 1 --slips 1 --depths 0.25 --out runs/shallow
+python -m fishmj.lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.99 1 --beats 3 --device cpu --out runs/a
+
+Still water, from rest, the paper's gait (30 deg, lag 60 deg, servo-driven) at each frequency; the last two beats count.
+`aside_deg` is the direction of the path from the first heading. Each finished swim is a row of `speeds.json`; the same command
+does the missing ones, another set-up in the same folder is refused.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from fishmj import console
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.output import map_plots
+from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
+from fishmj.lbm_oracle.run.gait import Gait
+from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
+from fishmj.store import read_json, write_json
+
+FREQUENCIES, SLIPS = (0.5, 1.0, 1.5, 2.0), (0.0, 0.95, 0.98, 0.99, 0.995, 1.0)
+KEYS = ("frequency", "slip", "depth")
+COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
+
+
+def swum(domain: Domain, frequency: float, slip: float, beats: float, device: str) -> dict:
+    """One swim: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, and how it ended."""
+    gait = replace(Gait.of_the_paper(), frequency=frequency)
+    run = Stage(domain=domain, slip=slip, device=device).run()
+    drive(run, gait, beats / frequency, quiet=True)
+    status = " ".join(run.stopped.split()) or "ok"
+    if not run.rows:
+        return dict.fromkeys(COLUMNS[3:-1]) | {"status": status}
+    found = figures(run, frequency)
+    kept = {name: found[name] for name in ("speed_m_s", "yaw_amplitude_deg", "power_W", "refined_ticks")}
+    return kept | {"aside_deg": found["course_deg"], "status": status}
+
+
+class Book:
+    """Finished swims in `folder/speeds.json`, beside the set-up that they share.
+
+    Raises:
+        ConfigError: the folder holds another set-up.
+    """
+
+    def __init__(self, folder: Path, setup: dict):
+        self.path, self.setup, self.rows = folder / "speeds.json", setup, {}
+        if not self.path.is_file():
+            return
+        kept = read_json(self.path)
+        if kept["setup"] != setup:
+            raise ConfigError(f"{self.path} holds swims of {kept['setup']}, this is {setup}. Take another --out")
+        self.rows = {tuple(row[key] for key in KEYS): row for row in kept["rows"]}
+
+    def add(self, key: tuple, found: dict) -> None:
+        """Keep a swim, on disk before this returns."""
+        self.rows[key] = dict(zip(KEYS, key, strict=True)) | found
+        rows = [self.rows[k] for k in sorted(self.rows)]
+        write_json(self.path, {"source": "fishmj.lbm_oracle speeds", "origin": "synthetic", "setup": self.setup, "rows": rows})
+
+
+def asked(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence[float]) -> list[tuple]:
+    """(frequency Hz, slip ratio, depth m) of every swim, the short ones first.
+
+    Raises:
+        ConfigError: a frequency or depth that is not positive, a slip ratio outside 0 to 1.
+    """
+    if min(frequencies) <= 0 or min(depths) <= 0 or min(slips) < 0 or max(slips) > 1:
+        expected = "expected positive frequencies and depths, slip ratios in 0..1"
+        raise ConfigError(f"speeds: {list(frequencies)} Hz, slip {list(slips)}, depth {list(depths)} m; {expected}")
+    return sorted(product(frequencies, slips, depths), key=lambda key: -key[0])
+
+
+def main(argv: list[str]) -> int:
+    args = _parser().parse_args(argv)
+    box = preset(args.preset)
+    depths = args.depths or [round(box.shape[2] * box.dx, 6)]
+    keys = asked(args.frequencies, args.slips, depths)
+    book = Book(Path(args.out), {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats})
+    left = [key for key in keys if key not in book.rows]
+    swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
+    less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
+    cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
+    device = str(device_of(args.device))
+    console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
+    with console.Progress(len(left), "speeds", every=1e9 if args.json else None) as bar:
+        for number, (frequency, slip, depth) in enumerate(left, 1):
+            found = swum(box.changed(depth=depth), frequency, slip, args.beats, device)
+            if found["status"] == INTERRUPTED:
+                return console.INTERRUPTED
+            book.add((frequency, slip, depth), found)
+            bar.update(number, speed=found["speed_m_s"] or 0.0)
+    rows = [book.rows[key] for key in keys]
+    picture = map_plots.swims(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
+    console.say(console.table(rows, COLUMNS), f"wrote {book.path} and {picture}")
+    lost = [row for row in rows if row["status"] != "ok"]
+    if args.json:
+        console.emit_json({"rows": rows, "stopped": len(lost), "out": book.path})
+    return console.FAILED_CHECK if lost else console.OK
+
+
+def _parser() -> console.Parser:
+    p = console.parser("lbm_oracle speeds", "Speed of the free fish over beat frequency, slip ratio and depth.")
+    add = p.add_argument
+    several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
+    add("--preset", choices=NAMES, default="window_coarse", help="box of water; laptop is a preview")
+    beat = console.number(0.05, 10)
+    add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
+    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
+    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    depth = "of the water; the domain's own by default"
+    add("--depths", type=console.number(0.05, 10), **several, metavar="M", help=depth)
+    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    out = "speeds.json and speeds.png; continues what is there"
+    add("--out", type=console.out_folder, default="runs/speeds", metavar="FOLDER", help=out)
+    return p

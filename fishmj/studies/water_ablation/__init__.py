@@ -1,0 +1,1 @@
+"""What each part of the fitted water is worth."""

@@ -1,0 +1,96 @@
+"""Several seeds in one program: one compilation, one set of kernels, and on a GPU hardly slower than one run.
+
+Not resumable; for a run that must survive, train seed by seed.
+"""
+
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fishmj import console, store
+from fishmj.errors import SimDiverged
+from fishmj.train.build import pick_engine, policy_of
+from fishmj.train.interruptions import stop_on_signal
+from fishmj.train.metrics_log import Board
+from fishmj.train.run import MAX_DIVERGED, is_better, learner_of
+from fishmj.train.settings import Settings, as_dict, change
+
+
+def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
+    """Train one policy a seed side by side; returns the summaries that `Run.go` would give."""
+    env, learner, assess = learner_of(settings)
+    start = time.monotonic()
+    training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
+    iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
+    look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
+    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}") for seed in seeds]
+    bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
+    bar.stage("compiling the first iteration")
+    done, next_look, episodes, dropped = 0, settings.assess_every, 0.0, 0.0
+    with stop_on_signal(lambda: f"the best policies so far are in {folder}; --together cannot go on") as asked, bar:
+        while done < settings.steps and not asked:
+            training, figures = iterate(training)
+            done += learner.steps_per_iteration
+            table = {k: np.asarray(v, float) for k, v in figures.items()}
+            if not all(np.isfinite(v).all() for v in table.values()):
+                message = f"training: non-finite figures at step {done:,}; train seed by seed to find which"
+                raise SimDiverged(message, term="learner")
+            episodes, dropped = episodes + table["episodes"].sum(), dropped + table["diverged"].sum()
+            if dropped > max(1, MAX_DIVERGED * episodes):
+                message = f"training: {dropped:.0f} of {episodes:.0f} episodes diverged up to step {done:,} and were dropped"
+                raise SimDiverged(f"{message}, more than {MAX_DIVERGED:.1%}: python -m fishmj.doctor", term="physics")
+            seconds = round(time.monotonic() - start, 3)
+            for i, lane in enumerate(lanes):
+                lane.board.write(done, {**{k: float(v[i]) for k, v in table.items()}, "seconds": seconds})
+            bar.update(done, reward=float(table["reward"].mean()), distance=float(table["late_distance"].mean()))
+            if done >= next_look or done >= settings.steps:
+                next_look += settings.assess_every
+                judged = {k: np.asarray(v, float) for k, v in look(training.actor, jax.random.key(20_000)).items()}
+                for i, lane in enumerate(lanes):
+                    figures = {k: round(float(v[i]), 5) for k, v in judged.items()}
+                    lane.judge(figures, training.actor, i, done, getattr(env, "own_reward", None) is not None)
+    for i, lane in enumerate(lanes):
+        lane.export("last", training.actor, i, done)
+    seconds = time.monotonic() - start
+    return [{**lane.summary(done, seconds), "stopped": bool(asked), "together": len(seeds)} for lane in lanes]
+
+
+class Lane:
+    """One seed among the others: its folder, its figures, its best policy."""
+
+    def __init__(self, settings: Settings, folder: Path):
+        self.settings, self.folder = settings, folder
+        self.best: dict | None = None
+        self.board = Board(folder)
+        store.write_json(folder / "settings.json", as_dict(settings))
+
+    def judge(self, figures: dict, actors, i: int, done: int, own_reward: bool) -> None:
+        """Note an assessment; keep the actor, number i of the stacked ones, if it is the best so far."""
+        self.board.write(done, {f"tune_{k}": v for k, v in figures.items()})
+        if is_better(figures, self.best, own_reward):
+            self.best = figures
+            self.export("best", actors, i, done)
+
+    def export(self, name: str, actors, i: int, done: int) -> None:
+        """Write the policy `name`."""
+        s = self.settings
+        meta = {"steps": done, "engine": pick_engine(s.engine), "preset": s.preset, "task": as_dict(s)["task"]}
+        meta |= {"tune": self.best} if name == "best" else {}
+        policy_of(jax.tree.map(lambda a: a[i], actors), s, meta).save(self.folder / f"{name}.safetensors")
+
+    def summary(self, done: int, seconds: float) -> dict:
+        """As `Run.summary`; the steps are this seed's, the seconds those of all."""
+        return {
+            "folder": str(self.folder),
+            "policy": str(self.folder / f"{'best' if self.best else 'last'}.safetensors"),
+            "algorithm": self.settings.algo,
+            "engine": pick_engine(self.settings.engine),
+            "seed": self.settings.seed,
+            "steps": done,
+            "seconds": round(seconds, 2),
+            "steps_per_second": round(done / max(seconds, 1e-9)),
+            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
+        }

@@ -1,0 +1,151 @@
+"""Water inside MuJoCo's C engine: the added mass joins the mass matrix, every other force joins the passive forces.
+
+MuJoCo calls `mjcb_passive` once per step, between the factorisation of M and the solve. Here it
+    1. rebuilds M from the pose (mj_makeM), so that a second call or an extra mj_forward never adds twice,
+    2. adds M_a and factors again (mj_factorM); Euler's implicit damping then works on M + M_a as well,
+    3. adds the water's explicit generalised force to qfrc_passive.
+Nothing reads qfrc_actuator or qfrc_bias, which are stale at that moment. The callback is pure; what the water remembers
+advances once a step in `Handle.step`.
+
+No exception may cross MuJoCo: after any call back into it, the jump out of its C frames aborts the process. An exception in
+the water is kept, `Handle.step` puts the state back and raises it; after a bare mj_step it is raised when the block ends.
+
+The slot is one per process, so this module owns it: it dispatches on the model, leaves other models alone, refuses a
+slot that someone else filled, serves one thread (batched engines take `qfrc_applied` instead), and always cleans up.
+"""
+
+import threading
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+
+from fishmj.errors import ConfigError, InjectionError, SimDiverged
+from fishmj.water.planar import PlanarWater
+
+_handles: dict[int, "Handle"] = {}  # address of the model -> its water
+_owner: list[int] = []  # the thread that installed the callback
+
+
+class Handle:
+    """One model with its water while the `inject` block lasts."""
+
+    def __init__(self, model: mujoco.MjModel, water):
+        rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+        if len(rows) != model.nv * (model.nv + 1) // 2:
+            raise ConfigError(
+                f"inject: the mass matrix of {model.nv} degrees of freedom has {len(rows)} entries, expected a full lower"
+                " triangle; the water needs one serial chain of links, built by fishmj.mjcf.build"
+            )
+        self.model, self.water = model, water
+        self.error: BaseException | None = None
+        self._pattern = rows, model.M_colind.copy()
+
+    def step(self, data: mujoco.MjData) -> None:
+        """One `mj_step`, after which the water's memory has advanced by one step.
+
+        Raises:
+            SimDiverged: a force or the state left the finite numbers.
+            Anything that the water raises; then the state is what it was before the step.
+        """
+        following = self.water.next_attached(self.model, data, self.model.opt.timestep)
+        before = data.time, data.qpos.copy(), data.qvel.copy()
+        checked_step(self.model, data, self)
+        if self.error is not None:
+            data.time, data.qpos[:], data.qvel[:] = before
+            self.raise_error()
+        self.water.attached = following
+
+    def raise_error(self) -> None:
+        """Raise what the callback kept, once."""
+        error, self.error = self.error, None
+        if error is not None:
+            raise error
+
+    def passive(self, model, data) -> None:
+        """The callback's work: M + M_a, and the explicit force."""
+        added, force = self.water.forces(model, data)
+        if not (np.isfinite(force).all() and np.isfinite(added).all()):
+            raise self.water.blame(model, data)
+        mujoco.mj_makeM(model, data)
+        data.M[:] += added[self._pattern]
+        mujoco.mj_factorM(model, data)
+        data.qfrc_passive[:] += force
+
+
+@contextmanager
+def inject(model: mujoco.MjModel, water: PlanarWater):
+    """Put `model` into `water` until the block ends; blocks nest, one model each.
+
+    Args:
+        model: from `fishmj.mjcf.build`, root as the water's.
+        water: `PlanarWater` or `wrench.FreeWater`.
+
+    Yields:
+        Handle, whose `step(data)` advances the fish by one physics step.
+
+    Raises:
+        InjectionError: the slot belongs to someone else or to another thread, or the model has a water already.
+    """
+    root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
+    if water.root != root:
+        raise ConfigError(f"inject: the model's root is {root!r}, the water's is {water.root!r}; build both with the same root")
+    handle = Handle(model, water)
+    key = model._address
+    if key in _handles:
+        raise InjectionError("inject: this model is in water already; one block a model")
+    if _owner and _owner[0] != threading.get_ident():
+        raise InjectionError("inject: the callback serves another thread; use the engine 'batch' (qfrc_applied) from threads")
+    if not _handles:
+        if mujoco.get_mjcb_passive() is not None:
+            raise InjectionError("inject: mjcb_passive is taken by someone else; remove it first: mujoco.set_mjcb_passive(None)")
+        _owner[:] = [threading.get_ident()]
+        mujoco.set_mjcb_passive(_dispatch)
+    _handles[key] = handle
+    try:
+        yield handle
+        handle.raise_error()
+    finally:
+        del _handles[key]
+        if not _handles:
+            mujoco.set_mjcb_passive(None)
+            _owner.clear()
+
+
+def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | None = None) -> None:
+    """`mj_step` that raises where MuJoCo would silently put the fish back to its start.
+
+    MuJoCo answers a NaN or a huge number with a reset to qpos0 and a warning counter; the state it had is lost.
+
+    Raises:
+        SimDiverged: names the quantity and the degree of freedom.
+    """
+    before = data.warning.number.copy()
+    time = data.time
+    mujoco.mj_step(model, data)
+    if handle is not None and handle.error is not None:
+        return  # the water's own error says more
+    grown = np.flatnonzero(data.warning.number > before)
+    if len(grown):
+        kind = mujoco.mjtWarning(int(grown[0])).name.removeprefix("mjWARN_BAD").lower()
+        dof = int(data.warning.lastinfo[grown[0]])
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, model.dof_jntid[min(dof, model.nv - 1)])
+        raise SimDiverged(
+            f"MuJoCo reset the fish at t = {time:.3f} s: {kind} of joint {name!r} was not a finite, sensible number;"
+            " lower the time step or check the forces put into the model",
+            time=time,
+            term=kind,
+            link=name or "",
+        )
+    if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+        raise SimDiverged(f"the state left the finite numbers at t = {time:.3f} s", time=time, term="state")
+
+
+def _dispatch(model, data) -> None:
+    handle = _handles.get(model._address)
+    if handle is None or handle.error is not None:
+        return
+    try:
+        handle.passive(model, data)
+    except BaseException as error:  # noqa: BLE001  kept, raised outside MuJoCo's frames
+        handle.error = error

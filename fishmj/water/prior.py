@@ -1,0 +1,80 @@
+"""Coefficients as one vector with names, and what is believed of them before any data: data/calib/hydro_fit.toml."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from fishmj.calib import calib_folder, read_toml
+from fishmj.dynamics import strip_forces
+from fishmj.errors import ConfigError
+from fishmj.mjcf.description import Robot
+
+FILE = "hydro_fit.toml"
+FIXED = ("stall_width",)  # never fitted: it only keeps gradients finite
+
+
+@cache
+def table() -> dict:
+    """The prior of every coefficient: {sd, low, high, unit, source}."""
+    return read_toml(calib_folder() / FILE)["prior"]
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Mean, standard deviation and bounds of P named coefficients, (P,) each."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    sd: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def only(self, names) -> "Prior":
+        """Some of them, in the given order."""
+        at = [self.names.index(name) for name in names]
+        return Prior(tuple(names), *(value[at] for value in (self.mean, self.sd, self.low, self.high)))
+
+
+def names_of(links: int) -> tuple[str, ...]:
+    """k1.. cn1.. cf ca_forward ..: the order of `engines.flat_water`."""
+    each = tuple(f"{key}{i + 1}" for key in ("k", "cn") for i in range(links))
+    return each + tuple(key for key in strip_forces.Coefficients._fields[2:])
+
+
+def flat(c: strip_forces.Coefficients) -> np.ndarray:
+    """(2 N + 10,) in the order of `names_of`."""
+    return np.array([*c.k, *c.cn, *c[2:]], float)
+
+
+def unflat(values) -> strip_forces.Coefficients:
+    """The inverse of `flat`; components may be arrays."""
+    links = (len(values) - len(strip_forces.Coefficients._fields) + 2) // 2
+    return strip_forces.Coefficients(list(values[:links]), list(values[links : 2 * links]), *values[2 * links :])
+
+
+def replaced(c: strip_forces.Coefficients, names, values) -> strip_forces.Coefficients:
+    """`c` with some coefficients set."""
+    every, wanted = flat(c), names_of(len(c.k))
+    for name, value in zip(names, values, strict=True):
+        every[wanted.index(name)] = value
+    return unflat(every.tolist())
+
+
+def prior_of(robot: Robot) -> Prior:
+    """What is believed of this robot's coefficients: its water table for the mean, the calibration file for the rest.
+
+    Raises:
+        ConfigError: the robot's coefficient lies outside what the file allows.
+    """
+    links = len(robot.links)
+    c = strip_forces.coefficients(robot.water, links)
+    names, mean = names_of(links), flat(c)
+    kinds = [name.rstrip("0123456789") for name in names]
+    rows = [table().get(kind, {"sd": 1e-6, "low": -np.inf, "high": np.inf}) for kind in kinds]
+    low, high = (np.array([float(row[key]) for row in rows]) for key in ("low", "high"))
+    for name, value, least, most in zip(names, mean, low, high, strict=True):
+        if not least <= value <= most:
+            raise ConfigError(f"{robot.name} [water] {name} = {value:g}; {FILE} allows {least:g} to {most:g}")
+    sd = np.array([row["sd"] for row in rows]) * np.maximum(np.abs(mean), 1e-3)
+    return Prior(names, mean, sd, low, high)

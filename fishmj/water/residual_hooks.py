@@ -1,0 +1,213 @@
+"""The learnt residual in the physics: hooks for `chain.step` that add its force and carry its memory.
+
+    hooks = Learned(np, ch, residual, memory)               memory = at_rest(), later Step.memory
+    s = chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
+
+What is added is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
+    gamma   = min_i (in range)_i / (1 + (spread / spread0)^2)    0 where the motion of a link left what was fitted
+    sigma   = (1 + (P+ / (eta D + R / T))^4)^-1/4                P = power of the faded forces, D = what drag takes
+    R'      = eta D - sigma P+ - R / T,   R >= 0                 a reservoir: only wake energy can come back
+in the frame of the water. So the whole water stays passive up to the reservoir, and beyond its range it is the base alone.
+The range of a link is told by its own motion and that of the link before it, xi = [u_i, u_i-1 | w_i, w_i-1, Omega_i L_i] / V_i.
+
+The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states, R [J], and the number of steps that
+had a link outside the range while it moved. `inner` are other hooks that act first, on the same fish.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.water import residual_network
+
+ETA, STORED = 0.3, 1.0  # share of the dissipated power that may be kept, and for how long, s
+TINY, MOST = 1e-6, 1e6  # W: so much may pass; of P+ over what may be kept, so that its fourth power stays finite
+FADE = 0.85  # of the limit: from here the force fades, beyond the limit it is gone
+EVEN, SEEN = 2, 5  # features of a link's range: those that a mirror leaves alone come first
+
+
+class Range(NamedTuple):
+    """Where the residual was fitted, for N links; see `inside`."""
+
+    centre: Any  # (N, 5) of xi, odd features 0
+    whiten: Any  # (N, 5, 5) with |whiten (xi - centre)| = Mahalanobis distance
+    limit: Any  # (N,) of it
+    speed: Any  # (N,) highest V, m/s
+    spread: Any  # () spread of the members' coefficients at which the force is halved
+
+
+class Residual(NamedTuple):
+    """Weights and where they hold."""
+
+    net: residual_network.Net
+    reach: Range | None  # None: everywhere
+
+
+def at_rest() -> list:
+    """The memory of a fish in still water."""
+    return [0.0] * (residual_network.WAKES + 2)
+
+
+def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_network.Motion) -> tuple[list, list]:
+    """xi of every link, N lists of 5, and its own V_i, m/s: what its range is told by."""
+    xi, speed = [], [xp.sqrt(square + residual_network.FLOOR**2) for square in m.square]
+    for i, v in enumerate(speed):
+        j = max(i - 1, 0)
+        xi.append([value / v for value in (k.u[i], k.u[j], m.middle[i], m.middle[j], k.omega[i] * p.length[i])])
+    return xi, speed
+
+
+def inside(xp, r: Range, xi: list, speed, i: int):
+    """1 well inside what was fitted for link i, 0 outside, and how far out its motion is (1 at the limit)."""
+    off = [xi[c] - r.centre[i][c] for c in range(SEEN)]
+    distance: Any = 0.0
+    for row in range(SEEN):
+        block = range(EVEN) if row < EVEN else range(EVEN, SEEN)
+        part = sum(r.whiten[i][row][c] * off[c] for c in block)
+        distance = distance + part * part
+    distance = distance / (r.limit[i] * r.limit[i])
+    fast = speed / r.speed[i]
+    far = xp.maximum(distance, fast * fast)  # squares
+    fade = xp.minimum(xp.maximum((1.0 - far) / (1.0 - FADE**2), 0.0), 1.0)
+    return fade, far
+
+
+class Learned:
+    """Hooks that add a residual.
+
+    Args:
+        ch: the chain whose links the residual was fitted for.
+        memory: flat list, inner's first where there is an `inner`.
+        inner: other hooks, such as `hooks.Effects`.
+    """
+
+    def __init__(self, xp, ch: planar_chain.Chain, learnt: Residual, memory, inner: Any = None):
+        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, residual_network.panels(ch)
+        *self.z, self.store, self.guarded = list(memory)[-(residual_network.WAKES + 2) :]
+        self.forces: list = []
+        self.spread: Any = 0.0  # variance between the members' coefficients
+
+    def fish(self, ch, sw):
+        return (ch, sw) if self.inner is None else self.inner.fish(ch, sw)
+
+    def flow(self, ch, q, flow):
+        return flow if self.inner is None else self.inner.flow(ch, q, flow)
+
+    def servos(self, ch, sw, q, v, target):
+        if self.inner is None:
+            return planar_chain.servo_drive(self.xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
+        return self.inner.servos(ch, sw, q, v, target)
+
+    def water(self, ch, sw, q, k, hydro):
+        hydro = hydro if self.inner is None else self.inner.water(ch, sw, q, k, hydro)
+        self.forces = self.advance(ch.strips, sw.water, k, ch.dt)
+        return [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(hydro, self.forces, strict=True)]
+
+    def body(self, ch, sw, q, k, rhs, m) -> None:
+        if self.inner is not None:
+            self.inner.body(ch, sw, q, k, rhs, m)
+
+    def end(self, ch, sw, v, drive):
+        first = () if self.inner is None else tuple(self.inner.end(ch, sw, v, drive))
+        return (*first, *self.z, self.store, self.guarded)
+
+    def advance(self, s: strip_forces.Strips, c: strip_forces.Coefficients, k: planar_chain.Links, dt: float) -> list:
+        """Forces on the links from the present wake, (F_t, F_n, moment) each; the wake moves on by dt."""
+        xp, p, reach = self.xp, self.panels, self.learnt.reach
+        k = _batched(k)
+        m = residual_network.motion(xp, p, k)
+        z = [value + 0.0 * m.speed for value in self.z]
+        g = residual_network.coefficients(xp, self.learnt.net, m, z)
+        mean, self.spread = _mean_and_spread(g)
+        gamma: Any = 1.0
+        outside: Any = 0.0
+        if reach is not None:
+            fade, outside = self._inside(reach, k, m)
+            gamma = fade / (1.0 + self.spread / reach.spread**2)
+        forces = [residual_network.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
+        scale, self.store = bounded(xp, forces, residual_network.dissipated(xp, s, c, k), k, self.store, dt)
+        self.z = residual_network.wake_step(xp, self.learnt.net, m, z, dt)
+        self.guarded = self.guarded + outside
+        return [tuple(scale * value for value in f) for f in forces]
+
+    def _inside(self, reach: Range, k: planar_chain.Links, m: residual_network.Motion):
+        """How far inside the range the whole fish is, and 1 where a link that moves is outside."""
+        xp, (xi, speed) = self.xp, near(self.xp, self.panels, k, m)
+        fade: Any = 1.0
+        outside: Any = 0.0
+        for i in range(len(xi)):
+            one, far = inside(xp, reach, xi[i], speed[i], i)
+            fade = xp.minimum(fade, one)
+            outside = xp.maximum(outside, xp.where((m.square[i] > residual_network.FLOOR**2) & (far > 1.0), 1.0, 0.0))
+        return fade, outside
+
+
+def bounded(xp, forces: list, taken, k: planar_chain.Links, store, dt: float):
+    """Factor on all forces that keeps their power within eta D + R / T, and the reservoir dt later."""
+    power: Any = 0.0
+    for i, (ft, fn, moment) in enumerate(forces):
+        power = power + ft * k.u[i] + fn * k.w[i] + moment * k.omega[i]
+    gain, cap = xp.maximum(power, 0.0), ETA * taken + store / STORED
+    ratio = xp.minimum(gain / (cap + TINY), MOST)
+    square = ratio * ratio
+    scale = 1.0 / xp.sqrt(xp.sqrt(1.0 + square * square))
+    return scale, xp.maximum(store + dt * (ETA * taken - scale * gain - store / STORED), 0.0)
+
+
+def _batched(k: planar_chain.Links) -> planar_chain.Links:
+    """Every velocity with the full batch shape."""
+    zero = 0.0 * (k.u[-1] + k.w[-1] + k.omega[-1])
+    whole = lambda values: [value + zero for value in values]
+    return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
+
+
+def _mean_and_spread(g):
+    """Members' mean coefficients (3, N, ..), and the variance between members, mean over all."""
+    mean = g.mean(0)
+    if len(g) == 1:
+        return mean, 0.0 * mean[0, 0]
+    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
+
+
+def member(learnt: Residual, e: int) -> Residual:
+    """The ensemble with member e in every place: that member alone, in arrays of the same shapes."""
+    net = learnt.net
+    alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in residual_network.MEMBERS}
+    return learnt._replace(net=net._replace(**alike))
+
+
+def unlimited(links: int) -> Range:
+    """A range that nothing leaves, with members of any spread: for fitting."""
+    return Range(np.zeros((links, 5)), np.tile(np.eye(5), (links, 1, 1)), np.full(links, 1e6), np.full(links, 1e6), np.array(1e6))
+
+
+SHARE, MARGIN = 0.999, 1.15  # of the data that lies inside a range, and how much further it goes
+
+
+def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> Range:
+    """The range that data span: `SHARE` of them, and `MARGIN` on top for distance and speed.
+
+    Args:
+        xi: (M, N, 5) features. speed: (M, N) V, m/s.
+        spread: of the members' coefficients at which the force is halved.
+    """
+    links = xi.shape[1]
+    centre, whiten = np.zeros((links, SEEN)), np.zeros((links, SEEN, SEEN))
+    for i in range(links):
+        centre[i, :EVEN] = xi[:, i, :EVEN].mean(0)
+        off = xi[:, i] - centre[i]  # odd features have mean 0: a fish turns both ways
+        for block in (slice(0, EVEN), slice(EVEN, SEEN)):
+            part = off[:, block]
+            cov = part.T @ part / len(part)
+            cov += 1e-4 * np.eye(len(cov)) * max(np.trace(cov) / len(cov), 1e-6)
+            whiten[i, block, block] = np.linalg.inv(np.linalg.cholesky(cov))
+    none = np.zeros(links)
+    return widened(Range(centre, whiten, none, none, np.array(float(spread))), xi, speed)
+
+
+def widened(r: Range, xi: np.ndarray, speed: np.ndarray) -> Range:
+    """The same range, as wide as these data need where they go further; arguments as in `fitted`."""
+    off = np.einsum("mic,idc->mid", xi - r.centre, r.whiten)
+    limit = MARGIN * np.quantile(np.linalg.norm(off, axis=2), SHARE, axis=0)
+    return r._replace(limit=np.maximum(r.limit, limit), speed=np.maximum(r.speed, MARGIN * np.quantile(speed, SHARE, axis=0)))
