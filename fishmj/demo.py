@@ -35,7 +35,7 @@ def learn(args) -> dict:
     import shutil
 
     from fishmj import store
-    from fishmj.train.run import Run
+    from fishmj.train.run import TrainingRun
     from fishmj.train.settings import as_dict, change, preset
 
     folder, settings = args.out / "training", change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
@@ -46,7 +46,7 @@ def learn(args) -> dict:
         (args.out / FINISHED).unlink(missing_ok=True)
     else:
         console.say(f"going on with the training in {folder}")
-    return Run(settings, folder, resume=same).go()
+    return TrainingRun(settings, folder, resume=same).go()
 
 
 def judge(args, policy: str):

@@ -230,7 +230,7 @@ def _records(out, commands, flow, start, block, split, noise, seed, prescribed):
         meta |= {"prescribed": {"joints": prescribed, "root": prescribed}, "latency": ROBOT.timing.command_latency}
         meta |= {"origin": "synthetic", "segment": {"flow": {"speed": float(np.hypot(*flow[b])), "turbulence": "none"}}}
         stream = np.broadcast_to(flow[b], (len(q[b]), N, 2)).copy()
-        made.append(record.Record(meta, q[b], v[b], commands[b], wrench[b], wrench[b], stream, power[b]))
+        made.append(record.SegmentRecord(meta, q[b], v[b], commands[b], wrench[b], wrench[b], stream, power[b]))
     return made
 
 

@@ -16,11 +16,11 @@ from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
 from fishmj.calibrate import check, latency, mass, model, servo
 from fishmj.calibrate.bias import widened
-from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, correlation_length, fit
+from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, correlation_length, fit
 from fishmj.calibrate.logs import Logs
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
-from fishmj.gap.models.test_stand import Bench
+from fishmj.gap.models.test_stand import TestStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
@@ -55,7 +55,7 @@ def test_intervals_hold_under_autocorrelated_residuals():
     rng, t, inside, naive = np.random.default_rng(1), np.linspace(0, 1, 300), 0, 0
     blocks = [Block(f"t{i}", f"g{i % 3}", slice(300 * i, 300 * (i + 1))) for i in range(6)]
     line = lambda thetas: (thetas[:, :1] + thetas[:, 1:] * np.tile(t, 6)[None]) * 1.0
-    start = [Parameter("a", "1", 0.5, 0.1), Parameter("b", "1", 0.0, 0.1)]
+    start = [FreeParameter("a", "1", 0.5, 0.1), FreeParameter("b", "1", 0.0, 0.1)]
     for _ in range(60):
         data = 1.0 + 2.0 * np.tile(t, 6) + 0.3 * np.concatenate([red_noise(rng, 300, 0.95) for _ in blocks])
         found = fit(start, lambda thetas, data=data: data - line(thetas), blocks)
@@ -70,9 +70,9 @@ def test_intervals_hold_under_autocorrelated_residuals():
 def test_a_bound_and_a_prior_are_kept():
     blocks = [Block("t", "g", slice(0, 50))]
     target = np.full(50, -1.0)
-    bounded = fit([Parameter("a", "1", 0.5, 0.1, low=0.0)], lambda thetas: target - thetas, blocks)
+    bounded = fit([FreeParameter("a", "1", 0.5, 0.1, low=0.0)], lambda thetas: target - thetas, blocks)
     assert bounded.theta[0] == 0.0 and bounded.estimates["a"].low == 0.0
-    held = fit([Parameter("a", "1", 0.5, 0.1, sigma=1e-6)], lambda thetas: target - thetas, blocks)
+    held = fit([FreeParameter("a", "1", 0.5, 0.1, sigma=1e-6)], lambda thetas: target - thetas, blocks)
     assert held.theta[0] == pytest.approx(0.5, abs=1e-3)
 
 
@@ -85,8 +85,8 @@ def robot() -> tuple[dict, Logs]:
 
 
 @pytest.fixture(scope="module")
-def fitted(robot) -> servo.Found:
-    return servo.calibrate(robot[1], Bench(), alone=False)
+def fitted(robot) -> servo.ServoFit:
+    return servo.calibrate(robot[1], TestStand(), alone=False)
 
 
 def test_servo_numbers_come_back_within_their_intervals(robot, fitted):
@@ -109,7 +109,7 @@ def test_latencies_come_back(robot, fitted):
 
 def test_without_bench_trials_it_says_what_to_record():
     with pytest.raises(LogError, match="at least two"):
-        servo.calibrate(Logs(Path("empty"), {}), Bench())
+        servo.calibrate(Logs(Path("empty"), {}), TestStand())
 
 
 def some_trials(folder: Path, names: str, change=lambda table, column, values: values) -> Path:
@@ -148,7 +148,7 @@ def test_a_page_of_weighings_that_is_absent_says_what_to_write(tmp_path: Path):
 
 def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
     """One plant for both media: with `wet` 1 the row of the described robot moves as the chain of `hydro_fit` does."""
-    plant, logs = Bench(), robot[1]
+    plant, logs = TestStand(), robot[1]
     record = logs.records(plant.dt, logs.of("water", ("square",)))[0]._replace(pose=None, power=None)
     late, n = round(plant.latency / plant.dt), 300
     q, v, attached = [*map(float, record.start), 0.0, 0.0, 0.0], [0.0] * 6, 0.5
@@ -168,9 +168,11 @@ def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
 
 def test_a_hull_pushed_beyond_its_tolerance_is_told():
     """Constants of the water that the fit needs far from what is described mean another water."""
-    at = {c.name: Estimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo.CONSTANTS[2:]}
-    fit_with = lambda mass: Fit(np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1)
-    found = lambda mass: servo.Found(None, [], np.zeros(1), fit_with(mass), {})
+    at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo.CONSTANTS[2:]}
+    fit_with = lambda mass: LeastSquaresFit(
+        np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1
+    )
+    found = lambda mass: servo.ServoFit(None, [], np.zeros(1), fit_with(mass), {})
     assert found(1.05).words == "" and "mass 1.38" in found(1.38).words
 
 
@@ -197,8 +199,8 @@ def test_the_nominal_robot_weighs_what_it_is_described_to():
 
 def test_a_calibrated_fish_is_a_fish_and_remembers_where_from(tmp_path: Path):
     out = tmp_path / "mine.toml"
-    e = Estimate("kp", "N m/rad", 9.25, 9.0, 9.5, 0.1, "trials")
-    friction = Estimate("friction", "N m", 0.05, 0.04, 0.06, 0.005, "trials")
+    e = ParameterEstimate("kp", "N m/rad", 9.25, 9.0, 9.5, 0.1, "trials")
+    friction = ParameterEstimate("friction", "N m", 0.05, 0.04, 0.06, 0.005, "trials")
     for _ in range(2):  # the second time replaces
         text = model.put(model.start(out, "fish"), "servo", {"kp": 9.25})
         model.write(out, text, "servo", {"kp": e}, {"coulomb_friction.torque": friction}, "here")
@@ -277,7 +279,7 @@ def test_score_compares_fitted_with_sealed(tmp_path: Path):
     folder.mkdir()
     calibration_trials.seal(folder, SEED, {"kp": 8.0, "kd": 0.3}, {})
     out = tmp_path / "fish.toml"
-    e = Estimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
+    e = ParameterEstimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
     model.write(out, model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
     (row,) = score.score(folder, str(out))
     assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"

@@ -20,7 +20,7 @@ from fishmj.log import stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.centres import link_centres
 from fishmj.mjcf.identity import robot_sha256
-from fishmj.play import Pond
+from fishmj.play import LiveSession
 from fishmj.play import __main__ as play
 from fishmj.sim import Sim
 from fishmj.tasks.recorded import sensed, sigmas
@@ -123,7 +123,7 @@ def test_a_fish_at_rest_is_averaged_for_0_3_s():
 
 
 def test_what_a_log_states_of_its_sensors_is_what_they_did(body):
-    pond = Pond("dob", flow=Flow(speed=0.1, direction=math.pi, seed=3), engine=body)
+    pond = LiveSession("dob", flow=Flow(speed=0.1, direction=math.pi, seed=3), engine=body)
     for _ in range(100):
         pond.step()
     trial = pond.trial()
@@ -139,7 +139,7 @@ def test_what_a_log_states_of_its_sensors_is_what_they_did(body):
 
 
 def test_without_noise_the_tracker_shows_the_truth_late(body):
-    pond = Pond("dob", flow=Flow(speed=0.1), engine=body, noise=0.0)
+    pond = LiveSession("dob", flow=Flow(speed=0.1), engine=body, noise=0.0)
     for _ in range(5):
         pond.step()
     trial, k = pond.trial(), int(pond._camera[0])
@@ -161,7 +161,7 @@ def test_the_sensors_of_the_description_are_in_the_log():
 
 
 def test_changing_the_current_and_the_controller_is_told(body):
-    pond = Pond("drift", flow=Flow(speed=0.1), engine=body)
+    pond = LiveSession("drift", flow=Flow(speed=0.1), engine=body)
     pond.step()
     pond.set_flow(0.2, 0.0)
     pond.choose("dob")
@@ -172,7 +172,7 @@ def test_changing_the_current_and_the_controller_is_told(body):
 
 
 def test_a_policy_leaves_its_actions_and_its_sum(body):
-    pond = Pond("paper", engine=body)
+    pond = LiveSession("paper", engine=body)
     pond.step()
     pond.step()
     trial = pond.trial()
@@ -184,7 +184,7 @@ def test_a_policy_leaves_its_actions_and_its_sum(body):
 def test_a_folder_that_is_no_trial_is_refused_before_the_swim(tmp_path, monkeypatch, capsys):
     (tmp_path / "home").mkdir()
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(play, "Pond", lambda *a: pytest.fail("it swims"))
+    monkeypatch.setattr(play, "LiveSession", lambda *a: pytest.fail("it swims"))
     for place, said in (("home", "is there already"), ("file", "is a file"), ("file/x", "nothing can be written below it")):
         assert console.run(play.main, ["--save", str(tmp_path / place), "--headless-seconds", "1"]) == console.BAD_INPUT
         error = capsys.readouterr().err

@@ -360,10 +360,10 @@ def test_a_robot_in_a_fitted_water_is_sound(water):
 
 def test_what_calibrate_writes_reads(tmp_path):
     from fishmj.calibrate import model
-    from fishmj.calibrate.least_squares import Estimate
+    from fishmj.calibrate.least_squares import ParameterEstimate
 
-    found = {"kp": Estimate("kp", "N m/rad", 8.1, 8.0, 8.2, 0.05, "repeats")}
-    friction = {"coulomb_friction.torque": Estimate("torque", "N m", 0.08, 0.07, 0.09, 0.005, "repeats")}
+    found = {"kp": ParameterEstimate("kp", "N m/rad", 8.1, 8.0, 8.2, 0.05, "repeats")}
+    friction = {"coulomb_friction.torque": ParameterEstimate("torque", "N m", 0.08, 0.07, 0.09, 0.005, "repeats")}
     out = tmp_path / "fish.calibrated.toml"
     text = model.put(model.start(out, "fish"), "servo", {"kp": 8.1})
     model.write(out, text, "servo", found, friction, tmp_path)

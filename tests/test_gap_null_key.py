@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import code_hash, simulated
-from fishmj.gap.null.recorded import FEWEST, Sets
-from fishmj.gap.null.simulated import Null, repeated
+from fishmj.gap.null.recorded import FEWEST, RecordedNull
+from fishmj.gap.null.simulated import SimulatedNull, repeated
 from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
@@ -49,7 +49,7 @@ CHANGES = [
 def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made, elsewhere, code, record, tmp_path):
     for i in range(FEWEST):
         np.savez(tmp_path / f"{i}.npz", a=i)
-    plant, nulls = Fish("fish"), (Null(runs=8), Sets(folder=tmp_path))
+    plant, nulls = SwimmingFish("fish"), (SimulatedNull(runs=8), RecordedNull(folder=tmp_path))
     keys = lambda: [null._key(plant, record, repeated(record)) for null in nulls]
     before = keys()
     assert keys() == before
@@ -59,22 +59,25 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
 
 
 def test_what_decides_the_runs_is_found_by_its_imports():
-    swims, predicts = code_hash.reached(simulated.SIMULATOR), code_hash.reached(Fish.__module__, "fishmj.gap.records.residual")
+    swims, predicts = (
+        code_hash.reached(simulated.SIMULATOR),
+        code_hash.reached(SwimmingFish.__module__, "fishmj.gap.records.residual"),
+    )
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)
     assert {f"fishmj.{name}" for name in MODEL} <= set(predicts)
     assert not {f"fishmj.{name}" for name in NEITHER} & {*swims, *predicts}
 
 
 def test_the_key_also_hangs_on_the_robot_the_draws_and_the_experiment(record):
-    plant, what = Fish("fish"), repeated(record)
+    plant, what = SwimmingFish("fish"), repeated(record)
     links = tuple(replace(link, mass=1.01 * link.mass) for link in plant.robot.links)
     other = SimpleNamespace(robot=replace(plant.robot, links=links), fingerprint=plant.fingerprint)
     keys = [
-        Null(runs=8)._key(plant, record, what),
-        Null(runs=9)._key(plant, record, what),
-        Null(runs=8, seed=1)._key(plant, record, what),
-        Null(runs=8)._key(other, record, what),
-        Null(runs=8)._key(plant, record, replace(what, commands=what.commands + 0.1)),
+        SimulatedNull(runs=8)._key(plant, record, what),
+        SimulatedNull(runs=9)._key(plant, record, what),
+        SimulatedNull(runs=8, seed=1)._key(plant, record, what),
+        SimulatedNull(runs=8)._key(other, record, what),
+        SimulatedNull(runs=8)._key(plant, record, replace(what, commands=what.commands + 0.1)),
     ]
     assert len(set(keys)) == len(keys)
 

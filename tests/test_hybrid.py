@@ -9,7 +9,7 @@ from fishmj.campaign.dagger import dagger
 from fishmj.campaign.data import plan
 from fishmj.campaign.data.run_segments import Finished, Setup
 from fishmj.campaign.hybrid import trial
-from fishmj.campaign.hybrid.correction_segment import Path, Stretch
+from fishmj.campaign.hybrid.correction_segment import CorrectionSegment, Path
 from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, MissingExtra
@@ -38,7 +38,7 @@ class Made:
             fish.tick(command)
             states.append((fish.q, fish.v))
         self.asked.append((len(path.q) - 1, len(commands)))
-        return Stretch(*(np.array(column) for column in zip(*states, strict=True)))
+        return CorrectionSegment(*(np.array(column) for column in zip(*states, strict=True)))
 
 
 def swum(water, commands=COMMANDS):

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from fishmj.tasks.env import Options
-from fishmj.train.run import Run
+from fishmj.train.run import TrainingRun
 from fishmj.train.settings import change, preset
 
 EDGE = 1.1  # where the point leaves its line
@@ -30,7 +30,7 @@ def sac_run(**changes):
     return change(base, **{"steps": 1024, "assess_every": 512, **changes})
 
 
-class StopAt(Run):
+class StopAt(TrainingRun):
     """A run that gets a SIGINT once it has taken so many steps."""
 
     def __init__(self, settings, folder, steps: int, **options):

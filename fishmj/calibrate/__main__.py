@@ -90,9 +90,9 @@ def score(argv: list[str]) -> int:
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
     from fishmj.calibrate.check import gathered, one
-    from fishmj.calibrate.kept import Kept
+    from fishmj.calibrate.kept import PartialResults
     from fishmj.calibrate.logs import Logs
-    from fishmj.gap.models.test_stand import Bench
+    from fishmj.gap.models.test_stand import TestStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
 
@@ -104,7 +104,7 @@ def drawn(argv: list[str]) -> int:
     parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
     args = parser.parse_args(argv)
     names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
-    kept, plant, robots = Kept(CHECKED, {}), Bench(), []
+    kept, plant, robots = PartialResults(CHECKED, {}), TestStand(), []
     with interrupt.keeping(lambda: kept.words(list(names), "robots")), shown(args.robots, "robots", "robots") as bar:
         for done, (name, seed) in enumerate(names.items(), 1):
             off = kept.find(name)
@@ -127,7 +127,7 @@ def _model_file(text: str) -> Path:
     return path
 
 
-main = console.Group(
+main = console.CommandGroup(
     "calibrate",
     __doc__ or "",
     {

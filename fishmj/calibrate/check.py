@@ -5,12 +5,12 @@ import numpy as np
 from fishmj.calibrate import latency, servo
 from fishmj.calibrate.bias import widened
 from fishmj.calibrate.logs import Logs
-from fishmj.gap.models.test_stand import Bench
+from fishmj.gap.models.test_stand import TestStand
 
 Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 
 
-def one(true: dict[str, float], logs: Logs, plant: Bench) -> Off:
+def one(true: dict[str, float], logs: Logs, plant: TestStand) -> Off:
     """Calibrate servo and latencies of a robot whose numbers are given."""
     found = servo.calibrate(logs, plant, alone=False)
     fitted = found.estimates | {"camera_latency": latency.calibrate(logs, found).estimates["camera_latency"]}

@@ -14,7 +14,7 @@ from fishmj.source import package_sha256
 from fishmj.store import plain, read_json, write_json
 
 
-class Kept:
+class PartialResults:
     """The parts of one command. folder: where they are; about: what all of them depend on, besides the package's own code."""
 
     def __init__(self, folder: Path, about: dict):

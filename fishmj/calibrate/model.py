@@ -13,9 +13,9 @@ from pathlib import Path
 from uuid import uuid4
 
 from fishmj.calib import resolve
-from fishmj.calibrate.least_squares import Estimate
+from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.effects import calibration
-from fishmj.effects.calibration import Fitted, Interval
+from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.mjcf.description import load_robot
 from fishmj.store import sha256, write_text
@@ -27,7 +27,12 @@ def start(out: Path, model: str) -> str:
 
 
 def write(
-    out: Path, text: str, verb: str, estimates: dict[str, Estimate], effects: dict[str, Estimate], data: "str | Path"
+    out: Path,
+    text: str,
+    verb: str,
+    estimates: dict[str, ParameterEstimate],
+    effects: dict[str, ParameterEstimate],
+    data: "str | Path",
 ) -> Path:
     """Record the estimates, put the effects in, read the fish back, and only then write the file.
 
@@ -51,11 +56,13 @@ def write(
     return out
 
 
-def _with_effects(out: Path, verb: str, effects: dict[str, Estimate], source: str, evidence: str) -> None:
+def _with_effects(out: Path, verb: str, effects: dict[str, ParameterEstimate], source: str, evidence: str) -> None:
     kept = {f.name: f for f in calibration.read(out)}
     for key, e in effects.items():
         name, parameter = key.split(".")
-        kept[name] = Fitted(name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}", evidence)
+        kept[name] = FittedEffect(
+            name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}", evidence
+        )
     calibration.write(out, tuple(kept.values()))
     load_robot(out)
 
@@ -92,7 +99,7 @@ def short(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def recorded(text: str, verb: str, estimates: dict[str, Estimate], source: str, evidence: str) -> str:
+def recorded(text: str, verb: str, estimates: dict[str, ParameterEstimate], source: str, evidence: str) -> str:
     """The text with a block [calibration.<verb>], in place of an older one."""
     kept, inside = [], False
     for line in text.splitlines():

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, Tick, fit
+from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, Tick, fit
 from fishmj.calibrate.logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.errors import LogError
-from fishmj.gap.models.test_stand import CONSTANTS, Bench
+from fishmj.gap.models.test_stand import CONSTANTS, TestStand
 from fishmj.gap.records.records import Record
 from fishmj.gap.watch import Bar, Bars, silent
 
@@ -21,17 +21,17 @@ OPEN = 1.0  # width of a 90 % interval, of the number itself (friction: of the s
 STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
 
 
-class Found(NamedTuple):
+class ServoFit(NamedTuple):
     """The fit on everything, on each medium alone, and what it was fitted to."""
 
-    plant: Bench
+    plant: TestStand
     records: list[Record]
     row: np.ndarray
-    whole: Fit
-    alone: dict[str, Fit]
+    whole: LeastSquaresFit
+    alone: dict[str, LeastSquaresFit]
 
     @property
-    def estimates(self) -> dict[str, Estimate]:
+    def estimates(self) -> dict[str, ParameterEstimate]:
         return {name: self.whole.estimates[name] for name in FREE}
 
     @property
@@ -47,7 +47,7 @@ class Found(NamedTuple):
         return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
 
 
-def calibrate(logs: Logs, plant: Bench, *, alone: bool = True, bars: Bars = silent) -> Found:
+def calibrate(logs: Logs, plant: TestStand, *, alone: bool = True, bars: Bars = silent) -> ServoFit:
     """Fit kp, kd, friction and command latency to the bench trials of `logs`.
 
     Args:
@@ -69,22 +69,22 @@ def calibrate(logs: Logs, plant: Bench, *, alone: bool = True, bars: Bars = sile
             f"{logs.folder}: {len(records)} trials do not tell {'; '.join(left)}. "
             f"Record {', '.join(SIGNALS)} in air and in water, three times each, with amplitudes that move the joints"
         )
-    return Found(plant, records, row_of(plant, whole.theta), whole, apart)
+    return ServoFit(plant, records, row_of(plant, whole.theta), whole, apart)
 
 
-def parameters(plant: Bench) -> list[Parameter]:
+def parameters(plant: TestStand) -> list[FreeParameter]:
     """What is free, and the hull's constants within their tolerance."""
     s, late = plant.robot.servo, plant.latency
     free = [
-        Parameter("kp", "N m/rad", s.kp, 0.02 * s.kp, 0.1 * s.kp, 10 * s.kp),
-        Parameter("kd", "N m s/rad", s.kb + s.kv, 0.02 * s.kb, 0.1 * s.kb, 10 * s.kb),
-        Parameter("friction", "N m", 0.01, 0.002, 0.0, s.torque),
-        Parameter("command_latency", "s", late, 0.001, 0.0, late + 0.25),
+        FreeParameter("kp", "N m/rad", s.kp, 0.02 * s.kp, 0.1 * s.kp, 10 * s.kp),
+        FreeParameter("kd", "N m s/rad", s.kb + s.kv, 0.02 * s.kb, 0.1 * s.kb, 10 * s.kb),
+        FreeParameter("friction", "N m", 0.01, 0.002, 0.0, s.torque),
+        FreeParameter("command_latency", "s", late, 0.001, 0.0, late + 0.25),
     ]
-    return free + [Parameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in CONSTANTS[2:]]
+    return free + [FreeParameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in CONSTANTS[2:]]
 
 
-def open_numbers(plant: Bench, estimates: dict[str, Estimate]) -> list[str]:
+def open_numbers(plant: TestStand, estimates: dict[str, ParameterEstimate]) -> list[str]:
     """Of what is free, the numbers that the trials leave open: an interval as wide as the number, or one at its bound."""
     out = []
     for p in (p for p in parameters(plant) if p.name in FREE):
@@ -95,7 +95,7 @@ def open_numbers(plant: Bench, estimates: dict[str, Estimate]) -> list[str]:
     return out
 
 
-def row_of(plant: Bench, theta) -> np.ndarray:
+def row_of(plant: TestStand, theta) -> np.ndarray:
     """The plant's row for fitted parameters (K,)."""
     row = plant.null.copy()
     row[[plant.place("kp"), plant.place("kd")]] = theta[:2]
@@ -110,7 +110,7 @@ def _counted(bar: Bar, before: int, share: float) -> None:
     bar.update(before + share)
 
 
-def fitted(plant: Bench, records: list[Record], tick: Tick = lambda share: None) -> Fit:
+def fitted(plant: TestStand, records: list[Record], tick: Tick = lambda share: None) -> LeastSquaresFit:
     """The fit on some records. tick: share of it that is done."""
     blocks, size = [], 0
     for record in records:

@@ -6,11 +6,11 @@ from typing import Any
 from fishmj import console
 from fishmj.calibrate import fit_plots, latency, mass, model, servo, slip, slip_picture
 from fishmj.calibrate.bias import widened
-from fishmj.calibrate.least_squares import Estimate
+from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.calibrate.logs import Logs, read
 from fishmj.errors import LogError
 from fishmj.gap.commands.doors import of_this_robot
-from fishmj.gap.models.test_stand import Bench
+from fishmj.gap.models.test_stand import TestStand
 from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown
 from fishmj.gap.workflow import compiled
@@ -19,7 +19,7 @@ from fishmj.mjcf.description import Robot, load_robot
 Answer = dict[str, Any]
 
 
-def rows(estimates: dict[str, Estimate]) -> list[dict]:
+def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
     """A table of estimates."""
     return [
         {"parameter": e.name, "value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "width from": e.widest}
@@ -55,9 +55,9 @@ def opened(args, robot: Robot) -> Logs:
     return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
 
 
-def benched(args, robot: Robot) -> tuple[Logs, Bench]:
+def benched(args, robot: Robot) -> tuple[Logs, TestStand]:
     """The trials and the plant that they are compared with; what is missing is said before anything is compiled."""
-    logs, plant = opened(args, robot), Bench(robot)
+    logs, plant = opened(args, robot), TestStand(robot)
     logs.bench()
     compiled(plant, console.say)
     return logs, plant
@@ -195,7 +195,7 @@ def run_mass(args) -> Answer:
     return {"estimates": plain(found.estimates), "links": links}
 
 
-def plain(estimates: dict[str, Estimate]) -> dict[str, dict]:
+def plain(estimates: dict[str, ParameterEstimate]) -> dict[str, dict]:
     """For JSON."""
     return {name: e.plain() for name, e in estimates.items()}
 

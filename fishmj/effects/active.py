@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Body, Constants, Gear, Place, Servo, Water
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
 
 BASE = 2  # memory that is always there: current from the supply [A], time [s]
 
@@ -27,7 +27,7 @@ class Slot(NamedTuple):
     per_joint: bool
 
 
-class Active:
+class EffectStack:
     """An ordered set of effects for a fish with `joints` joints.
 
     Attributes:
@@ -60,9 +60,9 @@ class Active:
                 row[self.index(effect, parameter)] = value
         return row
 
-    def begin(self, xp, parameters, memory) -> "Session":
+    def begin(self, xp, parameters, memory) -> "EffectStep":
         """The sites for one physics step."""
-        return Session(self, xp, list(parameters), list(memory))
+        return EffectStep(self, xp, list(parameters), list(memory))
 
     def delay(self, xp, parameters, clock: str, t=0.0):
         """Sum of the transport delays of a clock at the times t [s] since the session began, s. Negative: its stamps are late."""
@@ -87,10 +87,10 @@ class Active:
         return seen
 
 
-class Session:
+class EffectStep:
     """One physics step: the sites, and the memory as it changes."""
 
-    def __init__(self, active: Active, xp, parameters: list, memory: list):
+    def __init__(self, active: EffectStack, xp, parameters: list, memory: list):
         self.xp, self.memory = xp, memory
         self._placed = [(slot, _values(slot, parameters)) for slot in active.order]
 
@@ -108,7 +108,7 @@ class Session:
         """A command on its way to the servo, rad."""
         return self._visit("command", value, h, joint)
 
-    def servo(self, joint: int, servo: Servo, h: float) -> Servo:
+    def servo(self, joint: int, servo: ServoDrive, h: float) -> ServoDrive:
         """One joint before its drive."""
         return self._visit("servo", servo, h, joint)
 
@@ -116,11 +116,11 @@ class Session:
         """One joint after its drive."""
         return self._visit("gear", gear, h, joint)
 
-    def body(self, body: Body, h: float) -> Body:
+    def body(self, body: BodyMotion, h: float) -> BodyMotion:
         """Forces on the whole body."""
         return self._visit("body", body, h)
 
-    def water(self, water: Water, h: float) -> Water:
+    def water(self, water: LocalWater, h: float) -> LocalWater:
         """Forces on the links."""
         return self._visit("water", water, h)
 
@@ -128,7 +128,7 @@ class Session:
         """Masses and coefficients."""
         return self._plain("fish", constants)
 
-    def flow(self, place: Place) -> Place:
+    def flow(self, place: FlowAt) -> FlowAt:
         """Water velocity at one place."""
         return self._plain("flow", place)
 

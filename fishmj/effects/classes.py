@@ -6,7 +6,7 @@ A verdict must name the class, not a member, while the splitting experiment is m
 from typing import NamedTuple
 
 
-class Class(NamedTuple):
+class AmbiguityClass(NamedTuple):
     """One class. effects: entries of the catalogue; besides: what else looks the same and is no effect of the catalogue."""
 
     name: str
@@ -19,7 +19,7 @@ class Class(NamedTuple):
 
 
 CLASSES = (
-    Class(
+    AmbiguityClass(
         name="joint_damping",
         effects=("viscous_friction",),
         besides=("damping gain of the servo's controller", "back-EMF slope"),
@@ -27,7 +27,7 @@ CLASSES = (
         reason="all are a torque -D w while the controller is on, and only their sum appears",
         splits="release a bent joint with the torque off: the controller's share is gone",
     ),
-    Class(
+    AmbiguityClass(
         name="mass_in_surge",
         effects=("body_mass", "surge_added_mass"),
         besides=(),
@@ -36,7 +36,7 @@ CLASSES = (
         splits="weigh the fish dry and flooded; or turn fast, where m u r acts and added mass in surge does not",
         excitations=("turn_left", "turn_right", "twirl"),
     ),
-    Class(
+    AmbiguityClass(
         name="thrust_or_drag",
         effects=("quadratic_drag", "tail_normal_force"),
         besides=("form drag", "skin friction"),
@@ -45,7 +45,7 @@ CLASSES = (
         splits="stop the tail at speed and let it coast",
         excitations=("burst_and_coast", "tow_ahead"),
     ),
-    Class(
+    AmbiguityClass(
         name="axes",
         effects=("camera_yaw",),
         besides=("heading at the start",),
@@ -54,7 +54,7 @@ CLASSES = (
         splits="log with a known current, or lay a straight edge into the picture",
         excitations=("drift_east", "drift_north"),
     ),
-    Class(
+    AmbiguityClass(
         name="angle_scale",
         effects=("command_gain_error",),
         besides=("scale of the joint's encoder",),
@@ -63,7 +63,7 @@ CLASSES = (
         splits="a protractor at the joint, or the camera on the tail",
         excitations=("staircase", "hold_angles"),
     ),
-    Class(
+    AmbiguityClass(
         name="pose_clock",
         effects=("camera_latency", "clock_offset"),
         besides=(),
@@ -72,7 +72,7 @@ CLASSES = (
         splits="a lamp that is switched by the commands' computer in the camera's view, at the start and at the end",
         excitations=("impulse",),
     ),
-    Class(
+    AmbiguityClass(
         name="yaw_inertia",
         effects=("yaw_inertia", "yaw_added_mass"),
         besides=(),
@@ -81,7 +81,7 @@ CLASSES = (
         splits="hang the fish on two threads in air and time its swing; or flap in air",
         excitations=("flap", "impulse"),
     ),
-    Class(
+    AmbiguityClass(
         name="water_at_one_station",
         effects=("steady_current", "current_shear", "swirl"),
         besides=(),
@@ -93,11 +93,11 @@ CLASSES = (
 )
 
 
-def containing(effect: str) -> tuple[Class, ...]:
+def containing(effect: str) -> tuple[AmbiguityClass, ...]:
     """The classes that an effect belongs to."""
     return tuple(c for c in CLASSES if effect in c.effects)
 
 
-def together(one: str, other: str) -> Class | None:
+def together(one: str, other: str) -> AmbiguityClass | None:
     """The class that holds both effects, or None."""
     return next((c for c in containing(one) if other in c.effects), None)

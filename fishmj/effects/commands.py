@@ -3,10 +3,10 @@
 The transport delay of the clock "command" is not in here: whoever feeds the servo looks that much earlier into the result.
 """
 
-from fishmj.effects.active import Active
+from fishmj.effects.active import EffectStack
 
 
-def delivered(xp, active: Active, parameters, commands, h: float):
+def delivered(xp, active: EffectStack, parameters, commands, h: float):
     """What the servos are told when `commands` are sent.
 
     Args:

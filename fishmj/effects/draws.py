@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from fishmj.effects.active import Active
+from fishmj.effects.active import EffectStack
 from fishmj.effects.effect import Parameter
 
 
-def draw(active: Active, n: int, rng: np.random.Generator, scale: float = 1.0) -> np.ndarray:
+def draw(active: EffectStack, n: int, rng: np.random.Generator, scale: float = 1.0) -> np.ndarray:
     """(n, P) parameter rows in the order of `active.names`.
 
     Each value is uniform in its `typical` range, on either side of the null where both make sense, `scale` times as far from
@@ -24,12 +24,12 @@ def _column(p: Parameter, n: int, rng: np.random.Generator, scale: float) -> np.
     return np.clip(p.null + scale * away, p.low, p.high)
 
 
-def width(active: Active, names) -> int:
+def width(active: EffectStack, names) -> int:
     """Uniform numbers that `drawn` needs for the effects `names`."""
     return 2 * sum(len(effect.parameters) for effect in active.effects if effect.name in names)
 
 
-def drawn(xp, active: Active, rows, names, uniforms, scale: float = 1.0):
+def drawn(xp, active: EffectStack, rows, names, uniforms, scale: float = 1.0):
     """Parameter rows (B, P) with those of the effects `names` drawn as `draw` does, from uniforms (B, width) in [0, 1).
 
     One definition for NumPy and for JAX: the draws are passed in.

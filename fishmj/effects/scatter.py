@@ -6,11 +6,11 @@ physics holds them; a generator or a randomised training run draws them here, ea
 
 import numpy as np
 
-from fishmj.effects.active import Active
-from fishmj.effects.sites import Seen
+from fishmj.effects.active import EffectStack
+from fishmj.effects.sites import Measured
 
 
-def arrivals(active: Active, parameters, t, commands, rng) -> tuple[np.ndarray, np.ndarray]:
+def arrivals(active: EffectStack, parameters, t, commands, rng) -> tuple[np.ndarray, np.ndarray]:
     """(t (T,) s, commands (T, J) rad) as they arrive, sent at the times t with one parameter row (P,)."""
     record = np.asarray(t, float), np.asarray(commands, float)
     for effect, p in active.drawn(parameters, "command"):
@@ -18,7 +18,7 @@ def arrivals(active: Active, parameters, t, commands, rng) -> tuple[np.ndarray, 
     return record
 
 
-def gusts(active: Active, parameters, t, rng) -> np.ndarray:
+def gusts(active: EffectStack, parameters, t, rng) -> np.ndarray:
     """(T, 2) m/s, world frame: what turbulence adds to the water's velocity at the rising times t (T,) s."""
     t = np.asarray(t, float)
     total = np.zeros((len(t), 2))
@@ -27,7 +27,7 @@ def gusts(active: Active, parameters, t, rng) -> np.ndarray:
     return total
 
 
-def noise(active: Active, parameters, seen: Seen, sigma: Seen, rng) -> Seen:
+def noise(active: EffectStack, parameters, seen: Measured, sigma: Measured, rng) -> Measured:
     """`seen` with the noise beyond that of the data sheets; sigma has their standard deviations, one number a channel."""
     for effect, p in active.drawn(parameters, "seen"):
         seen = effect.scatter(rng, p, (seen, sigma))

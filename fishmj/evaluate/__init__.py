@@ -10,6 +10,6 @@ from fishmj.evaluate.driver import run
 from fishmj.evaluate.metrics import UNITS, figures
 from fishmj.evaluate.protocol import Trials, trials
 from fishmj.evaluate.result import Result
-from fishmj.evaluate.statistics import Difference, Estimate, compare, summary
+from fishmj.evaluate.statistics import IntervalEstimate, PairedDifference, compare, summary
 
-__all__ = ["UNITS", "Difference", "Estimate", "Result", "Trials", "compare", "figures", "run", "summary", "trials"]
+__all__ = ["UNITS", "PairedDifference", "IntervalEstimate", "Result", "Trials", "compare", "figures", "run", "summary", "trials"]

@@ -9,7 +9,7 @@ from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
 from fishmj.evaluate.driver import run
-from fishmj.evaluate.kept import Kept
+from fishmj.evaluate.kept import FinishedTrials
 from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare, summary
@@ -143,7 +143,7 @@ def main(argv: list[str]) -> int:
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
-    kept = Kept(args.out, robot, trials, args.engine, [brain.name for brain in brains])
+    kept = FinishedTrials(args.out, robot, trials, args.engine, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
         try:
             results = judged(brains, robot, trials, args, kept)
@@ -156,7 +156,7 @@ def main(argv: list[str]) -> int:
     return code
 
 
-def judged(brains, robot, trials, args, kept: Kept) -> list[Result]:
+def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
     """All controllers; those that an interrupted judgement had finished are taken from --out."""
     results: list[Result] = []
     engine = None

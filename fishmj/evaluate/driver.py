@@ -56,7 +56,7 @@ def run(
     rows: list[tuple] = []
     brain.reset(n)
     for k in range(steps):
-        obs = task.look(np, robot, sensors, params, history, camera, recent, target, noise[:, k])
+        obs = task.observe_with_sensors(np, robot, sensors, params, history, camera, recent, target, noise[:, k])
         command = _checked(brain, brain(obs), (n, ticks, robot.n_joints))
         try:
             state, trace = body.advance(state, command, params, current, np.full(n, k * ticks))

@@ -21,7 +21,7 @@ from fishmj.source import package_sha256
 ARRAYS = ("t", "target", "pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
 
 
-class Kept:
+class FinishedTrials:
     """What is finished of one judgement. folder: --out; None keeps nothing. engine: its name."""
 
     def __init__(self, folder: Path | None, robot: Robot, trials: Trials, engine: str, names: list[str]):

@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj.gym import spaces
 from fishmj.gym.picture import Picture
-from fishmj.tasks.episode import Episodes, Scenario
+from fishmj.tasks.episode import EpisodeDraw, Episodes
 
 
 class FishEnv(gymnasium.Env):
@@ -41,7 +41,7 @@ class FishEnv(gymnasium.Env):
         fixed = spaces.fixed_by(self.rules, options, 1)
         return self.begin(self.rules.scenario(self.rules.draws(self.np_random, 1), **fixed))
 
-    def begin(self, scenario: Scenario):
+    def begin(self, scenario: EpisodeDraw):
         """Start this very episode; what `reset` does with a drawn one."""
         self.episodes.begin(scenario)
         distance = np.linalg.norm(scenario.launch.start.pose[0, :2] - self.episodes.target[0])

@@ -25,8 +25,8 @@ from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import prediction_interval, wake_warmup
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, fleet_of, is_free, padded, recorded
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_batch_of, is_free, padded, recorded
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.model import HydroModel
 from fishmj.water.prior import flat
@@ -49,21 +49,21 @@ COVER = (0.85, 0.95)
 GAITS = ("gait", "straight", "turning")
 
 
-class Swum:
+class FreeSwims:
     """All free swims of some records in a model, whole and from `SETTLED` on, with the ensemble's members."""
 
-    def __init__(self, model: HydroModel, robot: Robot, records: Sequence[Record]):
+    def __init__(self, model: HydroModel, robot: Robot, records: Sequence[SegmentRecord]):
         self.records = [r for r in records if is_free(r)]
         ch, tick = planar_chain.chain_of(robot), records[0].tick
-        swim, water = Swim(ch, model.swimmer(robot)), flat(model.base)
-        self.fleet = fleet_of(ch, robot, self.records, seconds=1e6)
+        swim, water = SwimWindow(ch, model.swimmer(robot)), flat(model.base)
+        self.fleet = fish_batch_of(ch, robot, self.records, seconds=1e6)
         self.track = swim.run(self.fleet, water, model.learnt)
         self.members = prediction_interval.of_members(swim, self.fleet, model.members, model.learnt)
         self.late = _from(self.fleet, self.track, round(SETTLED / tick))
         self.seen = _from(self.fleet, recorded(self.fleet), round(SETTLED / tick))
         self.cruise, self.cruise_track = self._freerun(ch, robot, swim, model)
 
-    def _freerun(self, ch, robot, swim, model) -> tuple[Fleet, Track]:
+    def _freerun(self, ch, robot, swim, model) -> tuple[FishBatch, SwimTrack]:
         """The gaits again, `FREERUN` s from a recorded state, the water's memory as the record filled it.
 
         They begin at `SETTLED`, or as much earlier, but not before `SHORTEST`, as leaves `FREERUN` s of the shortest.
@@ -77,12 +77,12 @@ class Swum:
         rows = rows_of(ch, chosen)
         starts = np.array([span.start for span in rows.spans()]) + skip
         attached = attachment(rows, ch.strips, model.base, tick)[starts]
-        memory = None if model.learnt is None else wake_warmup.walk(ch, rows, model.base, model.learnt, tick).memory[starts]
-        whole = fleet_of(ch, robot, chosen, seconds=1e6)
+        memory = None if model.learnt is None else wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).memory[starts]
+        whole = fish_batch_of(ch, robot, chosen, seconds=1e6)
         stop = skip + round(FREERUN / tick)
         cut = lambda a: a[:, skip:stop]
         states = (whole.q[:, skip : stop + 1], whole.v[:, skip : stop + 1])
-        fleet = Fleet._make([*states, *(cut(a) for a in whole[2:-1]), whole.source])
+        fleet = FishBatch._make([*states, *(cut(a) for a in whole[2:-1]), whole.source])
         if memory is not None:
             memory[:, -1] = 0.0
         wide = padded(fleet, self.fleet)
@@ -92,10 +92,10 @@ class Swum:
             memory = np.concatenate([memory, np.zeros((more, memory.shape[1]))])
         track = swim.run(wide, flat(model.base), model.learnt, attached, memory)
         count = len(fleet.q)
-        return fleet, Track._make([*(a[:count, :size] for a in track[:3]), track.outside[:count]])
+        return fleet, SwimTrack._make([*(a[:count, :size] for a in track[:3]), track.outside[:count]])
 
 
-def _from(fleet: Fleet, track: Track, first: int) -> dict[str, np.ndarray]:
+def _from(fleet: FishBatch, track: SwimTrack, first: int) -> dict[str, np.ndarray]:
     """Means of every swim from tick `first` on (the second half of a shorter one), (B,)."""
     out: dict[str, list] = {"surge": [], "yaw_rate": [], "power": []}
     for b, mask in enumerate(fleet.mask):
@@ -108,7 +108,9 @@ def _from(fleet: Fleet, track: Track, first: int) -> dict[str, np.ndarray]:
     return {key: np.array(values) for key, values in out.items()}
 
 
-def judge(model: HydroModel, robot: Robot, records: Sequence[Record], repeats: Sequence[tuple[Record, Record]] = ()) -> dict:
+def judge(
+    model: HydroModel, robot: Robot, records: Sequence[SegmentRecord], repeats: Sequence[tuple[SegmentRecord, SegmentRecord]] = ()
+) -> dict:
     """All figures of one model.
 
     Args:
@@ -116,7 +118,7 @@ def judge(model: HydroModel, robot: Robot, records: Sequence[Record], repeats: S
     Returns:
         figures, tolerances, repeatability, passed by figure, n by figure, coverage90 by channel, ok.
     """
-    swum = Swum(model, robot, records)
+    swum = FreeSwims(model, robot, records)
     got, n = errors(swum, swum.late)
     held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = _thrust(model, robot, held), len(held)
@@ -150,7 +152,7 @@ def judge(model: HydroModel, robot: Robot, records: Sequence[Record], repeats: S
     }
 
 
-def errors(swum: "Swum | Any", late: dict[str, np.ndarray]) -> tuple[dict[str, float], dict[str, int]]:
+def errors(swum: "FreeSwims | Any", late: dict[str, np.ndarray]) -> tuple[dict[str, float], dict[str, int]]:
     """Errors of the late means of gaits; nan where no record tells."""
     seen = swum.seen
     gait = np.array([r.meta["block"] in GAITS for r in swum.records])
@@ -172,7 +174,7 @@ def errors(swum: "Swum | Any", late: dict[str, np.ndarray]) -> tuple[dict[str, f
     return figures, count | {"yaw_drift_deg_s": len(speed), "power_error_mean": int(gait.sum())}
 
 
-def _bias(record: Record) -> float:
+def _bias(record: SegmentRecord) -> float:
     """Mean bend that was commanded after `SETTLED`, rad, sum over the joints; whole beats cancel their wave."""
     drive = record.meta["segment"].get("drive", {})
     if "bias" in drive:
@@ -182,7 +184,7 @@ def _bias(record: Record) -> float:
     return 0.0 if bend < 0.1 * float(np.abs(late).max() + 1e-9) else bend
 
 
-def _thrust(model: HydroModel, robot: Robot, held: Sequence[Record]) -> float:
+def _thrust(model: HydroModel, robot: Robot, held: Sequence[SegmentRecord]) -> float:
     """Mean error of the mean thrust of held fish, over the tow drag."""
     if not held:
         return float("nan")
@@ -190,7 +192,7 @@ def _thrust(model: HydroModel, robot: Robot, held: Sequence[Record]) -> float:
     rows = rows_of(ch, held)
     force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
     if model.learnt is not None:
-        force = force + wake_warmup.walk(ch, rows, model.base, model.learnt, tick).force
+        force = force + wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).force
     return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
 
 
@@ -201,13 +203,13 @@ class _Pair:
         self.records, self.seen = records, seen
 
 
-def repeatability(robot: Robot, repeats: Sequence[tuple[Record, Record]]) -> dict[str, float]:
+def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRecord]]) -> dict[str, float]:
     """The same figures between the solver's own repeats: how exactly there is anything to agree with."""
     ch = planar_chain.chain_of(robot)
     out: dict[str, float] = {}
     free = [(a, b) for a, b in repeats if is_free(a) and len(a.q) == len(b.q)]
     if free:
-        again, first = (fleet_of(ch, robot, [pair[i] for pair in free], seconds=1e6) for i in (0, 1))
+        again, first = (fish_batch_of(ch, robot, [pair[i] for pair in free], seconds=1e6) for i in (0, 1))
         settled = round(SETTLED / free[0][0].tick)
         pair = _Pair([b for _, b in free], _from(first, recorded(first), settled))
         figures, _ = errors(pair, _from(again, recorded(again), settled))

@@ -1,7 +1,7 @@
 """A data set of segments, checked before anything is learnt from it.
 
     data = open_dataset("data/hydro/laptop")
-    for record in data.records("train"): ...            `records` yields `Record`s, in order of id
+    for record in data.records("train"): ...            `records` yields `SegmentRecord`s, in order of id
     data.records("test")                                refused: only the check opens it, with open_dataset(folder, test=True)
 
 A data set is a folder:  `segments/<id>.npz, .json`,  `split.json` (which episode is for what, written before the first segment
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fishmj.errors import DatasetError, StoreError
-from fishmj.hydro_fit.record import SCHEMA, UNITS, Record, described, read_record
+from fishmj.hydro_fit.record import SCHEMA, UNITS, SegmentRecord, described, read_record
 from fishmj.store import Manifest, read_json
 from fishmj.store.manifest import MANIFEST
 
@@ -25,7 +25,7 @@ SHOWN = 12  # files that a message lists by name
 
 
 @dataclass(frozen=True)
-class Dataset:
+class SegmentDataset:
     """An opened data set. `about`: the meta data of every segment by id, test ones without their arrays."""
 
     folder: Path
@@ -65,11 +65,11 @@ class Dataset:
             and (slip is None or abs(meta["grid"]["slip"] - slip) < 1e-9)
         ]
 
-    def records(self, split: str, *, block: str | None = None, slip: float | None = None) -> Iterator[Record]:
+    def records(self, split: str, *, block: str | None = None, slip: float | None = None) -> Iterator[SegmentRecord]:
         """The segments of one split, read one at a time; arguments and errors as in `names`."""
         return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, block=block, slip=slip))
 
-    def __getitem__(self, name: str) -> Record:
+    def __getitem__(self, name: str) -> SegmentRecord:
         """One segment by id; errors as in `names`."""
         if name not in self.about or name not in self.names(self.about[name]["split"]):
             raise DatasetError(f"{self.folder}: no segment {name!r} with arrays")
@@ -80,7 +80,7 @@ class Dataset:
         return {name: meta["stopped"] for name, meta in self.about.items() if meta.get("stopped")}
 
 
-def open_dataset(folder: str | Path, *, test: bool = False) -> Dataset:
+def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
     """Open a data set after checking every file of it; `test` also opens the test part, for the check command only.
 
     Raises:
@@ -101,7 +101,7 @@ def open_dataset(folder: str | Path, *, test: bool = False) -> Dataset:
         if episodes.get(meta["episode"]) != meta["split"]
     ]
     _refuse(folder, "not where split.json puts them", wrong)
-    return Dataset(folder, about, split_hashes(episodes), manifest.meta, test)
+    return SegmentDataset(folder, about, split_hashes(episodes), manifest.meta, test)
 
 
 def split_hashes(episodes: dict[str, str]) -> dict[str, str]:

@@ -4,14 +4,14 @@ import io
 
 import numpy as np
 
-from fishmj.hydro_fit.check import GAITS, Swum
+from fishmj.hydro_fit.check import GAITS, FreeSwims
 from fishmj.hydro_fit.fit.prediction_interval import CHANNELS, half_width, means
 from fishmj.hydro_fit.fit.rollout import recorded
 
 LABELS = {"speed": "speed along the body [m/s]", "yaw_rate": "yaw rate [rad/s]", "power": "servo power [W]"}
 
 
-def against(swum: Swum, band: dict[str, list[float]]) -> bytes:
+def against(swum: FreeSwims, band: dict[str, list[float]]) -> bytes:
     """Means of every free swim, model over record, with the 90 % band."""
     import matplotlib.pyplot as plt
 
@@ -33,7 +33,7 @@ def against(swum: Swum, band: dict[str, list[float]]) -> bytes:
     return _png(figure)
 
 
-def freeruns(swum: Swum, count: int = 6) -> bytes:
+def freeruns(swum: FreeSwims, count: int = 6) -> bytes:
     """Paths of some free runs beside the recorded ones."""
     import matplotlib.pyplot as plt
 

@@ -7,8 +7,8 @@ import numpy as np
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.fit import wake_warmup
 from fishmj.hydro_fit.fit.gauss_newton import tow_drag
-from fishmj.hydro_fit.fit.regression_rows import Rows, added, attachment, base_force, rows_of
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, added, attachment, base_force, rows_of
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.model import HydroModel
 
@@ -28,7 +28,7 @@ NAMES = {
 REST, HIGH, MOVING = 2.0, np.radians(60), 0.05  # s, rad, m/s
 
 
-def regimes(records: Sequence[Record], rows: Rows) -> np.ndarray:
+def regimes(records: Sequence[SegmentRecord], rows: RegressionRows) -> np.ndarray:
     """The regime of every row, (M,) text: by block, but for the first 2 s of a free swim and angles of attack above 60 deg."""
     out = np.concatenate([np.full(len(r.q), NAMES.get(r.meta["block"], r.meta["block"]), dtype="<U20") for r in records])
     for record, span in zip(records, rows.spans(), strict=True):
@@ -39,13 +39,13 @@ def regimes(records: Sequence[Record], rows: Rows) -> np.ndarray:
     return out
 
 
-def model_force(model: HydroModel, ch: planar_chain.Chain, rows: Rows, tick: float) -> np.ndarray:
+def model_force(model: HydroModel, ch: planar_chain.Chain, rows: RegressionRows, tick: float) -> np.ndarray:
     """(3, N, M), with the force of the acceleration."""
     force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
-    return force if model.learnt is None else force + wake_warmup.walk(ch, rows, model.base, model.learnt, tick).force
+    return force if model.learnt is None else force + wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).force
 
 
-def by_regime(model: HydroModel, robot: Robot, records: Sequence[Record]) -> list[dict]:
+def by_regime(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord]) -> list[dict]:
     """One row a regime and link: R2 and NRMSE of F_t, F_n and the moment, without the acceleration's part, and mean thrust."""
     ch, tick = planar_chain.chain_of(robot), records[0].tick
     rows = rows_of(ch, records)
@@ -67,7 +67,7 @@ def by_regime(model: HydroModel, robot: Robot, records: Sequence[Record]) -> lis
     return out
 
 
-def static_map(model: HydroModel, robot: Robot, records: Sequence[Record]) -> dict[str, np.ndarray]:
+def static_map(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord]) -> dict[str, np.ndarray]:
     """Mean forces in head axes of held fish by seconds, over the angle of attack of the head."""
     ch = planar_chain.chain_of(robot)
     held = [r for r in records if r.meta["block"] == "static"]

@@ -7,7 +7,7 @@ import numpy as np
 
 from fishmj import console
 from fishmj.hydro_fit import check, figures, regimes
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_json, write_text
@@ -21,11 +21,15 @@ th{background:#f5f7fa}th:first-child,td:first-child{text-align:left}"""
 
 
 def write(
-    folder: Path, model: HydroModel, robot: Robot, records: Sequence[Record], repeats: Sequence[tuple[Record, Record]] = ()
+    folder: Path,
+    model: HydroModel,
+    robot: Robot,
+    records: Sequence[SegmentRecord],
+    repeats: Sequence[tuple[SegmentRecord, SegmentRecord]] = (),
 ) -> Path:
     """Judge `model` on held-out records and write report.html and report.json; returns the page's path."""
     found = check.judge(model, robot, records, repeats)
-    swum = check.Swum(model, robot, records)
+    swum = check.FreeSwims(model, robot, records)
     forces, runs = regimes.by_regime(model, robot, records), free_runs(swum)
     points = regimes.static_map(model, robot, records)
     pictures = [("Means of free swims, with the 90 % band", figures.against(swum, model.band))]
@@ -50,7 +54,7 @@ def write(
     return write_text(folder / "report.html", document("fishmj hydro_fit", "\n".join(parts), STYLE))
 
 
-def about(model: HydroModel, records: Sequence[Record]) -> str:
+def about(model: HydroModel, records: Sequence[SegmentRecord]) -> str:
     """One line on where the figures come from."""
     seconds = sum(r.seconds for r in records)
     return (
@@ -73,7 +77,7 @@ def check_rows(found: dict) -> list[dict]:
     return rows
 
 
-def free_runs(swum: check.Swum) -> list[dict]:
+def free_runs(swum: check.FreeSwims) -> list[dict]:
     """Velocity, yaw rate and place after 2 and 10 s of free run in cruise."""
     out, tick = [], swum.records[0].tick
     for seconds in (2.0, check.FREERUN):
@@ -95,7 +99,7 @@ def free_runs(swum: check.Swum) -> list[dict]:
     return out
 
 
-def gait_rows(swum: check.Swum) -> tuple[list[dict], list[dict]]:
+def gait_rows(swum: check.FreeSwims) -> tuple[list[dict], list[dict]]:
     """Speed and power of each straight gait; yaw rate and radius of each turning one."""
     straight, turning = [], []
     for b, record in enumerate(swum.records):

@@ -68,13 +68,13 @@ def span(low: float, high: float, above: bool = False) -> str:
     return f"{'above' if above else 'from'} {low:g} to {high:g}"
 
 
-class Block(BaseModel):
+class TomlTable(BaseModel):
     """A table of a description: no other keys, no text or truth value in the place of a number."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, protected_namespaces=())
 
 
-class Body(Block):
+class BodyBlock(TomlTable):
     """The whole fish."""
 
     mass_total: float | None = number("a check: the links' masses must add up to it within 1 %", 1e-3, 3e5, "kg", default=None)
@@ -82,7 +82,7 @@ class Body(Block):
     reference: Literal["straight_com"] = _field("the point whose pose is reported", "", "'straight_com'", "straight_com")
 
 
-class LinkBlock(Block):
+class LinkBlock(TomlTable):
     """One rigid link."""
 
     name: Name = name("the links' names must differ")
@@ -113,7 +113,7 @@ class LinkBlock(Block):
     )
 
 
-class FinBlock(Block):
+class FinBlock(TomlTable):
     """Fixed horizontal plates, which damp roll."""
 
     name: Name = name("the fins' names must differ")
@@ -125,7 +125,7 @@ class FinBlock(Block):
     count: int = whole("left alone, or left and right", 1, 2, default=2)
 
 
-class ServoBlock(Block):
+class ServoBlock(TomlTable):
     """One kind of servo for all joints: torque = clip(kp error - kv rate, +-torque) - kb rate, kd = kv + kb."""
 
     kp: float | None = number("proportional gain", 1e-4, 1e6, "N m/rad", default=None)
@@ -142,7 +142,7 @@ class ServoBlock(Block):
     idle_power: float | None = number("electronics of the whole robot", 0.0, 1e4, "W", default=None)
 
 
-class TimingBlock(Block):
+class TimingBlock(TomlTable):
     """Steps and delays; the steps are whole multiples of each other."""
 
     physics_dt: float | None = number("the water is fitted at it and belongs to it", 1e-4, 0.02, "s", default=None)
@@ -161,7 +161,7 @@ class TimingBlock(Block):
 Each = Annotated[list[Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]], Field(min_length=1, max_length=MOST_LINKS)]
 
 
-class WaterBlock(Block):
+class WaterBlock(TomlTable):
     """Start values of the strip model (docs/water.md); what is left out comes from the shape of the sections."""
 
     model: Text | None = text(
@@ -187,7 +187,7 @@ class WaterBlock(Block):
     stations: int | None = whole("strips a link, 6 where left out", 1, 64, default=None)
 
 
-class EffectBlock(Block):
+class EffectBlock(TomlTable):
     """What calibration or the gap search adds; leave it out at first (docs/effects.md)."""
 
     name: str = _field("of the catalogue", "", "the name of an effect", REQUIRED, max_length=64)
@@ -207,7 +207,7 @@ class VersionBlock(BaseModel):
     parent_sha256: Text = text("of that text")
 
 
-class Description(Block):
+class Description(TomlTable):
     """The whole file."""
 
     schema_: Literal["fishmj.fish/1"] = Field(
@@ -221,7 +221,7 @@ class Description(Block):
     notes: Any = _field("your own notes, text or a block", "", "text or a block [notes]", None)
     origin: dict[str, Any] = _field("your own notes: where the numbers come from", "", "a block [origin]", {})
     measured: dict[str, Any] = _field("your own notes: what you measured", "", "a block [measured]", {})
-    body: Body = _field("", "", "a block [body]", Body())
+    body: BodyBlock = _field("", "", "a block [body]", BodyBlock())
     link: Annotated[list[LinkBlock], Field(min_length=2, max_length=MOST_LINKS)] = _field(
         "", "", f"2 to {MOST_LINKS} blocks [[link]], nose first", REQUIRED
     )
@@ -237,7 +237,7 @@ class Description(Block):
 
 
 BLOCKS: dict[str, type[BaseModel]] = {
-    "body": Body,
+    "body": BodyBlock,
     "link": LinkBlock,
     "fin": FinBlock,
     "servo": ServoBlock,
@@ -265,4 +265,4 @@ def keys(block: str = "") -> list[str]:
     return [info.alias or field_name for field_name, info in model.model_fields.items()]
 
 
-__all__ = ["BLOCKS", "FREE", "LISTS", "MOST_LINKS", "SCHEMA", "Block", "Description", "keys", "said"]
+__all__ = ["BLOCKS", "FREE", "LISTS", "MOST_LINKS", "SCHEMA", "TomlTable", "Description", "keys", "said"]

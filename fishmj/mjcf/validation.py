@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from fishmj import names
 from fishmj.mjcf import schema
-from fishmj.mjcf.findings import Finding, line, shown
+from fishmj.mjcf.findings import Fault, line, shown
 from fishmj.mjcf.plausible import unlikely
 from fishmj.mjcf.relations import relations, servo_of
 
@@ -25,11 +25,11 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
     given = table.get("schema", schema.SCHEMA)
     if given != schema.SCHEMA:  # another format: every other line would be noise
         kind = "a fitted water, for --water" if isinstance(given, str) and given.startswith("fishmj.water/") else "another format"
-        finding = Finding("", None, "schema", shown(given), repr(schema.SCHEMA), f"this file is {kind}, not a robot")
+        finding = Fault("", None, "schema", shown(given), repr(schema.SCHEMA), f"this file is {kind}, not a robot")
         return [line(finding, table, where)], []
     if foreign := _foreign(table):
         expected = "a robot: [[link]], [servo], [timing], [water], ..."
-        return [line(Finding("", None, "", foreign, expected, "this file describes something else"), table, where)], []
+        return [line(Fault("", None, "", foreign, expected, "this file describes something else"), table, where)], []
     found = list(_single_keys(table))
     bad = {(f.block, f.nth) for f in found} | {(f.block, None) for f in found}
     listed = not any(f.block == "link" and f.nth is None for f in found)
@@ -50,7 +50,7 @@ def _foreign(table: Mapping[str, Any]) -> str:
     return shown(", ".join(unknown))
 
 
-def _order(f: Finding) -> tuple:
+def _order(f: Fault) -> tuple:
     """As in the file's schema."""
     blocks = [*schema.keys()]
     return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.nth is None else f.nth)
@@ -59,13 +59,13 @@ def _order(f: Finding) -> tuple:
 # what a single key may be
 
 
-def _single_keys(table: Mapping[str, Any]) -> Iterator[Finding]:
+def _single_keys(table: Mapping[str, Any]) -> Iterator[Fault]:
     """What pydantic finds; several complaints about one key are one."""
     surplus = set([key for key in table if key not in schema.keys()][MOST:])
     try:
         schema.Description.model_validate({key: item for key, item in table.items() if key not in surplus})
     except ValidationError as error:
-        told: dict[tuple, Finding] = {}
+        told: dict[tuple, Fault] = {}
         entries = error.errors(include_url=False, include_context=False)
         meant = {
             (*e["loc"][:-1], near[0]) for e in entries[:MOST] if e["type"] == "extra_forbidden" and (near := _nearest(e["loc"]))
@@ -86,28 +86,28 @@ def _nearest(place: Sequence[Any]) -> list[str]:
     return get_close_matches(key, schema.keys(block), 1, 0.6) if block in schema.BLOCKS and key else []
 
 
-def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Finding:
+def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Fault:
     place, kind, value = entry["loc"], entry["type"], entry["input"]
     block, index, key, inner = _split(place)
     if kind == "extra_forbidden":
         return _unknown(block, index, key, table)
     if kind == "missing" and not key:
-        return Finding(
+        return Fault(
             block, None, "", "none", schema.said("", block)[2], f"describe the links: add [[{block}]] with {_main(block)}"
         )
     if kind == "missing":
         what, _, expected = schema.said(block, key)
-        return Finding(block, index, key, "nothing", expected, f"add {key} = ... ({what})")
+        return Fault(block, index, key, "nothing", expected, f"add {key} = ... ({what})")
     if block and not key:  # the block itself is no table, or there are too few or too many
         whole = schema.said("", block)[2]
         got = f"{len(value)} block{'s' * (len(value) != 1)}" if kind in ("too_short", "too_long") else shown(value)
-        return Finding(block, index, "", got, whole, f"a block begins with {_header(block)} on a line of its own")
+        return Fault(block, index, "", got, whole, f"a block begins with {_header(block)} on a line of its own")
     if block not in schema.BLOCKS and block:  # [origin], [calibration.servo]
-        return Finding(block, None, key, shown(value), schema.said("", block)[2], f"({schema.said('', block)[0]})")
+        return Fault(block, None, key, shown(value), schema.said("", block)[2], f"({schema.said('', block)[0]})")
     what, unit, expected = schema.said(block, key)
     if (block, key, kind) == ("servo", "kd", "greater_than_equal") and (least := _least_damping(table)):
         expected = f"at least {least:.3g} {unit} = torque / speed_no_load"
-    return Finding(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
+    return Fault(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
 
 
 def _least_damping(table: Mapping[str, Any]) -> float:
@@ -150,23 +150,23 @@ def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
     return f"correct it ({what})"
 
 
-def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) -> Finding:
+def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) -> Fault:
     """An unknown key or block, with the nearest known one."""
     name, own = shown(key)[1:-1], "your own notes go into [notes], [origin] or [measured]"
     if block:
         known = schema.keys(block)
         near, home = get_close_matches(key, known, 1, 0.6), _home(key, block)
         todo = f"it belongs under {home}; a key belongs to the last [block] above it" if home and not near else own
-        return Finding(block, index, name, "an unknown key", _one_of(near, known), todo)
+        return Fault(block, index, name, "an unknown key", _one_of(near, known), todo)
     blocks = [k for k in schema.keys() if k not in ("schema", "name", "title")]
     if not isinstance(table[key], Mapping | list):
         near, home = get_close_matches(key, schema.keys(), 1, 0.6), _home(key)
         if home and not near:
-            return Finding("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
-        return Finding("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
+            return Fault("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
+        return Fault("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
     near = get_close_matches(key, blocks, 1, 0.6)
     expected = _one_of([_header(k) for k in near], [_header(k) for k in blocks], quote=False)
-    return Finding("", None, f"[{name}]", "an unknown block", expected, own)
+    return Fault("", None, f"[{name}]", "an unknown block", expected, own)
 
 
 def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) -> str:

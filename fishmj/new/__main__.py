@@ -248,7 +248,7 @@ def given_answers(args) -> dict[str, str]:
 
 def sheet_of(args):
     """The servo of the data sheet options, or None where there are none. Raises UsageError where they are not whole."""
-    from fishmj.mjcf.servos import Sheet
+    from fishmj.mjcf.servos import DataSheet
     from fishmj.new.answers import NEEDED, SHEET
 
     figures = {key: getattr(args, key) for key in SHEET if getattr(args, key) is not None}
@@ -259,7 +259,7 @@ def sheet_of(args):
         what = f"without --{', --'.join(missing)}" if missing else "with --servo"
         options = ", ".join(f"--{key}" for key in figures)
         raise UsageError(f"new: {options} {what}: give all of a data sheet, or a --servo".replace("_", "-"))
-    return Sheet(name="data-sheet", source="data sheet figures, given on the command line", **figures)
+    return DataSheet(name="data-sheet", source="data sheet figures, given on the command line", **figures)
 
 
 def read_table(args):

@@ -24,7 +24,7 @@ STRONGER = "a servo far too strong for so light a fish shakes it to pieces at 4 
 OK, LOOK, FALSE = "ok", "look", "wrong"
 
 
-class Check(NamedTuple):
+class SwimCheck(NamedTuple):
     """One line of the table."""
 
     what: str
@@ -34,7 +34,7 @@ class Check(NamedTuple):
     advice: str = ""
 
 
-class Swim(NamedTuple):
+class TestSwim(NamedTuple):
     """Five seconds of a gait in still water."""
 
     frequency: float  # Hz
@@ -44,7 +44,7 @@ class Swim(NamedTuple):
     finite: bool
 
 
-def checks(robot: Robot, swim: Swim) -> list[Check]:
+def checks(robot: Robot, swim: TestSwim) -> list[SwimCheck]:
     """All checks of a description and its swim."""
     g, servo, length = geometry_of(robot), robot.servo, robot.length
     raw = displaced(robot.links, robot.density_water).sum()
@@ -73,12 +73,12 @@ def checks(robot: Robot, swim: Swim) -> list[Check]:
     ]  # fmt: skip
 
 
-def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") -> Check:
+def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") -> SwimCheck:
     """A line of the table; advice only where something is not as expected."""
-    return Check(what, found, expected, verdict, "" if verdict == OK else advice)
+    return SwimCheck(what, found, expected, verdict, "" if verdict == OK else advice)
 
 
-def swim_of(robot: Robot) -> Swim:
+def swim_of(robot: Robot) -> TestSwim:
     """Build the MuJoCo model and let it swim with a travelling wave in its prior water, at rest."""
     from fishmj.sim import Sim
 
@@ -94,15 +94,15 @@ def swim_of(robot: Robot) -> Swim:
             track.append(sim.pose[:3])
             torque = max(torque, float(np.abs(sim.data.actuator_force).max()))
     except SimDiverged:
-        return Swim(BEAT, amplitude, float("nan"), torque, False)
+        return TestSwim(BEAT, amplitude, float("nan"), torque, False)
     start, end = track[-1 - round(SETTLED / robot.timing.bus_dt)], track[-1]
     heading = float(np.mean([pose[2] for pose in track[-round(SETTLED / robot.timing.bus_dt) :]]))
     ahead = float((end[:2] - start[:2]) @ [np.cos(heading), np.sin(heading)]) / SETTLED
-    return Swim(BEAT, amplitude, ahead, torque, bool(np.isfinite(track).all()))
+    return TestSwim(BEAT, amplitude, ahead, torque, bool(np.isfinite(track).all()))
 
 
 def _graded(value: float, good: tuple[float, float], possible: tuple[float, float] = (-np.inf, np.inf)) -> str:
     return OK if good[0] <= value <= good[1] else LOOK if possible[0] <= value <= possible[1] else FALSE
 
 
-__all__ = ["Check", "Swim", "checks", "swim_of"]
+__all__ = ["SwimCheck", "TestSwim", "checks", "swim_of"]

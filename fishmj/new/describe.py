@@ -5,7 +5,7 @@ from math import degrees
 
 from fishmj.mjcf.description import Fin, Link, Robot, Servo, Timing
 from fishmj.mjcf.priors import balanced, water_prior
-from fishmj.mjcf.servos import Sheet, servo_from_sheet
+from fishmj.mjcf.servos import DataSheet, servo_from_sheet
 from fishmj.new.shape import SIDE, Outline, cut
 
 RADIO = 0.5  # W, of a robot's electronics besides its servos' boards; a guess
@@ -20,7 +20,7 @@ class Fish:
     outline: Outline
     mass: float  # kg
     joints: list[float]  # m from the nose
-    sheet: Sheet
+    sheet: DataSheet
     side_span: float  # m, 0 for no side fins
     origin: dict[str, str]  # question -> given, asked, default
 
@@ -106,7 +106,7 @@ def _link(link: Link) -> list[str]:
     ]
 
 
-def _servo(servo: Servo, sheet: Sheet) -> list[str]:
+def _servo(servo: Servo, sheet: DataSheet) -> list[str]:
     return [
         f"[servo]                      # {sheet.source or sheet.name}",
         f"kp = {servo.kp}  # N m/rad, guessed: saturates at about 12 deg of error",

@@ -23,14 +23,14 @@ from fishmj.tasks.station_hold import N_START, Start, draw_start
 POINTS = 4096  # of the arc-length table; its error is below 1e-6 m
 
 
-class Launch(NamedTuple):
+class EpisodeStart(NamedTuple):
     """How B episodes begin."""
 
     start: Start
     phase: Any  # (B,) m, arc length of the target's path already behind it; 0 where the target stays
 
 
-class Stride(NamedTuple):
+class StepTruth(NamedTuple):
     """What a reward may look at: one control step of B episodes, T bus ticks. The truth, which no policy sees."""
 
     trace: Trace  # pose (B, T, 3) m, rad; joint, rate (B, T, J) rad, rad/s; velocity (B, T, 3) over ground; power (B, T) W
@@ -41,28 +41,28 @@ class Stride(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StationHold:
+class StationHoldReference:
     """Swim to a target and keep it."""
 
     seconds: float = constant("task", "episode_time")
 
-    def launch(self, xp, uniforms) -> Launch:
+    def launch(self, xp, uniforms) -> EpisodeStart:
         """Starts from uniforms (B, 7)."""
-        return Launch(draw_start(xp, uniforms), xp.zeros_like(uniforms[:, 0]))
+        return EpisodeStart(draw_start(xp, uniforms), xp.zeros_like(uniforms[:, 0]))
 
-    def target(self, xp, launch: Launch, t):
+    def target(self, xp, launch: EpisodeStart, t):
         """Target (B, 2) m at times t (B,) s."""
         return launch.start.target + 0.0 * t[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class AngleOfAttack:
+class AngleOfAttackReference:
     """Start on the target, turned from upstream. angle in rad; None draws one of the paper's four."""
 
     angle: float | None = None
     seconds: float = constant("task", "episode_time")
 
-    def launch(self, xp, uniforms) -> Launch:
+    def launch(self, xp, uniforms) -> EpisodeStart:
         """Starts from uniforms (B, 7): target and flow direction drawn, flow speed the paper's."""
         start = draw_start(xp, uniforms)
         angles = xp.asarray(np.radians(constant("experiments", "aoa_deg")), dtype=uniforms.dtype)
@@ -71,15 +71,15 @@ class AngleOfAttack:
         heading = (start.direction + pi + angle + pi) % (2 * pi) - pi
         pose = xp.concatenate([start.target, heading[:, None]], -1)
         speed = constant("experiments", "aoa_speed") + 0.0 * heading
-        return Launch(start._replace(pose=pose, speed=speed), xp.zeros_like(heading))
+        return EpisodeStart(start._replace(pose=pose, speed=speed), xp.zeros_like(heading))
 
-    def target(self, xp, launch: Launch, t):
+    def target(self, xp, launch: EpisodeStart, t):
         """Target (B, 2) m at times t (B,) s."""
         return launch.start.target + 0.0 * t[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class FigureEight:
+class FigureEightReference:
     """Follow a point on a figure eight. phase: m along the path at t = 0; None draws it."""
 
     speed: float = constant("experiments", "figure8_speed")  # m/s
@@ -97,14 +97,14 @@ class FigureEight:
         """Time for all cycles, s."""
         return self.cycles * path_length() / self.speed
 
-    def launch(self, xp, uniforms) -> Launch:
+    def launch(self, xp, uniforms) -> EpisodeStart:
         """At rest on the path, heading along it; uniforms (B, 7) give phase and flow."""
         start = draw_start(xp, uniforms)
         phase = path_length() * uniforms[:, 2] if self.phase is None else self.phase + 0.0 * uniforms[:, 2]
         point, heading = eight(xp, phase)
-        return Launch(start._replace(pose=xp.concatenate([point, heading[:, None]], -1), target=point), phase)
+        return EpisodeStart(start._replace(pose=xp.concatenate([point, heading[:, None]], -1), target=point), phase)
 
-    def target(self, xp, launch: Launch, t):
+    def target(self, xp, launch: EpisodeStart, t):
         """Target (B, 2) m at times t (B,) s."""
         return eight(xp, launch.phase + self.speed * t)[0]
 
@@ -131,6 +131,16 @@ def eight(xp, s):
     return xp.stack([xp.sin(p) * xp.cos(p), xp.sin(p)], -1), xp.arctan2(xp.cos(p), xp.cos(2 * p))
 
 
-COURSES = {"station_hold": StationHold, "figure_eight": FigureEight, "angle_of_attack": AngleOfAttack}
+COURSES = {"station_hold": StationHoldReference, "figure_eight": FigureEightReference, "angle_of_attack": AngleOfAttackReference}
 
-__all__ = ["COURSES", "N_START", "AngleOfAttack", "FigureEight", "Launch", "StationHold", "Stride", "eight", "path_length"]
+__all__ = [
+    "COURSES",
+    "N_START",
+    "AngleOfAttackReference",
+    "FigureEightReference",
+    "EpisodeStart",
+    "StationHoldReference",
+    "StepTruth",
+    "eight",
+    "path_length",
+]

@@ -21,7 +21,7 @@ import numpy as np
 from fishmj import engines, plugins
 from fishmj.errors import OwnCodeError, UnknownName
 from fishmj.tasks import station_hold as hold
-from fishmj.tasks.course import COURSES, Launch, Stride
+from fishmj.tasks.course import COURSES, EpisodeStart, StepTruth
 
 LONGEST = 1e6  # s
 TRIED = 5  # episodes of the trial run
@@ -50,8 +50,8 @@ def course_of(task: Any, **options: Any) -> Any:
         loaded = plugins.loaded("task")
         if task not in loaded:
             raise UnknownName("task", task, (*COURSES, *loaded))
-        return OwnCourse(loaded[task], plugins.name_of(task), options)
-    return OwnCourse(task, getattr(task, "__name__", type(task).__name__), options)
+        return OwnReference(loaded[task], plugins.name_of(task), options)
+    return OwnReference(task, getattr(task, "__name__", type(task).__name__), options)
 
 
 def options_of(task: Any) -> set[str]:
@@ -60,7 +60,7 @@ def options_of(task: Any) -> set[str]:
     return {f.name for f in fields(task)} if is_dataclass(task) and isinstance(task, type) else set()
 
 
-class OwnCourse:
+class OwnReference:
     """A user's task with the interface of a course; every answer is looked at.
 
     Attributes:
@@ -97,10 +97,10 @@ class OwnCourse:
         self.outside = self._outside if hasattr(task, "outside") else hold.outside
         self._try()
 
-    def launch(self, xp, uniforms) -> Launch:
+    def launch(self, xp, uniforms) -> EpisodeStart:
         """Starts from uniforms (B, 7)."""
         n, found = len(uniforms), plugins.call(f"{self.what}: launch", self.task.launch, xp, uniforms)
-        if not isinstance(found, Launch):
+        if not isinstance(found, EpisodeStart):
             raise OwnCodeError(
                 f"{self.what}: launch gave {type(found).__name__}; expected Launch(Start(pose, target, speed, direction), phase)"
             )
@@ -108,11 +108,11 @@ class OwnCourse:
             self._checked(value, f"launch: {name}", (n, *shape))
         return found
 
-    def target(self, xp, launch: Launch, t):
+    def target(self, xp, launch: EpisodeStart, t):
         """Target (B, 2) m at times t (B,) s."""
         return self._checked(plugins.call(f"{self.what}: target", self.task.target, xp, launch, t), "target", (len(t), 2))
 
-    def _reward(self, xp, step: Stride):
+    def _reward(self, xp, step: StepTruth):
         return self._checked(plugins.call(f"{self.what}: reward", self.task.reward, xp, step), "reward", step.distance.shape)
 
     def _outside(self, xp, pose):
@@ -138,7 +138,7 @@ class OwnCourse:
             target = self.target(np, launch, np.full(TRIED, t))
         pose, still = np.repeat(launch.start.pose[:, None], 10, 1), np.zeros((TRIED, 10, 3))
         trace = engines.Trace(pose, still, still, still, still[..., 0])
-        step = Stride(trace, target, np.linalg.norm(pose[:, -1, :2] - target, axis=-1), still[:, 0], np.full(TRIED, 0.2))
+        step = StepTruth(trace, target, np.linalg.norm(pose[:, -1, :2] - target, axis=-1), still[:, 0], np.full(TRIED, 0.2))
         if self.reward is not None:
             self.reward(np, step)
         self.outside(np, pose[:, -1])

@@ -264,10 +264,10 @@ def main(argv: list[str]) -> int:
             if results[-1]["stopped"]:
                 break
             continue
-        from fishmj.train.run import Run, learner_of
+        from fishmj.train.run import TrainingRun, learner_of
 
         learner = learner or learner_of(one)
-        results.append(Run(one, folder, resume=resume, learner=learner).go())
+        results.append(TrainingRun(one, folder, resume=resume, learner=learner).go())
         if results[-1]["stopped"]:
             break
     for r in results:

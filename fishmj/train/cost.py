@@ -8,7 +8,7 @@ Operations are those of the matrix products: 2 a weight forwards, 6 forwards and
 from fishmj import cost
 from fishmj.cores import usable_cores
 from fishmj.mjcf.description import load_robot
-from fishmj.train.build import made, pick_engine
+from fishmj.train.build import from_table, pick_engine
 from fishmj.train.settings import Settings
 
 CPU, GPU = "cpu", "gpu"
@@ -52,8 +52,8 @@ def config_of(settings: Settings):
     """The hyperparameters; those of stable-baselines3 are our SAC's. Raises UnknownName, ConfigError."""
     from fishmj.train import ppo, sac
 
-    kind = ppo.Config if settings.algo == "ppo" else sac.Config
-    return made(f"setting of {settings.algo}", kind, settings.algorithm)
+    kind = ppo.PPOConfig if settings.algo == "ppo" else sac.SACConfig
+    return from_table(f"setting of {settings.algo}", kind, settings.algorithm)
 
 
 def widths(settings: Settings) -> tuple[int, int, int]:

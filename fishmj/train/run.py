@@ -19,7 +19,7 @@ from fishmj.errors import ConfigError, SimDiverged
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of
 from fishmj.train.evaluate_policy import Assessment
 from fishmj.train.interruptions import stop_on_signal, when_there_is_room
-from fishmj.train.metrics_log import Board
+from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
@@ -53,8 +53,8 @@ def tree_of(arrays: dict[str, np.ndarray], like):
     return jax.tree_util.tree_unflatten(shape, leaves)
 
 
-class Run:
-    """Train one policy. `Run(settings, folder).go()` returns the summary dict."""
+class TrainingRun:
+    """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict."""
 
     def __init__(self, settings: Settings, folder, *, resume: bool = False, quiet: bool = False, learner=None):
         self.settings, self.folder, self.quiet = settings, Path(folder), quiet
@@ -82,7 +82,7 @@ class Run:
         """Train to the end, or to Ctrl-C; the summary says which."""
         s, step = self.settings, self.algorithm.steps_per_iteration
         start, saved = time.monotonic() - self.seconds, time.monotonic()
-        board = Board(self.folder, after=self.done, assessed=self.assessed)
+        board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
         with stop_on_signal(self._last_words) as asked, self.bar as bar:
@@ -112,7 +112,7 @@ class Run:
         every = self.settings.assess_every
         return self.done > self.assessed and (self.done // every > self.assessed // every or self.done >= self.settings.steps)
 
-    def _judge(self, board: Board, write: Callable) -> None:
+    def _judge(self, board: MetricsLog, write: Callable) -> None:
         """Assess, note it, keep the best policy; only then the run has it behind it."""
         if not (self.quiet or self._looked):
             self.bar.stage("compiling the assessment")

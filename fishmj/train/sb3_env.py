@@ -17,7 +17,7 @@ from fishmj.train.networks import scale
 from fishmj.train.settings import Settings
 
 
-class Shoal(VecEnv):
+class FishVecEnv(VecEnv):
     """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too).
 
     `tally` sums up what happened since it was last emptied: see `figures`.

@@ -14,13 +14,13 @@ import numpy as np
 
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
-from fishmj.virtual_robot.constants import Hull
+from fishmj.virtual_robot.constants import HullConstants
 
 STATIONS = 16
 PANEL = 4  # Gauss points between two drawn sections
 
 
-class Body(NamedTuple):
+class RigidBody(NamedTuple):
     """N = 4 links, S stations; SI units."""
 
     hinge: np.ndarray  # (N,) x of the rear hinge, m
@@ -42,7 +42,7 @@ class Body(NamedTuple):
     total: float  # kg
 
 
-def body_of(robot: Robot, water: dict, hull: Hull) -> Body:
+def body_of(robot: Robot, water: dict, hull: HullConstants) -> RigidBody:
     """Arrays of `robot` with the section coefficients in `water` (table of virtual_robot.toml) and what `hull` adds."""
     geometry = geometry_of(robot)
     n, rho = geometry.n_links, robot.density_water
@@ -69,7 +69,7 @@ def body_of(robot: Robot, water: dict, hull: Hull) -> Body:
     surge[0] += hull.surge
     sway[0, 0] += hull.sway
     spin[0] += hull.yaw
-    return Body(
+    return RigidBody(
         hinge=np.append(geometry.joint, 0.0),
         mass=mass,
         first=first,
@@ -90,7 +90,7 @@ def body_of(robot: Robot, water: dict, hull: Hull) -> Body:
     )
 
 
-def _rigid(geometry: Geometry, hull: Hull) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rigid(geometry: Geometry, hull: HullConstants) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mass, first and second moment of every link about its origin; ballast slides along the head."""
     mass, x = geometry.mass.copy(), geometry.com[:, 0].copy()
     x[0] += hull.com

@@ -17,13 +17,13 @@ from fishmj.store import Manifest, sha256, write_json
 from fishmj.store.manifest import MANIFEST
 from fishmj.virtual_robot import draws
 from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.effect import Parameter
+from fishmj.virtual_robot.effect import EntryParameter
 from fishmj.virtual_robot.oddities import ODDITIES
 from fishmj.virtual_robot.trials import EFFECTS
 
 SCHEMA = "fishmj.truth/1"
 WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
-Limits = Callable[[str, Parameter], tuple[float, float]]
+Limits = Callable[[str, EntryParameter], tuple[float, float]]
 OWN = re.compile(r"([^:=]+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)+):[A-Za-z_][\w.]*")  # an effect's name has no dot
 INSTEAD = (
     "list it in a fish (docs/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects, or, if it"
@@ -83,7 +83,7 @@ def own_reference(text: str) -> str:
     return found[0] if found else ""
 
 
-def bounds(name: str, parameter: Parameter) -> tuple[float, float]:
+def bounds(name: str, parameter: EntryParameter) -> tuple[float, float]:
     """What may be planted: what is possible, up to WIDEST times the largest typical size; without a sign, little below null."""
     size = max(abs(t - (0.0 if parameter.default else parameter.null)) for t in parameter.typical)
     below = WIDEST if parameter.signed or parameter.null else BELOW
@@ -91,7 +91,7 @@ def bounds(name: str, parameter: Parameter) -> tuple[float, float]:
     return low, high
 
 
-def _ranged(text: str, parameter: Parameter, value: float, limits: tuple[float, float]) -> None:
+def _ranged(text: str, parameter: EntryParameter, value: float, limits: tuple[float, float]) -> None:
     low, high = limits
     if not low <= value <= high:
         expected = f"expected {low:g} to {high:g} {parameter.unit}"

@@ -11,7 +11,7 @@ CHANNELS = ("joint", "position", "heading", "velocity", "power")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
+class EntryParameter:
     """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur; least, most: what is possible."""
 
     name: str
@@ -26,12 +26,12 @@ class Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Effect:
+class CatalogueEntry:
     """A hidden effect. shows: channels in which it must be seen; runs: experiments that show it well."""
 
     name: str
     stage: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[EntryParameter, ...]
     shows: tuple[str, ...]
     runs: tuple[str, ...]
     stochastic: bool = False  # differs between replicates

@@ -27,7 +27,7 @@ MEMORY = 1.0  # s of motion that late sensors may look back on
 HORIZON = 3600.0  # s of weather drawn at the start; afterwards it stays as it is
 
 
-class Live:
+class ClosedLoopRobot:
     """One virtual robot that waits for commands.
 
     Args:

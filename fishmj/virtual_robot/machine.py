@@ -9,8 +9,17 @@ import numpy as np
 from fishmj.calib import read_toml, resolve
 from fishmj.mjcf.description import Robot, Servo
 from fishmj.units import G
-from fishmj.virtual_robot.body import Body, body_of
-from fishmj.virtual_robot.constants import Camera, Hull, Meter, Motor, Network, Odd, Tank, Water
+from fishmj.virtual_robot.body import RigidBody, body_of
+from fishmj.virtual_robot.constants import (
+    Camera,
+    HullConstants,
+    Meter,
+    MotorConstants,
+    Network,
+    TankConstants,
+    Uncatalogued,
+    WaterConstants,
+)
 
 CONSTANTS = "virtual_robot"
 GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
@@ -19,23 +28,23 @@ FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on averag
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plant:
+class RobotConstants:
     """Groups of constants (`constants.py`) and what the body is built from."""
 
     robot: Robot
     sections: dict  # table [water] of the constants after the nuisance draw
     placing: tuple[float, float]  # m, rad: how well the fish is put at its start
     air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
-    hull: Hull
-    water: Water
-    motor: Motor
-    tank: Tank
+    hull: HullConstants
+    water: WaterConstants
+    motor: MotorConstants
+    tank: TankConstants
     network: Network
     camera: Camera
     meter: Meter
-    odd: Odd
+    odd: Uncatalogued
 
-    def with_fields(self, values: dict[str, float]) -> "Plant":
+    def with_fields(self, values: dict[str, float]) -> "RobotConstants":
         """A copy with dotted fields set: {"motor.deadband": 0.02}."""
         groups: dict[str, dict[str, float]] = {}
         for name, value in values.items():
@@ -44,7 +53,7 @@ class Plant:
         return replace(self, **{group: getattr(self, group)._replace(**fields) for group, fields in groups.items()})
 
     @cached_property
-    def body(self) -> Body:
+    def body(self) -> RigidBody:
         """Arrays of the links."""
         return body_of(self.robot, self.sections, self.hull)
 
@@ -54,7 +63,7 @@ class Plant:
         return np.array([self.motor.zero1, self.motor.zero2, self.motor.zero3])
 
 
-def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.random.Generator | None = None) -> Plant:
+def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.random.Generator | None = None) -> RobotConstants:
     """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
 
     Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
@@ -73,7 +82,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
     frontal = _frontal(robot)
     head = 0.5 * rho * frontal * wet["head_forward"]
-    water = Water(
+    water = WaterConstants(
         active=float(medium == "water"),
         friction=wet["friction"],
         head_forward=head,
@@ -87,7 +96,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     )
     servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
     resistance, constant = electrical(servo)
-    motor = Motor(
+    motor = MotorConstants(
         gain=drawn(servo.kp, 0.2),
         rate_gain=servo.kv,
         torque=servo.torque,
@@ -104,19 +113,19 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     network = Network(period=timing.bus_dt, latency=timing.command_latency - FIRMWARE_WAIT * motor.period, **table["network"])
     camera = Camera(latency=timing.camera_latency, window=float(timing.velocity_window), **table["camera"])
     air, placing = table["air"], table["placing"]
-    return Plant(
+    return RobotConstants(
         robot=robot,
         sections=wet,
         placing=(placing["position"], placing["heading"]),
         air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
-        hull=Hull(),
+        hull=HullConstants(),
         water=water,
         motor=motor,
-        tank=Tank(half=1.8),
+        tank=TankConstants(half=1.8),
         network=network,
         camera=camera,
         meter=Meter(**table["meter"]),
-        odd=Odd(),
+        odd=Uncatalogued(),
     )
 
 

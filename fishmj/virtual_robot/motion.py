@@ -6,7 +6,7 @@ import numpy as np
 
 from fishmj.errors import SimDiverged
 from fishmj.virtual_robot.loop import H, advance
-from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot.machine import RobotConstants
 from fishmj.virtual_robot.state import COLUMNS, LOG, State
 
 COLUMN = {name: i for i, name in enumerate(COLUMNS)}
@@ -29,7 +29,9 @@ def workspace() -> tuple[np.ndarray, ...]:
     return (np.zeros((6, 6)), np.zeros(6), np.zeros((3, 3)), np.zeros((3, 6)), *(np.zeros(n) for n in (3, 3, 4, 3)))
 
 
-def run(plant: Plant, state: State, arrivals, commands, seconds: float, gust: np.ndarray = STILL, anchor=None) -> Recording:
+def run(
+    plant: RobotConstants, state: State, arrivals, commands, seconds: float, gust: np.ndarray = STILL, anchor=None
+) -> Recording:
     """Advance `state` in place by `seconds`; commands (K, 3) [rad] reach the servos at arrivals (K,) [s].
 
     Raises:

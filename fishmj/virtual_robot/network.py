@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.constants import Network, Odd
+from fishmj.virtual_robot.constants import Network, Uncatalogued
 from fishmj.virtual_robot.motion import Recording
 
 
@@ -25,7 +25,7 @@ class Delivery(NamedTuple):
 class Radio:
     """Decides, packet by packet, when a command reaches the servos."""
 
-    def __init__(self, network: Network, odd: Odd, seed: int, trial: int, noise: float):
+    def __init__(self, network: Network, odd: Uncatalogued, seed: int, trial: int, noise: float):
         self.network, self.odd, self.noise = network, odd, noise
         self._streams = [draws.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
         self._last: np.ndarray | None = None
@@ -41,7 +41,9 @@ class Radio:
         return None if loss.random() < n.loss else sent + max(delay, 0.001)
 
 
-def deliver(network: Network, odd: Odd, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float) -> Delivery:
+def deliver(
+    network: Network, odd: Uncatalogued, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
+) -> Delivery:
     """Send commands (K, 3) at `sent` (K,) and take them out of the queue in order of arrival."""
     radio = Radio(network, odd, seed, trial, noise)
     times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]

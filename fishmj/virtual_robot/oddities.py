@@ -4,7 +4,7 @@ Families differ in kind: memory, coupling, asymmetry, place, time, timing, sensi
 """
 
 from fishmj.virtual_robot.catalogue import ALL, BODY, SERVO, _keep, _one
-from fishmj.virtual_robot.effect import Effect
+from fishmj.virtual_robot.effect import CatalogueEntry
 
 _ROWS: list[tuple] = [
     (
@@ -106,7 +106,7 @@ _ROWS: list[tuple] = [
         ("gait", "turn_right"),
     ),
 ]
-ODDITIES: dict[str, Effect] = {
-    name: Effect(name=name, stage="odd", about=about, parameters=parameters, shows=shows, runs=runs, catalogued=False)
+ODDITIES: dict[str, CatalogueEntry] = {
+    name: CatalogueEntry(name=name, stage="odd", about=about, parameters=parameters, shows=shows, runs=runs, catalogued=False)
     for name, about, parameters, shows, runs in _ROWS
 }

@@ -18,14 +18,14 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import made_by
 from fishmj.virtual_robot import draws, network, sensors
 from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.effect import Effect
+from fishmj.virtual_robot.effect import CatalogueEntry
 from fishmj.virtual_robot.loop import GUST
-from fishmj.virtual_robot.machine import Plant, nominal
+from fishmj.virtual_robot.machine import RobotConstants, nominal
 from fishmj.virtual_robot.motion import Recording, run
 from fishmj.virtual_robot.oddities import ODDITIES
 from fishmj.virtual_robot.state import at_rest
 
-EFFECTS: dict[str, Effect] = {**CATALOGUE, **ODDITIES}
+EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
 SENSORS = ("joint", "power", "pose")
 Effects = Mapping[str, Mapping[str, float]]
@@ -33,7 +33,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 def plant(
     effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water"
-) -> Plant:
+) -> RobotConstants:
     """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
 
     Raises:
@@ -95,7 +95,7 @@ def trial_name(index: int, excitation_id: str) -> str:
     return f"{index + 1:02d}_{excitation_id}"
 
 
-def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> Recording:
+def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
     """What really happens in trial `index`: place the fish, send the commands, move."""
     hand = draws.stream(seed, "placing", index).standard_normal(3) * noise
     start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
@@ -106,7 +106,7 @@ def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> 
     return run(made, state, queue.times, queue.commands, what.seconds, weather(made, what.seconds, seed, index))
 
 
-def weather(made: Plant, seconds: float, seed: int, index: int) -> np.ndarray:
+def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.ndarray:
     """Water velocity that varies in time (G, 2), every GUST s: turbulence, and a current that comes and goes."""
     tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
     table = np.zeros((n, 2))
@@ -119,7 +119,14 @@ def weather(made: Plant, seconds: float, seed: int, index: int) -> np.ndarray:
 
 
 def trial_of(
-    made: Plant, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str, flow: tuple[float, float]
+    made: RobotConstants,
+    what: Excitation,
+    seed: int,
+    index: int,
+    noise: float,
+    name: str,
+    replicate_of: str,
+    flow: tuple[float, float],
 ) -> Trial:
     """Move, then look through the sensors; the trial holds what a lab would have on disk."""
     record = swim(made, what, seed, index, noise)
@@ -151,7 +158,7 @@ def trial_of(
     return Trial(meta, tables, name=name)
 
 
-def sense(made: Plant, record: Recording, streams: dict, span: tuple[float, float], noise: float) -> dict[str, dict]:
+def sense(made: RobotConstants, record: Recording, streams: dict, span: tuple[float, float], noise: float) -> dict[str, dict]:
     """Tables joint, power and (in water) pose with the readings from span[0] to before span[1]."""
 
     def due(period: float) -> np.ndarray:
@@ -167,7 +174,7 @@ def sense(made: Plant, record: Recording, streams: dict, span: tuple[float, floa
     return tables
 
 
-def sigmas(made: Plant, noise: float) -> dict[str, float]:
+def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
     """Standard deviation of each channel's noise, counts included, in its unit."""
     c, n, m = made.camera, made.network, made.meter
     joint = float(np.hypot(noise * n.angle_noise, n.angle_step / np.sqrt(12)))

@@ -117,7 +117,7 @@ class HydroModel:
         if self.learnt is None:
             return inner
         memory = residual_hooks.at_rest() if memory is None else memory
-        return residual_hooks.Learned(xp, ch, self.learnt, memory, inner)
+        return residual_hooks.LearnedResidual(xp, ch, self.learnt, memory, inner)
 
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""

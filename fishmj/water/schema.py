@@ -45,7 +45,7 @@ class Base(_Table):
     suction: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
 
 
-class Row(_Table):
+class CoefficientRow(_Table):
     """What the data say about one coefficient."""
 
     value: float
@@ -55,7 +55,7 @@ class Row(_Table):
 class Stage(_Table):
     """One stage of the fit."""
 
-    parameters: dict[str, Row] = {}
+    parameters: dict[str, CoefficientRow] = {}
 
 
 class WaterFile(_Table):

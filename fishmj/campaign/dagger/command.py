@@ -14,7 +14,7 @@ from fishmj.campaign.dagger.dagger import correct
 from fishmj.campaign.data.collect import Local
 from fishmj.campaign.data.command import ON_GPU
 from fishmj.campaign.data.run_segments import Setup
-from fishmj.hydro_fit.dataset import SEGMENTS, Dataset, open_dataset
+from fishmj.hydro_fit.dataset import SEGMENTS, SegmentDataset, open_dataset
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import cost
 from fishmj.lbm_oracle.run.domain import NAMES, preset
@@ -70,7 +70,7 @@ def kept_words(out: Path) -> str:
     return f"{out} holds {rounds} finished rounds and {swims} segments of the solver; {interrupt.again()}"
 
 
-def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path, out: Path) -> HydroModel:
+def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Path, out: Path) -> HydroModel:
     """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set.
 
     Args:
@@ -78,7 +78,7 @@ def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path, out:
     """
     from fishmj.hydro_fit.fit.data_parallel import several
     from fishmj.hydro_fit.fit.gauss_newton import flaps
-    from fishmj.hydro_fit.fit.incremental import Again
+    from fishmj.hydro_fit.fit.incremental import Refit
     from fishmj.hydro_fit.fit.rollout import is_free
 
     several()
@@ -89,7 +89,7 @@ def refitted(robot: Robot, model: HydroModel, first: Dataset, solver: Path, out:
     room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
     every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
     made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"}
-    again = Again(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
+    again = Refit(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
 
     def words() -> str:
         again.loop.save()  # the stage that is under way

@@ -160,9 +160,9 @@ def policy(
     Raises:
         ConfigError: the policy here is not the one with this sha256.
     """
-    from fishmj.campaign.data.closed_loop import Steered
+    from fishmj.campaign.data.closed_loop import ClosedLoop
 
-    helm = Steered(segment, robot, controller, target, seed, noise)
+    helm = ClosedLoop(segment, robot, controller, target, seed, noise)
     if sha256 and (got := getattr(helm.brain, "sha256", "")) != sha256:
         raise ConfigError(
             f"segment {segment.id}: policy {controller}: expected sha256 {sha256}, got {got}; plan again with this file"

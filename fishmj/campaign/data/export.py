@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot
 
 
-def trial_of(record: Record, robot: Robot) -> Trial:
+def trial_of(record: SegmentRecord, robot: Robot) -> Trial:
     """Tables cmd, joint, pose, truth, flow, wrench and, where servos drove the joints, power; times from the record's start."""
     t, began = record.t, record.t - record.tick
     pose, joint, speed, rate = record.q[:, :3], record.q[:, 3:], record.v[:, :3], record.v[:, 3:]
@@ -31,7 +31,7 @@ def trial_of(record: Record, robot: Robot) -> Trial:
     return Trial(_meta(record, tables), tables, name=record.id)
 
 
-def _meta(record: Record, tables: dict) -> dict:
+def _meta(record: SegmentRecord, tables: dict) -> dict:
     meta = record.meta
     segment = meta["segment"]
     return {

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 
 from fishmj.campaign.hidden_lbm.implicit_servo import forces
-from fishmj.lbm_oracle.immersed.body import Body, Water
+from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.mjcf import build
 from fishmj.virtual_robot.body import body_of
-from fishmj.virtual_robot.constants import Hull, Odd
-from fishmj.virtual_robot.machine import Plant, nominal
+from fishmj.virtual_robot.constants import HullConstants, Uncatalogued
+from fishmj.virtual_robot.machine import RobotConstants, nominal
 from fishmj.virtual_robot.motion import STILL
 from fishmj.virtual_robot.state import State
 
@@ -24,12 +24,12 @@ ABSOLUTE[3:, 3:] = np.tril(np.ones((3, 3)))
 REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver's water moves so by itself
 
 
-class HiddenBody(Body):
-    """A `Body` whose joints are pushed by a law tau = a - D w, with the masses of a virtual robot and an effect's own forces."""
+class HiddenBody(ImmersedBody):
+    """An `ImmersedBody` whose joints follow a law tau = a - D w, with a virtual robot's masses and an effect's own forces."""
 
-    def __init__(self, made: Plant, dt: float, heavier: float = 1.0):
+    def __init__(self, made: RobotConstants, dt: float, heavier: float = 1.0):
         robot = made.robot
-        super().__init__(build(robot, "planar", bare=True), Water.of(robot), dt)
+        super().__init__(build(robot, "planar", bare=True), DisplacedWater.of(robot), dt)
         m = self.model
         m.actuator_gainprm[:], m.actuator_biasprm[:] = 0.0, 0.0
         m.dof_armature[-3:] = made.motor.armature
@@ -53,17 +53,17 @@ class HiddenBody(Body):
         self.model.dof_damping[-3:] = slope
 
 
-class Difference:
+class HiddenDifference:
     """What the planted effects change in the second robot's water; None of it for actuators, clocks and sensors."""
 
-    def __init__(self, made: Plant, gust: np.ndarray):
-        rigid = Hull(mass=made.hull.mass, com=made.hull.com, inertia=made.hull.inertia)
+    def __init__(self, made: RobotConstants, gust: np.ndarray):
+        rigid = HullConstants(mass=made.hull.mass, com=made.hull.com, inertia=made.hull.inertia)
         plain = nominal(made.robot)
         tank = made.tank._replace(**{key: value for key, value in plain.tank._asdict().items() if key not in REAL})
         kept = {key: getattr(made.water, key) for key in _drawn(made.water)}
         self.pair = (
             (made.body, made.water, made.tank, made.odd, gust),
-            (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, Odd(), STILL),
+            (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, Uncatalogued(), STILL),
         )
         self.wakes = [np.zeros(6), np.zeros(6)]
         self.acts = made.hull != rigid or self.pair[0][1:4] != self.pair[1][1:4] or bool(np.any(gust))

@@ -19,7 +19,7 @@ from fishmj.campaign.data.run_segments import DOUBT
 from fishmj.campaign.hidden_lbm.run import CARRY, PASSES, WIDTH, HiddenRun, Job
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.batch import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.source import made_by
@@ -104,7 +104,7 @@ def swum(waiting: Iterable[Job], device: str = "cpu", tanks: int = 1) -> Iterato
     while queue or busy:
         while queue and len(busy) < tanks:
             busy.append(HiddenRun(queue.popleft(), device))
-        Tanks(busy).tick(np.zeros((len(busy), 3)))
+        ConcurrentRuns(busy).tick(np.zeros((len(busy), 3)))
         for run in [run for run in busy if run.done]:
             busy.remove(run)
             yield run

@@ -6,19 +6,19 @@ from typing import cast
 import numpy as np
 
 from fishmj.campaign.hidden_lbm.body import HiddenBody
-from fishmj.campaign.hidden_lbm.electronics import Queue, Wire
+from fishmj.campaign.hidden_lbm.electronics import Electronics, Queue
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
-from fishmj.lbm_oracle.run.actuation import Driver
+from fishmj.lbm_oracle.run.actuation import JointDriver
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import Edge
+from fishmj.lbm_oracle.run.setup import DomainWatch
 from fishmj.mjcf.model import reference_qpos
 from fishmj.virtual_robot import draws, network
-from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot.machine import RobotConstants
 from fishmj.virtual_robot.motion import Recording
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import weather
@@ -34,7 +34,7 @@ class Job:
     heavier: factor on all masses. slip: ratio of the hull at the paper's grid. flow: ordered stream, m/s and rad.
     """
 
-    made: Plant
+    made: RobotConstants
     what: Excitation
     seed: int
     index: int
@@ -79,7 +79,7 @@ class HiddenRun(Run):
         state.ramp[:, :2] = what.commands[0][:, None]
         packets = network.deliver(made.network, made.odd, what.t, what.commands, job.seed, job.index, job.noise)
         gust = weather(made, what.seconds, job.seed, job.index)
-        self.wire = Wire(made, state, Queue(packets.times, packets.commands), gust)
+        self.wire = Electronics(made, state, Queue(packets.times, packets.commands), gust)
         coupled, edge = _coupled(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
         super().__init__(coupled, made.robot, latency=0.0, follow=edge)
         if job.carried:
@@ -120,16 +120,16 @@ class HiddenRun(Run):
         self.coupled.join()
         self.coupled.take_wrench(CARRY)
 
-    def _driver(self, coupled: Coupled, factor: int) -> Driver:
-        return ByWire(self.wire, coupled, self.ticks)
+    def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
+        return ElectronicsDriver(self.wire, coupled, self.ticks)
 
 
-class ByWire:
+class ElectronicsDriver:
     """The joints' torque from the wire for one tick; a joint that friction holds is prescribed not to move."""
 
     power = 0.0  # the wire's own record has it
 
-    def __init__(self, wire: Wire, coupled: Coupled, tick: int):
+    def __init__(self, wire: Electronics, coupled: FluidStructure, tick: int):
         self.wire, self.body, self.began = wire, _hidden(coupled), tick * PERIOD
         wire.begin_tick(tick)
         wire.place(self.body)
@@ -145,7 +145,7 @@ class ByWire:
         self.wire.follow(self.body)
 
 
-def _hidden(coupled: Coupled) -> HiddenBody:
+def _hidden(coupled: FluidStructure) -> HiddenBody:
     return cast(HiddenBody, coupled.body)
 
 
@@ -163,7 +163,7 @@ def carriage(start: np.ndarray, push, before: float) -> np.ndarray:
     return np.array([start[0] - (c * along - s * across), start[1] - (s * along + c * across), yaw])
 
 
-def _coupled(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> tuple[Coupled, Edge]:
+def _coupled(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> tuple[FluidStructure, DomainWatch]:
     """Fish and water at the start; the stream and a steady current are the water's own."""
     made, domain = job.made, job.domain
     stream = job.stream
@@ -173,8 +173,8 @@ def _coupled(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> tup
     body = HiddenBody(made, domain.dt, job.heavier)
     body.place(reference_qpos(body.model, tuple(pose), joints))
     markers = fish_markers(made.robot, domain.dx, slip=job.slip, width=WIDTH)
-    coupled = Coupled(fluid, body, markers, slip=job.slip, width=WIDTH, passes=PASSES)
-    edge = Edge(domain, float(pose[2]))
+    coupled = FluidStructure(fluid, body, markers, slip=job.slip, width=WIDTH, passes=PASSES)
+    edge = DomainWatch(domain, float(pose[2]))
     while edge.follow(coupled):  # a window starts round its fish
         pass
     return coupled, edge

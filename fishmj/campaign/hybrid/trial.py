@@ -25,7 +25,7 @@ from fishmj.campaign.hybrid.correction_segment import Solver
 from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.dataset import open_dataset
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import cost
 from fishmj.lbm_oracle.run.domain import NAMES, preset
@@ -130,7 +130,7 @@ def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *,
 
 
 def _one(
-    robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth: Record, when: dict, wrong: str, own: float
+    robot: Robot, model: HydroModel, setup: Setup, segment: Segment, truth: SegmentRecord, when: dict, wrong: str, own: float
 ) -> dict:
     ch = shorter_tail(robot) if wrong in ("tail", "both") else planar_chain.chain_of(robot)
     water, ticks = model.swimmer(robot).water, min(ticks_of(segment, robot)[1], len(truth.q))
@@ -155,7 +155,7 @@ def _one(
     return row | {"transient": transient(solver, truth, robot).tolist()}
 
 
-def transient(solver: Solver, truth: Record, robot: Robot) -> np.ndarray:
+def transient(solver: Solver, truth: SegmentRecord, robot: Robot) -> np.ndarray:
     """(LOOKED,) error of the wrenches after a new seed in the middle of a swim, over their rms in the swim that had none."""
     from scipy.interpolate import CubicHermiteSpline
 

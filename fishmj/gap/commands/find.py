@@ -15,7 +15,7 @@ from fishmj.gap.commands import compare_models, doors, model_version, options, u
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.sufficiency import Shortage, everything, shortage
+from fishmj.gap.records.sufficiency import InsufficientData, deterministic_effects, insufficient_data
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
@@ -101,10 +101,10 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
     Raises:
         TooDifferent: model and logs are further apart than any missing effect brings them.
     """
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
 
     return investigate(
-        Fish(robot),
+        SwimmingFish(robot),
         list(given.trials.values()),
         gates=frozen() if args.most is None else replace(frozen(), most=args.most),
         null=datasets.null_of(null_of(args)),
@@ -124,9 +124,9 @@ def null_of(args) -> dict:
     return made | {"folder": str(args.null.resolve())} if args.null else made
 
 
-def missing(given: Taken, robot: Robot) -> "Shortage | None":
+def missing(given: Taken, robot: Robot) -> "InsufficientData | None":
     """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
-    return shortage([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], everything())
+    return insufficient_data([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], deterministic_effects())
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:

@@ -13,9 +13,9 @@ from itertools import count, cycle, islice
 import numpy as np
 
 from fishmj import console, effects, excitation
-from fishmj.effects import Active
+from fishmj.effects import EffectStack
 from fishmj.effects.draws import draw
-from fishmj.effects.sites import Seen
+from fishmj.effects.sites import Measured
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
@@ -179,7 +179,7 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
                 f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
             )
         effect = able[name]
-        active = Active([effect], 3)
+        active = EffectStack([effect], 3)
         row = draw(active, 1, rng)[0] if not (colon or main) else np.array(active.null)
         split = [pair.partition("=") for pair in listed.split(",") if colon]
         pairs = [(effect.parameters[0].name, main)] if main else [(key.strip(), value) for key, _, value in split]
@@ -203,7 +203,7 @@ def afterwards(effect) -> bool:
 
 def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Trial:
     """One trial with the effects on it: values through `measure`, stamps of a late clock moved by its delay."""
-    active = Active([effects.get(key) for key in hidden], 3)
+    active = EffectStack([effects.get(key) for key in hidden], 3)
     row = active.flat(hidden)
     tables = {key: dict(table) for key, table in trial.tables.items()}
     for sensor in ("pose", "joint", "power"):
@@ -221,14 +221,14 @@ def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Tria
     return Trial(trial.meta, tables, name=name, notes=trial.notes)
 
 
-def measured(active: Active, row, sensor: str, table: dict) -> dict:
+def measured(active: EffectStack, row, sensor: str, table: dict) -> dict:
     """A table as the effects' sensors report it."""
     t = np.asarray(table["t"], float)
     zero = np.zeros_like(t)
     x, y, yaw = (np.asarray(table[k], float) for k in ("x", "y", "yaw")) if sensor == "pose" else (zero, zero, zero)
     joint = stacked(table, "j#") if sensor == "joint" else np.zeros((len(t), active.joints))
     power = np.asarray(table["V"] * table["I"], float) if sensor == "power" else zero
-    seen = active.measure(np, row, Seen(t, x, y, yaw, joint, power))
+    seen = active.measure(np, row, Measured(t, x, y, yaw, joint, power))
     if sensor == "pose":
         return table | {"x": seen.x + zero, "y": seen.y + zero, "yaw": seen.yaw + zero}
     if sensor == "joint":

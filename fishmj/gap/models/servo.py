@@ -17,7 +17,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Gear, Seen, Servo
+from fishmj.effects.sites import Gear, Measured, ServoDrive
 from fishmj.gap.models.interpolation import hermite
 from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.models.swimming_fish import Constant
@@ -30,7 +30,7 @@ LEAD = 1.0  # ohm; a sag of 1 ohm is the rail as it was measured
 NOT_HERE = {"joint_hydro_damping"}  # water
 
 
-class Motor(NamedTuple):
+class ServoMotor(NamedTuple):
     """Nominal servo, SI; what a row's constants are factors on."""
 
     stall: float  # N m at full duty
@@ -47,7 +47,7 @@ class Pendulum(NamedTuple):
     voltage: float  # V, nominal
 
 
-class Bench(NamedTuple):
+class PendulumLog(NamedTuple):
     """One log. commands: (T, 5) at the plant's steps: goal [rad], torque on (0 or 1), supply [V], gain [duty/rad], largest duty.
 
     start: angle and rate at t = 0. session: s since the first log.
@@ -79,14 +79,14 @@ class OneServo:
 
     def __init__(
         self,
-        motor: Motor,
+        motor: ServoMotor,
         rig: Pendulum,
         constants: tuple[Constant, ...] | None = None,
         catalogue: Iterable[Effect] | None = None,
     ):
         self.motor, self.rig, self.dt = motor, rig, DT
-        self.constants = tuple(Constant(n, 0.3) for n in Motor._fields) if constants is None else constants
-        self.active = effects.Active(on_bench(acting() if catalogue is None else catalogue), joints=1)
+        self.constants = tuple(Constant(n, 0.3) for n in ServoMotor._fields) if constants is None else constants
+        self.active = effects.EffectStack(on_bench(acting() if catalogue is None else catalogue), joints=1)
 
     @property
     def null(self) -> np.ndarray:
@@ -114,7 +114,7 @@ class OneServo:
         session = self.active.begin(jnp, row[len(self.constants) :], state[2:])
         target = session.command(0, goal, self.dt)
         sag = (1.0 - volts / self.rig.voltage) / LEAD  # of the nominal voltage, as a current through LEAD
-        s = Servo(target - angle, angle, rate, gain * m.stall, 0.0, m.back_emf, most * m.stall, sag, session.time)
+        s = ServoDrive(target - angle, angle, rate, gain * m.stall, 0.0, m.back_emf, most * m.stall, sag, session.time)
         s = session.servo(0, s, self.dt)
         drive = on * jnp.minimum(jnp.maximum(s.kp * s.error - s.kv * rate, -s.limit), s.limit)
         g = session.gear(0, Gear(drive, angle, rate, 0.0, 0.0, 0.0, s.kb, s.limit), self.dt)
@@ -124,7 +124,7 @@ class OneServo:
         rate = (inertia * rate + self.dt * (g.drive + g.torque - weight * jnp.sin(angle))) / (inertia + self.dt * resist)
         return [angle + self.dt * rate, rate, *session.end(0.0, self.dt)]
 
-    def predict(self, records: list[Bench], rows) -> list[dict]:
+    def predict(self, records: list[PendulumLog], rows) -> list[dict]:
         """What the encoder reports for every parameter row (R, P) on every record: {"joint": (R, K, 1)} at its stamps."""
         rows = np.atleast_2d(np.asarray(rows, float))
         longest = max(len(r.commands) for r in records)
@@ -149,11 +149,11 @@ class OneServo:
         out = out.reshape(len(records), len(rows), *out.shape[1:])
         return [{"joint": self._sense(r, mine, parameters, late["joint"])} for r, mine in zip(records, out, strict=True)]
 
-    def _sense(self, record: Bench, out, parameters, late) -> np.ndarray:
+    def _sense(self, record: PendulumLog, out, parameters, late) -> np.ndarray:
         t = record.joint.t[None, :] - late[:, None]
         angle = hermite(out[..., :1], out[..., 1:], STRIDE * self.dt, t)
         still = np.zeros_like(t)
-        seen = Seen(t, still, still, still, angle, still)
+        seen = Measured(t, still, still, still, angle, still)
         return self.active.measure(np, [column[:, None] for column in parameters], seen).joint
 
 

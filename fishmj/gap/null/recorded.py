@@ -16,7 +16,7 @@ import numpy as np
 from fishmj.errors import LogError
 from fishmj.excitation import Excitation
 from fishmj.gap.null import code_hash
-from fishmj.gap.null.simulated import Null, Tick, model
+from fishmj.gap.null.simulated import SimulatedNull, Tick, model
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import WINDOW
 from fishmj.log import Trial
@@ -29,8 +29,8 @@ ALIKE = 1e-3  # rad between two commands, m and rad between two starts
 
 
 @dataclass(frozen=True)
-class Sets(Null):
-    """folder: one bundle (.npz) a fish. without: names of bundles that take no part. What `Null` draws by is not used."""
+class RecordedNull(SimulatedNull):
+    """folder: one bundle (.npz) a fish. without: names of bundles left out. The draws of `SimulatedNull` are not used."""
 
     folder: Path = Path()
     without: tuple[str, ...] = ()

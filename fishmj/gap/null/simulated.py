@@ -25,7 +25,7 @@ from fishmj.excitation import Excitation
 from fishmj.gap.null import code_hash
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import WINDOW, Layout
+from fishmj.gap.records.residual import WINDOW, ResidualLayout
 from fishmj.gap.watch import Bar, Bars, silent
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
@@ -38,7 +38,7 @@ SIMULATOR = "fishmj.virtual_robot.trials"
 
 
 @dataclass(frozen=True)
-class Null:
+class SimulatedNull:
     """How null runs are drawn.
 
     runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the sensors'.
@@ -49,7 +49,7 @@ class Null:
     noise: float = 1.0
     seed: int = 0
 
-    def residuals(self, plant, records: list[Record], layout: Layout, bars: Bars = silent) -> np.ndarray:
+    def residuals(self, plant, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
         """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""
         self.prepare(plant, records, bars)
         out = np.empty((self.runs, layout.size))
@@ -91,7 +91,7 @@ class Null:
         predictions = plant.predict(runs, getattr(plant, "nothing", plant.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
-            layout = Layout([run])
+            layout = ResidualLayout([run])
             residual = layout.residuals([prediction])[0]
             for b in layout.blocks:
                 grid = np.arange(int(b.window[-1]) + 1)

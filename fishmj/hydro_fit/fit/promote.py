@@ -8,7 +8,7 @@ from fishmj.store import sha256
 from fishmj.water.model import HydroModel
 
 
-def keep(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
+def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
     """Write `model` to `folder`, or beside it as `rejected-<hash>` when the standing model does better on the same validation.
 
     Args:

@@ -4,13 +4,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 
 if TYPE_CHECKING:
     from fishmj.lbm_oracle.run.run import Run
 
 
-class Driver(Protocol):
+class JointDriver(Protocol):
     """Made anew for every tick, and for every time that it is done again with finer steps."""
 
     @property
@@ -18,7 +18,7 @@ class Driver(Protocol):
         """Mean W that the servos drew."""
 
     def drive(self, step: int) -> tuple:
-        """Push the joints in this step of the tick; returns what `Coupled.tell` is given."""
+        """Push the joints in this step of the tick; returns what `FluidStructure.tell` is given."""
 
     def begun(self) -> None:
         """The step's equation stands and its launches are under way."""
@@ -30,7 +30,7 @@ class Driver(Protocol):
 class Servos:
     """The servos of the model, or joints that follow a function of time to the letter."""
 
-    def __init__(self, run: "Run", coupled: Coupled, factor: int):
+    def __init__(self, run: "Run", coupled: FluidStructure, factor: int):
         self.run, self.body, self.factor = run, coupled.body, factor
         self.torques: list[np.ndarray] = []
         self.rates: list[np.ndarray] = []

@@ -1,6 +1,6 @@
 """Several runs side by side in one process: the host looks after one tank while the device works on another's water.
 
-Every tank has its own stream; `Tanks.tick` goes round, finishing one step of each and beginning its next. Tanks share
+Every tank has its own stream; `ConcurrentRuns.tick` goes round, finishing one step of each and beginning its next. Tanks share
 nothing, so that results do not depend on their number or order.
 """
 
@@ -10,7 +10,7 @@ from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 
 
-class Tanks:
+class ConcurrentRuns:
     """Runs that tick together. One that stops (see `Run.stopped`) is left as it is; the others go on."""
 
     def __init__(self, runs: Sequence[Run]):

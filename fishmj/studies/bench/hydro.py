@@ -81,8 +81,8 @@ def _alone(quick: bool, water: str) -> Work:
 
     from fishmj import mjcf
     from fishmj.dynamics import planar_chain
-    from fishmj.engines.extensions import Added
-    from fishmj.engines.single import Solo
+    from fishmj.engines.extensions import Extensions
+    from fishmj.engines.single import SingleFish
     from fishmj.water.injection import inject
     from fishmj.water.planar import PlanarWater
 
@@ -94,7 +94,7 @@ def _alone(quick: bool, water: str) -> Work:
 
     def run():
         data = mujoco.MjData(model)
-        solo = Solo(robot, Added.of(robot), swimmer) if water == "residual" else None
+        solo = SingleFish(robot, Extensions.of(robot), swimmer) if water == "residual" else None
         with inject(model, PlanarWater(robot, swimmer)) if water == "passive" else nullcontext(solo) as fish:
             for target in beat:
                 data.ctrl[:] = target
@@ -183,7 +183,7 @@ def hydro_mjx_residual(quick: bool) -> Work:
 def _swim(quick: bool, learnt: bool) -> Work:
     """Free swims of `FISH` fish by one gait in the shipped fitted water, single precision, one compiled scan."""
     from fishmj.dynamics import planar_chain
-    from fishmj.hydro_fit.fit.rollout import Fleet, Swim
+    from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
     from fishmj.mjcf import load_robot
     from fishmj.water.model import HydroModel
     from fishmj.water.prior import flat
@@ -199,8 +199,8 @@ def _swim(quick: bool, learnt: bool) -> Work:
     target = np.broadcast_to(beat.reshape(ticks, steps, -1), (FISH, ticks, steps, robot.n_joints))
     state, none = np.zeros((FISH, ticks + 1, ch.n + 2)), np.zeros((FISH, ticks))
     still = np.zeros((FISH, ticks, ch.n, 2))
-    fleet = Fleet(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
-    swim, water = Swim(ch, planar_chain.nominal(robot)), flat(model.base)
+    fleet = FishBatch(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
+    swim, water = SwimWindow(ch, planar_chain.nominal(robot)), flat(model.base)
     return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
 
 

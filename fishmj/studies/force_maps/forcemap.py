@@ -24,7 +24,7 @@ from fishmj.lbm_oracle.output import map_plots
 from fishmj.lbm_oracle.output.field_options import add_fields
 from fishmj.lbm_oracle.run import cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.mjcf import load_robot
 from fishmj.studies.force_maps.force_points import OK, Plan, Point, Table, measure
 from fishmj.studies.force_maps.point_fields import keep, panels, slice_path
@@ -79,11 +79,11 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if lost else console.OK
 
 
-def stage(domain: Domain, point: Point, **options) -> Stage:
+def stage(domain: Domain, point: Point, **options) -> SwimSetup:
     """The held fish of one point: the water moves to -x, the heading turns, so that the box is long where the wake is."""
     joints = tuple(point.joints(load_robot(options.get("robot", "fish")).n_joints))
     flow = Flow(speed=point.speed, direction=pi)
-    return Stage(domain=domain, flow=flow, pose=(0.0, 0.0, -radians(point.aoa)), joints=joints, **options)
+    return SwimSetup(domain=domain, flow=flow, pose=(0.0, 0.0, -radians(point.aoa)), joints=joints, **options)
 
 
 def _points(args) -> list[Point]:

@@ -14,7 +14,7 @@ from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.commands import options
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.simulated import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
 from fishmj.store import write_text
@@ -114,7 +114,7 @@ def asked(args) -> tuple[list, Callable]:
     if args.generator == "lbm":
         return [one for one in solver.draw() if one.case.kind in kinds], partial(seen, solver.plant, args.weighed)
     drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
-    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
+    return [solver.Given(case, None, SimulatedNull(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
 
 
 def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:

@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import Trial, write_dataset
 from fishmj.store import Manifest, sha256, write_json
 from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot.machine import RobotConstants
 from fishmj.virtual_robot.trials import plant, trial_of
 from fishmj.virtual_robot.weighing import masses, weighings
 
@@ -62,7 +62,7 @@ DRAWS = (
 )
 
 
-def hidden(seed: int, medium: str = "water") -> Plant:
+def hidden(seed: int, medium: str = "water") -> RobotConstants:
     """The robot of a seed: nuisance as every virtual robot has it, then the hidden numbers."""
     made = plant({}, seed, medium=medium)
     rng = draws.stream(seed, "calibration")
@@ -79,7 +79,7 @@ def slip_of(seed: int) -> float:
     return 1.0 - ROUGHEST * float(draws.stream(seed, "slip").uniform()) ** 2
 
 
-def truth(made: Plant) -> dict[str, float]:
+def truth(made: RobotConstants) -> dict[str, float]:
     """What a perfect calibration would find, in its own words, SI."""
     m, n, c = made.motor, made.network, made.camera
     return {
