@@ -33,7 +33,7 @@ class Chase:
 # task
 from dataclasses import dataclass
 
-from fishmj.tasks.course import EpisodeStart
+from fishmj.tasks.reference import EpisodeStart
 from fishmj.tasks.station_hold import draw_start
 
 

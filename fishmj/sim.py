@@ -20,7 +20,7 @@ import numpy as np
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
 from fishmj.engines.extensions import SURROGATE, Extensions, in_water
-from fishmj.engines.record import Recorder, rescue
+from fishmj.engines.recorder import Recorder, rescue
 from fishmj.engines.single import SingleFish
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
@@ -29,8 +29,8 @@ from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.water.injection import checked_step, inject
-from fishmj.water.planar import PlanarWater
-from fishmj.water.spatial import FreeWater
+from fishmj.water.planar_water import PlanarWater
+from fishmj.water.spatial_water import FreeWater
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)

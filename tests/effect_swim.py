@@ -5,7 +5,7 @@ import numpy as np
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
-from fishmj.effects.commands import delivered
+from fishmj.effects.command_path import delivered
 from fishmj.effects.sites import Measured
 from fishmj.mjcf.description import load_robot
 

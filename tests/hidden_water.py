@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.hydro_fit import dataset, record
+from fishmj.hydro_fit import record, segment_dataset
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.command_bus import on_the_bus
 from fishmj.store import Manifest, write_json
@@ -261,9 +261,9 @@ def write_dataset(folder, records):
     grid = {"domain": "synthetic", "dx": 0.0, "dt": CHAIN.dt, "slip": 1.0}
     for r in records:
         arrays = {key: getattr(r, key) for key in record.UNITS if key != "power" or np.isfinite(r.power).all()}
-        record.write_record(folder / dataset.SEGMENTS, {**r.meta, **about, "grid": grid}, arrays)
+        record.write_record(folder / segment_dataset.SEGMENTS, {**r.meta, **about, "grid": grid}, arrays)
     episodes = {r.meta["episode"]: r.meta["split"] for r in records}
-    write_json(folder / dataset.SPLIT, {"episodes": episodes, "sha256": dataset.split_hashes(episodes)})
+    write_json(folder / segment_dataset.SPLIT, {"episodes": episodes, "sha256": segment_dataset.split_hashes(episodes)})
     Manifest.of(folder).write(folder)
     return folder
 

@@ -14,10 +14,10 @@ pytest.importorskip("numba")
 from fishmj import console, interrupt
 from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import check, latency, mass, model, servo
+from fishmj.calibrate import calibrated_model, fit_check, latency, mass, servo_fit
 from fishmj.calibrate.bias import widened
+from fishmj.calibrate.calibration_logs import Logs
 from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, correlation_length, fit
-from fishmj.calibrate.logs import Logs
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.gap.models.test_stand import TestStand
@@ -27,7 +27,7 @@ from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json, write_text
 from fishmj.studies.hidden_lbm import calibration_trials, score
-from fishmj.virtual_robot import draws
+from fishmj.virtual_robot import random_streams
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "data" / "calib" / "trials"
@@ -85,8 +85,8 @@ def robot() -> tuple[dict, Logs]:
 
 
 @pytest.fixture(scope="module")
-def fitted(robot) -> servo.ServoFit:
-    return servo.calibrate(robot[1], TestStand(), alone=False)
+def fitted(robot) -> servo_fit.ServoFit:
+    return servo_fit.calibrate(robot[1], TestStand(), alone=False)
 
 
 def test_servo_numbers_come_back_within_their_intervals(robot, fitted):
@@ -109,7 +109,7 @@ def test_latencies_come_back(robot, fitted):
 
 def test_without_bench_trials_it_says_what_to_record():
     with pytest.raises(LogError, match="at least two"):
-        servo.calibrate(Logs(Path("empty"), {}), TestStand())
+        servo_fit.calibrate(Logs(Path("empty"), {}), TestStand())
 
 
 def some_trials(folder: Path, names: str, change=lambda table, column, values: values) -> Path:
@@ -168,18 +168,18 @@ def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
 
 def test_a_hull_pushed_beyond_its_tolerance_is_told():
     """Constants of the water that the fit needs far from what is described mean another water."""
-    at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo.CONSTANTS[2:]}
+    at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo_fit.CONSTANTS[2:]}
     fit_with = lambda mass: LeastSquaresFit(
         np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1
     )
-    found = lambda mass: servo.ServoFit(None, [], np.zeros(1), fit_with(mass), {})
+    found = lambda mass: servo_fit.ServoFit(None, [], np.zeros(1), fit_with(mass), {})
     assert found(1.05).words == "" and "mass 1.38" in found(1.38).words
 
 
 def test_masses_come_back_from_the_weighings(tmp_path: Path):
     made = calibration_trials.hidden(SEED)
     truth = calibration_trials.truth(made)
-    page = calibration_trials.weighings(made, draws.stream(SEED, "weighing"))
+    page = calibration_trials.weighings(made, random_streams.stream(SEED, "weighing"))
     write_text(tmp_path / measurements.FILE, dumps(page))
     found = mass.calibrate(tmp_path, load_robot()).estimates
     for name in ("mass", "com", "inertia"):
@@ -202,14 +202,14 @@ def test_a_calibrated_fish_is_a_fish_and_remembers_where_from(tmp_path: Path):
     e = ParameterEstimate("kp", "N m/rad", 9.25, 9.0, 9.5, 0.1, "trials")
     friction = ParameterEstimate("friction", "N m", 0.05, 0.04, 0.06, 0.005, "trials")
     for _ in range(2):  # the second time replaces
-        text = model.put(model.start(out, "fish"), "servo", {"kp": 9.25})
-        model.write(out, text, "servo", {"kp": e}, {"coulomb_friction.torque": friction}, "here")
+        text = calibrated_model.put(calibrated_model.start(out, "fish"), "servo", {"kp": 9.25})
+        calibrated_model.write(out, text, "servo", {"kp": e}, {"coulomb_friction.torque": friction}, "here")
     read, table = load_robot(out), read_toml(out)
     assert read.servo.kp == 9.25 and [f.name for f in read.effects] == ["coulomb_friction"]
     assert table["calibration"]["servo"]["kp"] == {"value": 9.25, "low": 9.0, "high": 9.5, "unit": "N m/rad"}
     assert out.read_text().count("[calibration.servo]") == 1 and "# N m/rad" in out.read_text()
     with pytest.raises(ConfigError, match="no line for kq"):
-        model.put(text, "servo", {"kq": 1.0})
+        calibrated_model.put(text, "servo", {"kq": 1.0})
 
 
 def test_shipped_trials_are_whole_synthetic_and_sealed():
@@ -258,7 +258,7 @@ import json, sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
 from fishmj.calibrate.__main__ import main
-from fishmj.calibrate.logs import read
+from fishmj.calibrate.calibration_logs import read
 read(sys.argv[1])
 for verb in ("mass", "slip"):
     main([verb, "--data", sys.argv[1], "--report", sys.argv[2]])
@@ -280,7 +280,7 @@ def test_score_compares_fitted_with_sealed(tmp_path: Path):
     calibration_trials.seal(folder, SEED, {"kp": 8.0, "kd": 0.3}, {})
     out = tmp_path / "fish.toml"
     e = ParameterEstimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
-    model.write(out, model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
+    calibrated_model.write(out, calibrated_model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
     (row,) = score.score(folder, str(out))
     assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"
     assert read_json(folder / "sealed.json")["values"]["kp"] == 8.0
@@ -297,7 +297,7 @@ def test_robots_that_were_checked_are_not_checked_again(tmp_path, monkeypatch, c
         return {"kp": [0.1 * len(done), 10.0, True]}
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(check, "one", one)
+    monkeypatch.setattr(fit_check, "one", one)
     monkeypatch.setattr(calibration_trials, "trials", lambda seed: {})
     with pytest.raises(KeyboardInterrupt):
         command.drawn(["--robots", "3"])

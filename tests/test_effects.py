@@ -13,13 +13,13 @@ from fishmj import console, effects, excitation
 from fishmj.calib import calib_folder
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import EffectStack, calibration, classes, describe
+from fishmj.effects import EffectStack, ambiguity, calibration, effect_text
 from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.effects.commands import delivered
-from fishmj.effects.draws import draw
+from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import Effect, Parameter
-from fishmj.effects.scatter import arrivals, gusts, noise
+from fishmj.effects.randomise import draw
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.stochastic import arrivals, gusts, noise
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import load_robot
 
@@ -196,10 +196,10 @@ def test_catalogue_is_whole_and_names_what_exists():
         for c in e.confusions:
             assert c.other in CATALOGUE and c.other != e.name and c.separates, (e.name, c.other)
             assert c.excitations and set(c.excitations) <= runs, (e.name, set(c.excitations) - runs)
-    for c in classes.CLASSES:
+    for c in ambiguity.CLASSES:
         assert set(c.effects) <= set(CATALOGUE) and set(c.excitations) <= runs and len(c.effects) + len(c.besides) > 1
-    assert classes.together("camera_latency", "clock_offset").name == "pose_clock"
-    assert classes.together("camera_latency", "tether") is None
+    assert ambiguity.together("camera_latency", "clock_offset").name == "pose_clock"
+    assert ambiguity.together("camera_latency", "tether") is None
 
 
 def test_typical_values_lie_inside_the_bounds_and_away_from_the_null():
@@ -280,7 +280,7 @@ def test_a_wrong_calibration_block_is_refused_with_the_nearest_name(tmp_path, bl
 
 
 def test_the_documented_table_is_the_catalogue():
-    assert console.table(describe.rows(EVERY)) in DOCS.read_text(encoding="utf-8"), "python -m fishmj.effects prints the table"
+    assert console.table(effect_text.rows(EVERY)) in DOCS.read_text(encoding="utf-8"), "python -m fishmj.effects prints the table"
 
 
 def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
@@ -291,6 +291,6 @@ def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
     assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
-    assert all(e.name in describe.text(e) and e.formula in describe.text(e) for e in EVERY)
+    assert all(e.name in effect_text.text(e) and e.formula in effect_text.text(e) for e in EVERY)
     with pytest.raises(UnknownName, match="tether"):
         effects.get("teather")

@@ -8,7 +8,7 @@ import pytest
 from test_effects_engines import PLAIN, robot_with, typical
 
 from fishmj import effects, engines
-from fishmj.effects import draws
+from fishmj.effects import randomise
 from fishmj.engines import planar
 from fishmj.errors import ConfigError
 from fishmj.tasks import station_hold as task
@@ -30,7 +30,7 @@ def test_drawn_effects_have_typical_sizes_on_both_sides_and_the_others_stay():
         assert low <= np.abs(value).min() < low + 0.02 * (high - low) and high - 0.02 * (high - low) < np.abs(value).max() <= high
         assert (value < 0).any() == p.signed
     np.testing.assert_array_equal(
-        draws.drawn(np, active, rows, names, u[:, -4:], 0.0)[:, 1:], np.tile(active.null[1:], (2000, 1))
+        randomise.drawn(np, active, rows, names, u[:, -4:], 0.0)[:, 1:], np.tile(active.null[1:], (2000, 1))
     )
 
 

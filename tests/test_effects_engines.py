@@ -220,7 +220,7 @@ def fitted_water(tmp_path_factory):
     """File of a fitted water with a learnt residual of small random weights."""
     from fishmj.dynamics import planar_chain
     from fishmj.water import residual_hooks, residual_network
-    from fishmj.water.model import HydroModel, robot_hash
+    from fishmj.water.hydro_model import HydroModel, robot_hash
     from fishmj.water.prior import flat
 
     base, ch = planar_chain.nominal(PLAIN).water, planar_chain.chain_of(PLAIN)

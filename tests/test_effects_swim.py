@@ -10,7 +10,7 @@ from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
-from fishmj.effects.commands import delivered
+from fishmj.effects.command_path import delivered
 from fishmj.effects.dry_friction import GIVE
 from fishmj.effects.sites import BodyMotion, Gear, Measured
 

@@ -7,11 +7,11 @@ import pytest
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.identifiability import identify
 from fishmj.hydro_fit.fit.linear_regression import bounded
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import Prior, flat
 
 ROBOT = mjcf.load_robot("fish")
@@ -79,10 +79,10 @@ def test_fault_18_more_than_5_percent_outside_fails_the_check(monkeypatch, share
     )  # fmt: skip
 
     def perfect(self, fleet, water, learnt=None, attached=None, memory=None):
-        return check.recorded(fleet)._replace(outside=np.full(len(fleet.q), share))
+        return free_swims.recorded(fleet)._replace(outside=np.full(len(fleet.q), share))
 
-    monkeypatch.setattr(check.SwimWindow, "run", perfect)
-    found = check.judge(model, ROBOT, records)
+    monkeypatch.setattr(free_swims.SwimWindow, "run", perfect)
+    found = free_swims.judge(model, ROBOT, records)
     assert found["figures"]["guard_rate"] == share and found["tolerances"]["guard_rate"] == 0.05
     assert found["passed"]["guard_rate"] is passes
     assert found["figures"]["speed_error_mean"] == 0.0

@@ -25,7 +25,7 @@ from fishmj.train import interruptions
 from fishmj.train.__main__ import main
 from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.ppo import PPO, PPOConfig
-from fishmj.train.run import TrainingRun, learner_of
+from fishmj.train.training_run import TrainingRun, learner_of
 
 STEP = 8192  # control steps an iteration of `calm_run`
 
@@ -129,7 +129,7 @@ def test_weights_that_are_not_finite_are_never_saved(learner, tmp_path):
 TRAIN = """
 import sys
 from training import calm_run
-from fishmj.train.run import Run
+from fishmj.train.training_run import Run
 Run(calm_run(checkpoint_every=0.0, assess_every=10**9), sys.argv[1]).go()
 """
 

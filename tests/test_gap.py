@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from fishmj import effects
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout

@@ -11,16 +11,16 @@ import pytest
 
 from fishmj import console, effects
 from fishmj.calib import resolve
-from fishmj.calibrate.logs import shipped as logs_of_calibration
+from fishmj.calibrate.calibration_logs import shipped as logs_of_calibration
 from fishmj.engines import in_water
 from fishmj.errors import ConfigError, DescriptionError, LogError
 from fishmj.gap import __main__ as gap
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, find, model_version, unlike
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import simulated
-from fishmj.gap.null.recorded import RecordedNull, trials_of
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null import simulated_null
+from fishmj.gap.null.recorded_null import RecordedNull, trials_of
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
@@ -31,7 +31,7 @@ from fishmj.log.dataset import read_dataset, take
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark import solver
 from fishmj.virtual_robot import generate
-from fishmj.virtual_robot.machine import electrical
+from fishmj.virtual_robot.robot_constants import electrical
 from fishmj.virtual_robot.trials import plant as second_robot
 
 RUNS = ("gait_fast", "steps", "chirp")
@@ -61,7 +61,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     trial = generate({}, ["idle"], 0)[0]
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
-    what = simulated.repeated(record_of(trial, robot.timing.physics_dt))
+    what = simulated_null.repeated(record_of(trial, robot.timing.physics_dt))
     SimulatedNull(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
     assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
@@ -69,7 +69,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
 
 def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
     record = record_of(generate({}, ["idle"], 0)[0], questioned.dt)
-    what = simulated.repeated(record)
+    what = simulated_null.repeated(record)
     other = SwimmingFish(stiffer(1.06), questioned.active.effects)
     assert SMALL._key(questioned, record, what) != SMALL._key(other, record, what)
 
@@ -133,7 +133,7 @@ def forbidden(*_, **__):
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fishmj.gap.records.datasets.taken", forbidden)
-    monkeypatch.setattr("fishmj.gap.null.simulated.Null.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.simulated_null.Null.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -482,7 +482,7 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(simulated, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(simulated_null, "cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):

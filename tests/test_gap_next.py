@@ -21,7 +21,7 @@ from fishmj.gap.experiment.discrimination import (
     prospect,
 )
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated import SimulatedNull, repeated
+from fishmj.gap.null.simulated_null import SimulatedNull, repeated
 from fishmj.gap.records.records import record_of
 
 NULL = SimulatedNull(runs=16)

@@ -11,10 +11,10 @@ import pytest
 
 from fishmj import effects, excitation
 from fishmj.gap.localise import compared, error_growth, localise
+from fishmj.gap.localise.error_by_regime import KINDS, kinds_of
 from fishmj.gap.localise.lags import alike, told
-from fishmj.gap.localise.regimes import KINDS, kinds_of
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fishmj.errors import LogError, StoreError
-from fishmj.gap.null.recorded import RecordedNull
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.recorded_null import RecordedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.log import Trial

@@ -21,7 +21,7 @@ from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.workflow import evidence_of, investigate
 from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import plant as robot
-from fishmj.virtual_robot.dataset import write_hidden
+from fishmj.virtual_robot.hidden_dataset import write_hidden
 from fishmj.virtual_robot.weighing import masses, page
 
 RUNS = ("gait", "turn_left", "burst_and_coast")

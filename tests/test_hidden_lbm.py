@@ -10,16 +10,16 @@ pytest.importorskip("numba")
 
 from fishmj import excitation
 from fishmj.campaign.hidden_lbm import hidden
-from fishmj.campaign.hidden_lbm.body import HiddenBody, HiddenDifference
 from fishmj.campaign.hidden_lbm.electronics import Electronics, Queue
-from fishmj.campaign.hidden_lbm.run import HiddenRun, carriage
+from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody, HiddenDifference
+from fishmj.campaign.hidden_lbm.hidden_run import HiddenRun, carriage
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log.trial import stacked
 from fishmj.studies.hidden_lbm import command as hidden_command
 from fishmj.virtual_robot import network
-from fishmj.virtual_robot.motion import STILL, run
+from fishmj.virtual_robot.simulate import STILL, run
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import plant
 

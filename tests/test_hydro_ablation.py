@@ -15,7 +15,7 @@ from fishmj import console, interrupt, mjcf
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import rollout
 from fishmj.hydro_fit.fit.pipeline import FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
@@ -23,7 +23,7 @@ from fishmj.studies.mujoco_ellipsoid import fit, force, judged
 from fishmj.studies.mujoco_ellipsoid.swim import Hooks
 from fishmj.studies.water_ablation import ablation, ablation_table
 from fishmj.studies.water_ablation.ablation_fit import Variant
-from fishmj.water.planar import world_matrix
+from fishmj.water.planar_water import world_matrix
 
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
 E = force.ellipsoids_of(ROBOT)
@@ -189,15 +189,15 @@ def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     for a, b in zip(swum.fleet[:-1], whole[:-1], strict=True):
         np.testing.assert_array_equal(a, b)
     gaits = [r.meta["block"] == "gait" for r in swum.records]
-    began = round(check.SHORTEST / records["test"][0].tick)
-    assert swum.began == check.SHORTEST and swum.cruise.q.shape == (sum(gaits), 251 - began, 6)
+    began = round(free_swims.SHORTEST / records["test"][0].tick)
+    assert swum.began == free_swims.SHORTEST and swum.cruise.q.shape == (sum(gaits), 251 - began, 6)
     np.testing.assert_array_equal(swum.cruise.q, whole.q[gaits, began:251])
     np.testing.assert_array_equal(swum.track.q, water.swim(ROBOT).run(whole, water.flat).q)  # by its own coefficients
-    perfect, _ = check.errors(swum, swum.seen)
+    perfect, _ = free_swims.errors(swum, swum.seen)
     assert perfect["speed_error_max"] == perfect["power_error_mean"] == 0.0
     found = judged.judge(water, ROBOT, test)
     assert set(ablation_table.SHOWN) <= set(found["figures"]) and found["n"]["thrust_error"] > 0
-    assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - check.SHORTEST)
+    assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - free_swims.SHORTEST)
 
 
 @pytest.mark.slow

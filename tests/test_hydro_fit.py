@@ -11,8 +11,7 @@ from fishmj import console
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError, UsageError
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import check, online_correction
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit import free_swims, online_correction
 from fishmj.hydro_fit.fit import (
     calibrate,
     force_training,
@@ -29,8 +28,9 @@ from fishmj.hydro_fit.fit.promote import promote
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.serialise import unpacked
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat, names_of, prior_of, replaced, unflat
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
@@ -218,7 +218,7 @@ def test_the_verbs_fit_check_and_report_a_data_set(fitted, records, tmp_path, ca
     code = console.run(verb.main, ["check", *base])
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert code == (0 if found["ok"] else 1)
-    assert set(found["figures"]) == {*check.STATED, "coverage90"} and found["figures"]["speed_error_mean"] < 0.1
+    assert set(found["figures"]) == {*free_swims.STATED, "coverage90"} and found["figures"]["speed_error_mean"] < 0.1
     assert found["figures"]["guard_rate"] < 0.05 and found["figures"]["power_error_mean"] < 0.1
     assert console.run(verb.main, ["report", *base]) == 0
     page = (tmp_path / "swift-report" / "report.html").read_text(encoding="utf-8")
@@ -232,7 +232,7 @@ def test_a_miss_is_exit_1(fitted, records, monkeypatch):
     _, model, _ = fitted
     worse = replace(model, base=model.base._replace(ke=0.05, cf=0.1))
     repeats = [(r, r) for r in records["test"]]
-    found = check.judge(worse, ROBOT, records["test"], repeats)
+    found = free_swims.judge(worse, ROBOT, records["test"], repeats)
     assert not found["ok"] and not found["passed"]["speed_error_mean"] and found["tolerances"]["speed_error_mean"] == 0.03
     assert found["repeatability"]["speed_error_mean"] == 0.0
 
@@ -267,7 +267,7 @@ def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, 
     narrow = replace(model, band={name: [0.1 * part for part in parts] for name, parts in model.band.items()})
     monkeypatch.setattr(calibrate, "LEAST", 5)
     made = calibrate.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
-    swum = check.FreeSwims(made, ROBOT, records["test"])
+    swum = free_swims.FreeSwims(made, ROBOT, records["test"])
     seen, mean = prediction_interval.means(recorded(swum.fleet), swum.fleet), prediction_interval.means(swum.track, swum.fleet)
     hair = {name: [(1 + 1e-6) * part for part in parts] for name, parts in made.band.items()}  # the last one is at the edge
     inside = prediction_interval.covered(mean, swum.members, seen, hair)

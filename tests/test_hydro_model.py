@@ -10,7 +10,7 @@ from fishmj.effects import EffectStack
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf import load_robot
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat
 
 ROBOT = load_robot("fish")

@@ -12,7 +12,7 @@ from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
-from fishmj.lbm_oracle.run.batch import ConcurrentRuns
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import LeftDomain, Run

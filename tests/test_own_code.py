@@ -21,9 +21,9 @@ from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.gap.commands.hide import main as plant
 from fishmj.log import read_trial, write_dataset
 from fishmj.mjcf.description import load_robot
-from fishmj.tasks.course import EpisodeStart
 from fishmj.tasks.episode import TaskOptions, TaskSpec
-from fishmj.tasks.own import course_of
+from fishmj.tasks.own_task import course_of
+from fishmj.tasks.reference import EpisodeStart
 from fishmj.tasks.station_hold import draw_start
 from fishmj.virtual_robot import generate
 from fishmj.virtual_robot.__main__ import main as hide
@@ -304,8 +304,8 @@ def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
     from fishmj.policy import Policy
     from fishmj.train.__main__ import options, settings_from
     from fishmj.train.build import algorithm, environment
-    from fishmj.train.run import TrainingRun
     from fishmj.train.settings import change
+    from fishmj.train.training_run import TrainingRun
 
     line_ = ["--task", f"{EXAMPLE}:LineFollow", "--algo", f"{EXAMPLE}:Evolution", "--engine", "compiled", "--envs", "8"]
     settings = settings_from(options().parse_args([*line_, "--steps", "400", "--preset", "quick"]))

@@ -24,7 +24,7 @@ from fishmj.mjcf.skin import posed, skin
 from fishmj.play import LiveSession
 from fishmj.play.__main__ import main, swim
 from fishmj.play.keyboard import Keyboard, press
-from fishmj.replay.live import LiveView, Server, arrow, ring, slices_of
+from fishmj.replay.live_view import LiveView, Server, arrow, ring, slices_of
 
 
 class Screen:

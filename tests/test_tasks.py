@@ -15,8 +15,8 @@ from fishmj import engines, mjcf
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import COURSES, FigureEightReference, eight, path_length
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
+from fishmj.tasks.reference import COURSES, FigureEightReference, eight, path_length
 
 ROBOT = mjcf.load_robot("fish")
 QUIET = dict(noise=0.0, turbulence="none")

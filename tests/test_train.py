@@ -21,8 +21,8 @@ from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
 from fishmj.train.build import policy_of
 from fishmj.train.networks import mlp
-from fishmj.train.run import TrainingRun, go_on, is_better, learner_of
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
+from fishmj.train.training_run import TrainingRun, go_on, is_better, learner_of
 
 
 @pytest.fixture(scope="module")

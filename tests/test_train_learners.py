@@ -9,7 +9,7 @@ import pytest
 from training import EDGE, Point
 
 from fishmj.train import ppo, sac
-from fishmj.train.run import arrays_of
+from fishmj.train.training_run import arrays_of
 
 SMALL = {"hidden": (16,), "envs": 8}
 

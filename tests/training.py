@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from fishmj.tasks.env import Options
-from fishmj.train.run import TrainingRun
 from fishmj.train.settings import change, preset
+from fishmj.train.training_run import TrainingRun
 
 EDGE = 1.1  # where the point leaves its line
 CALM = {"turbulence": "none", "intensity": (0.0, 0.0), "noise": 0.0, "randomisation": 0.0}

@@ -21,7 +21,7 @@ def fit(verb: str, argv: list[str]) -> int:
 
 
 def _fit(verb: str, argv: list[str]) -> int:
-    from fishmj.calibrate.verbs import VERBS
+    from fishmj.calibrate.commands import VERBS
 
     args = options(verb).parse_args(argv)
     if args.out and args.out.is_file():
@@ -42,8 +42,8 @@ def _fit(verb: str, argv: list[str]) -> int:
 
 def options(verb: str) -> console.Parser:
     """The arguments of a calibration."""
-    from fishmj.calibrate.logs import shipped
-    from fishmj.calibrate.verbs import VERBS, default_report
+    from fishmj.calibrate.calibration_logs import shipped
+    from fishmj.calibrate.commands import VERBS, default_report
 
     made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
     add = made.add_argument
@@ -89,9 +89,9 @@ def score(argv: list[str]) -> int:
 
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
-    from fishmj.calibrate.check import gathered, one
-    from fishmj.calibrate.kept import PartialResults
-    from fishmj.calibrate.logs import Logs
+    from fishmj.calibrate.calibration_logs import Logs
+    from fishmj.calibrate.fit_check import gathered, one
+    from fishmj.calibrate.partial_results import PartialResults
     from fishmj.gap.models.test_stand import TestStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth

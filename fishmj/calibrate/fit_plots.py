@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console, pages
-from fishmj.calibrate.logs import MEDIA, SIGNALS, angles
-from fishmj.calibrate.servo import ServoFit
+from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, angles
+from fishmj.calibrate.servo_fit import ServoFit
 from fishmj.errors import MissingExtra
 from fishmj.evaluate.report import STYLE as PAGE
 from fishmj.gap.records.records import Record, Sensor

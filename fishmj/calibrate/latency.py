@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
+from fishmj.calibrate.calibration_logs import Logs
 from fishmj.calibrate.least_squares import ParameterEstimate
-from fishmj.calibrate.logs import Logs
-from fishmj.calibrate.servo import ServoFit
+from fishmj.calibrate.servo_fit import ServoFit
 from fishmj.errors import LogError
 from fishmj.gap.records.records import Record
 from fishmj.log.delay import lag_between

@@ -19,8 +19,8 @@ import numpy as np
 
 from fishmj import console, interrupt
 from fishmj.calibrate.bias import table
-from fishmj.calibrate.kept import PartialResults
 from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.calibrate.partial_results import PartialResults
 from fishmj.errors import LogError, UnknownName
 from fishmj.log import Trial
 from fishmj.log.trial import Table

@@ -84,7 +84,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_pat
         if not known and (extra := plugins.listed("controller")):
             raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
         return make(text, robot, any_command_path=any_command_path)
-    from fishmj.controllers.own import Own
+    from fishmj.controllers.own_controller import Own
 
     return Own(robot, plugins.load("controller", text, (*NAMES, *shipped_policies())), text)
 

@@ -10,8 +10,8 @@ from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
-from fishmj.effects.active import EffectStack
 from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter
+from fishmj.effects.stack import EffectStack
 from fishmj.errors import ConfigError, UnknownName
 
 

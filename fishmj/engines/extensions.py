@@ -123,7 +123,7 @@ def in_water(robot: Robot, water: "str | Path") -> Robot:
     """
     if water == STRUCTURED:
         return robot
-    from fishmj.water.model import shipped
+    from fishmj.water.hydro_model import shipped
 
     if water == SURROGATE and robot.name in shipped():
         water = robot.name
@@ -135,7 +135,7 @@ def in_water(robot: Robot, water: "str | Path") -> Robot:
 
 def residual_of(robot: Robot):
     """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
-    from fishmj.water.model import shipped
+    from fishmj.water.hydro_model import shipped
 
     name = str(robot.water.get("model", STRUCTURED))
     if name == STRUCTURED:
@@ -152,7 +152,7 @@ def residual_of(robot: Robot):
 @lru_cache(8)
 def fitted_water(name: str):
     """A fitted water by name or file."""
-    from fishmj.water.model import HydroModel, shipped
+    from fishmj.water.hydro_model import HydroModel, shipped
 
     if name == SURROGATE:
         if not shipped():

@@ -17,7 +17,7 @@ from fishmj import effects, plugins
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Effect, EffectStack
-from fishmj.effects.commands import delivered
+from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import CLOCKS, Parameter
 from fishmj.effects.sites import Measured
 from fishmj.errors import OwnCodeError

@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 from fishmj.errors import ConfigError
 from fishmj.tasks.episode import TaskOptions, TaskSpec
-from fishmj.tasks.own import named, options_of
+from fishmj.tasks.own_task import named, options_of
 
 # Bounds of the observations, which Gymnasium wants finite: several times what a fish reaches inside the domain, so the clip
 # to them never acts on a sound simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.

@@ -7,11 +7,11 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.console import Command
 from fishmj.errors import ConfigError, StoreError, TooMuch
-from fishmj.hydro_fit.dataset import SegmentDataset, open_dataset
 from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
-from fishmj.water.model import FOLDERS, HydroModel, robot_hash
+from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
 _ROOT = Path(__file__).resolve().parents[1]
 DATA = _ROOT.parent / "data" / "hydro"
@@ -104,9 +104,9 @@ def _passed_on(args) -> list[str]:
 
 def collect(argv: list[str]) -> int:
     """Hand over to the campaign."""
-    from fishmj.campaign.data import command
+    from fishmj.campaign.data import collect_command
 
-    return command.main(argv)
+    return collect_command.main(argv)
 
 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
@@ -231,7 +231,7 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
 
 def check(robot: Robot, folder: Path, args) -> dict:
     """Judge the model on the test part."""
-    from fishmj.hydro_fit.check import judge
+    from fishmj.hydro_fit.free_swims import judge
     from fishmj.hydro_fit.report import check_rows
 
     found = judge(chosen(robot, args), robot, *held_out(robot, folder, args))
@@ -279,7 +279,7 @@ WRITTEN = {
 COMMANDS = {
     "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
     "collect": Command(
-        "fishmj.campaign.data.command",
+        "fishmj.campaign.data.collect_command",
         "segments of the flow solver that a water is fitted to",
         "fishmj hydro_fit collect --preview --out runs/preview",
     ),
@@ -307,12 +307,12 @@ COMMANDS = {
         "fishmj hydro_fit ablation --data data/hydro/swift --seeds 0,1,2",
     ),
     "hybrid": Command(
-        "fishmj.campaign.hybrid.trial",
+        "fishmj.campaign.hybrid.hybrid_trial",
         "a surrogate corrected by the solver while it swims",
         "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
     ),
     "correct": Command(
-        "fishmj.campaign.dagger.command",
+        "fishmj.campaign.dagger.dagger_command",
         "rounds of a policy's own states, solved and refitted",
         "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
     ),

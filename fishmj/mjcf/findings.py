@@ -5,7 +5,7 @@ from datetime import date, time
 from typing import Any, NamedTuple
 
 from fishmj import names
-from fishmj.mjcf import schema
+from fishmj.mjcf import description_schema
 
 
 class Fault(NamedTuple):
@@ -23,7 +23,7 @@ def line(f: Fault, table: Mapping[str, Any], where: str) -> str:
     """`FILE [[link]] 2 'body1' mass: got nan, expected a number above 0 kg; what to do`."""
     place = ""
     if f.block:
-        place = f" [[{f.block}]]" if f.block in schema.LISTS else f" [{f.block}]"
+        place = f" [[{f.block}]]" if f.block in description_schema.LISTS else f" [{f.block}]"
     if f.nth is not None:
         entry = table[f.block][f.nth]
         label = entry.get("name") if isinstance(entry, Mapping) else None

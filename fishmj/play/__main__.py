@@ -20,7 +20,7 @@ from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.play.keyboard import Keyboard, press
 from fishmj.play.live_session import LiveSession
-from fishmj.replay.live import LOCAL, LiveView, check_host
+from fishmj.replay.live_view import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures
 BEST = "paper"  # of the shipped controllers

@@ -13,7 +13,7 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
+from fishmj.tasks.recorded_sensors import NOTE, clocks, sensed, sigmas
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.units import wrap
 

@@ -23,9 +23,9 @@ from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import StepTruth
 from fishmj.tasks.episode import EpisodeDraw, TaskOptions, TaskSpec
-from fishmj.tasks.own import options_of
+from fishmj.tasks.own_task import options_of
+from fishmj.tasks.reference import StepTruth
 from fishmj.tasks.sensing import readings
 
 SUITE = containers.TaggedTasks()

@@ -26,9 +26,9 @@ from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
-from fishmj.tasks.scene import TARGET, build_scene
+from fishmj.tasks.mjcf_scene import TARGET, build_scene
 from fishmj.water.injection import inject
-from fishmj.water.spatial import FreeWater
+from fishmj.water.spatial_water import FreeWater
 
 PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
 

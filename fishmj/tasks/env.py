@@ -20,8 +20,8 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import StepTruth
-from fishmj.tasks.own import course_of
+from fishmj.tasks.own_task import course_of
+from fishmj.tasks.reference import StepTruth
 from fishmj.tasks.sensing import Sensors, readings
 
 

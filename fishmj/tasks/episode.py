@@ -19,8 +19,8 @@ from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import EpisodeStart, StepTruth
-from fishmj.tasks.own import course_of
+from fishmj.tasks.own_task import course_of
+from fishmj.tasks.reference import EpisodeStart, StepTruth
 from fishmj.tasks.sensing import Sensors, readings
 
 WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward

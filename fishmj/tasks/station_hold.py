@@ -11,7 +11,7 @@ from math import ceil, pi, radians
 from typing import Any, NamedTuple
 
 from fishmj.calib import constant
-from fishmj.effects import draws
+from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.errors import UnknownName
 from fishmj.mjcf.description import Robot
@@ -49,7 +49,7 @@ def n_fish(robot: Robot, effects=()) -> int:
     """How many uniforms `draw_fish` needs."""
     plain = len(robot.links) + 3 * robot.n_joints + 2
     active = Extensions.of(robot).active
-    return plain + (draws.width(active, effects) if active is not None else 0)
+    return plain + (randomise.width(active, effects) if active is not None else 0)
 
 
 def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> tuple[FishParams, Any]:
@@ -71,7 +71,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     like = xp.zeros_like(uniforms[:, :1])
     rows = like + p.effects
     if effects and added.active is not None:
-        rows = draws.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
+        rows = randomise.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
     delay = delay + added.late(xp, rows, "command")
     fish = FishParams(
         mass=1 + strength * get("mass") * span(0, n),

@@ -59,7 +59,7 @@ def algorithm(settings: Settings, env):
 
         return ppo.PPO(env, from_table("setting of ppo", ppo.PPOConfig, settings.algorithm), settings.steps)
     if settings.algo != "sac":  # of the user's own: only what this process has loaded
-        from fishmj.train.own import OwnAlgorithm
+        from fishmj.train.own_algorithm import OwnAlgorithm
 
         return OwnAlgorithm(settings.algo, env, own_config(settings), settings.steps, settings)
     from fishmj.train import sac
@@ -78,7 +78,7 @@ def from_table(what: str, kind, table: dict):
 
 def own_config(settings: Settings):
     """Settings of an algorithm of one's own. Raises OwnCodeError, UnknownName."""
-    from fishmj.train.own import config_of
+    from fishmj.train.own_algorithm import config_of
 
     return from_table(f"setting of {settings.algo}", config_of(settings.algo), settings.algorithm)
 

@@ -15,8 +15,8 @@ from fishmj.errors import SimDiverged
 from fishmj.train.build import pick_engine, policy_of
 from fishmj.train.interruptions import stop_on_signal
 from fishmj.train.metrics_log import MetricsLog
-from fishmj.train.run import MAX_DIVERGED, is_better, learner_of
 from fishmj.train.settings import Settings, as_dict, change
+from fishmj.train.training_run import MAX_DIVERGED, is_better, learner_of
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:

@@ -18,9 +18,9 @@ from fishmj.errors import MissingExtra
 from fishmj.train.build import environment, from_table, pick_engine
 from fishmj.train.evaluate_policy import Assessment
 from fishmj.train.networks import forward, input_scale
-from fishmj.train.run import TrainingRun
 from fishmj.train.sac import SACConfig, paper_config
 from fishmj.train.settings import Settings, change
+from fishmj.train.training_run import TrainingRun
 
 try:
     import torch

@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from fishmj.gym.fish_vector_env import FishVectorEnv
 from fishmj.gym.spaces import observation_space
-from fishmj.gym.vector import FishVectorEnv
 from fishmj.tasks.station_hold import visible
 from fishmj.train.build import pick_engine, robot_for
 from fishmj.train.networks import scale

@@ -10,7 +10,7 @@ It shares the drawn outline, masses and servo numbers with the first one and not
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fishmj.virtual_robot.live import ClosedLoopRobot
+    from fishmj.virtual_robot.closed_loop_robot import ClosedLoopRobot
     from fishmj.virtual_robot.trials import EFFECTS, generate, plant
 
 __all__ = ["EFFECTS", "ClosedLoopRobot", "generate", "plant"]
@@ -19,7 +19,7 @@ __all__ = ["EFFECTS", "ClosedLoopRobot", "generate", "plant"]
 def __getattr__(name: str) -> Any:
     """Loads numba at first use only."""
     if name == "ClosedLoopRobot":
-        from fishmj.virtual_robot.live import ClosedLoopRobot
+        from fishmj.virtual_robot.closed_loop_robot import ClosedLoopRobot
 
         return ClosedLoopRobot
     if name in __all__:

@@ -5,7 +5,7 @@ Units are SI, nulls 0 unless the row says otherwise. Delays come on top of the n
 
 import numpy as np
 
-from fishmj.virtual_robot.effect import CatalogueEntry, EntryParameter
+from fishmj.virtual_robot.catalogue_entry import CatalogueEntry, EntryParameter
 
 SERVO, BODY, ALL = ("joint",), ("position", "heading"), ("joint", "position", "heading")
 _SWIM, _TURN = ("gait", "turn_left"), ("turn_left", "spin")

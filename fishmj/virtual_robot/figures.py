@@ -8,8 +8,8 @@ import time
 import numpy as np
 
 from fishmj import console, excitation
-from fishmj.virtual_robot.machine import RobotConstants
-from fishmj.virtual_robot.motion import Recording, run
+from fishmj.virtual_robot.robot_constants import RobotConstants
+from fishmj.virtual_robot.simulate import Recording, run
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import plant
 

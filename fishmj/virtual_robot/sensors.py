@@ -9,7 +9,7 @@ velocity    slope of a straight line through the last frames, then an optional l
 import numpy as np
 
 from fishmj.virtual_robot.constants import Camera, Meter, Uncatalogued
-from fishmj.virtual_robot.motion import Recording
+from fishmj.virtual_robot.simulate import Recording
 
 
 def watch(

@@ -16,14 +16,14 @@ from fishmj.excitation import Excitation
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import made_by
-from fishmj.virtual_robot import draws, network, sensors
+from fishmj.virtual_robot import network, random_streams, sensors
 from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.effect import CatalogueEntry
+from fishmj.virtual_robot.catalogue_entry import CatalogueEntry
 from fishmj.virtual_robot.loop import GUST
-from fishmj.virtual_robot.machine import RobotConstants, nominal
-from fishmj.virtual_robot.motion import Recording, run
-from fishmj.virtual_robot.oddities import ODDITIES
+from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
+from fishmj.virtual_robot.simulate import Recording, run
 from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.uncatalogued import ODDITIES
 
 EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
@@ -46,7 +46,7 @@ def plant(
     described = load_robot(robot)
     if len(described.links) != 4:
         raise ConfigError(f"virtual robot: {described.name} has {len(described.links)} links; this one is built for 4")
-    made, fields = nominal(described, medium, nuisance, draws.stream(seed, "nuisance")), {}
+    made, fields = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance")), {}
     for name, values in effects.items():
         if name not in EFFECTS:
             raise UnknownName("effect", name, EFFECTS)
@@ -97,7 +97,7 @@ def trial_name(index: int, excitation_id: str) -> str:
 
 def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
     """What really happens in trial `index`: place the fish, send the commands, move."""
-    hand = draws.stream(seed, "placing", index).standard_normal(3) * noise
+    hand = random_streams.stream(seed, "placing", index).standard_normal(3) * noise
     start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
     state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
     state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
@@ -111,9 +111,9 @@ def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.n
     tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
     table = np.zeros((n, 2))
     if tank.sigma > 0.0:
-        table += draws.gusts(draws.stream(seed, "turbulence", index), n, GUST, tank.sigma, tank.time)
+        table += random_streams.gusts(random_streams.stream(seed, "turbulence", index), n, GUST, tank.sigma, tank.time)
     if odd.pulse != 0.0:
-        phase = draws.stream(seed, "pulse", index).uniform(0.0, 2 * np.pi)
+        phase = random_streams.stream(seed, "pulse", index).uniform(0.0, 2 * np.pi)
         table[:, 0] += odd.pulse * np.sin(2 * np.pi * np.arange(n) * GUST / odd.pulse_period + phase)
     return table
 
@@ -132,7 +132,9 @@ def trial_of(
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
     tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
-    tables |= sense(made, record, {name: draws.stream(seed, name, index) for name in SENSORS}, (0.0, record.t[-1]), noise)
+    tables |= sense(
+        made, record, {name: random_streams.stream(seed, name, index) for name in SENSORS}, (0.0, record.t[-1]), noise
+    )
     if "pose" in tables:
         tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
     clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}

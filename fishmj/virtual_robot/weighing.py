@@ -12,8 +12,8 @@ import numpy as np
 
 from fishmj.mjcf.description import Robot
 from fishmj.units import G
-from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.machine import RobotConstants
+from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot.robot_constants import RobotConstants
 from fishmj.virtual_robot.trials import plant
 
 REPEATS = 3
@@ -34,7 +34,7 @@ def masses(made: RobotConstants) -> dict[str, float]:
 
 def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
     """The table of the robot of a seed in which effects are hidden."""
-    return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), draws.stream(seed, "weighing"))
+    return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), random_streams.stream(seed, "weighing"))
 
 
 def weighings(made: RobotConstants, rng: np.random.Generator) -> dict:

@@ -22,19 +22,19 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import constant
 from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.actuation import drive, ticks_of
 from fishmj.campaign.data.collect import Pool, collect
+from fishmj.campaign.data.joint_commands import drive, ticks_of
 from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Setup, flow_at_links
 from fishmj.campaign.data.segment import Segment
 from fishmj.campaign.hybrid.hybrid import Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, DatasetError
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_json, write_json
 from fishmj.tasks import station_hold as task
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 AGREED = 0.05  # of the solver's mean return

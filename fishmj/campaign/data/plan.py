@@ -22,7 +22,7 @@ from fishmj.campaign.data.movements import BLOCKS, DRAWS
 from fishmj.campaign.data.segment import Segment
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.flow import BOXES
-from fishmj.hydro_fit.dataset import SPLITS, split_hashes
+from fishmj.hydro_fit.segment_dataset import SPLITS, split_hashes
 from fishmj.mjcf.description import Robot, load_robot
 
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import __version__
-from fishmj.campaign.data.actuation import Drive, drive, ticks_of
+from fishmj.campaign.data.joint_commands import Drive, drive, ticks_of
 from fishmj.campaign.data.segment import Segment
 from fishmj.campaign.data.solver_hash import solver_sha256
-from fishmj.lbm_oracle.run.batch import ConcurrentRuns
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup

@@ -11,7 +11,7 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.engines import in_water, own_effects
 from fishmj.gap import watch
-from fishmj.gap.commands import compare_models, doors, model_version, options, unlike
+from fishmj.gap.commands import compare_models, doors, gap_options, model_version, unlike
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
@@ -29,7 +29,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
     add("data", type=console.path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
-    options.of_model(add)
+    gap_options.of_model(add)
     add(
         "--water",
         type=console.text,
@@ -40,13 +40,13 @@ def main(argv: list[str]) -> int:
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
-    options.of_null(add)
-    most = f"effects to add at most, 1 to {options.MOST_EFFECTS} (default {frozen().most})"
-    add("--most", type=console.whole(1, options.MOST_EFFECTS), default=None, metavar="N", help=most)
+    gap_options.of_null(add)
+    most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().most})"
+    add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
-    options.there(args.null)
+    gap_options.there(args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)

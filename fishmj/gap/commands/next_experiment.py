@@ -11,10 +11,10 @@ from fishmj.engines import in_water, own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, model_version, options, unlike
+from fishmj.gap.commands import doors, gap_options, model_version, unlike
 from fishmj.gap.experiment.advice import LEFT, OPEN, advice, read, sides_of
 from fishmj.gap.experiment.discrimination import Hypothesis, experiment_scores, hinted, normalised
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in, taken
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.workflow import compiled, investigate
@@ -31,12 +31,12 @@ def main(argv: list[str]) -> int:
     which = "experiments: ids, all, or hinted, a quick look (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
     add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
-    options.of_null(add)
+    gap_options.of_null(add)
     add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
-    options.there(args.source)
+    gap_options.there(args.source)
     null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, plant, sides, like = _opened(args, null)

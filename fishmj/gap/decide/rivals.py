@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.effects.classes import containing
+from fishmj.effects.ambiguity import containing
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.effect_fitter import Candidate, EffectFitter, bounds
 from fishmj.gap.search.refit import drop_effect, on_records

@@ -12,7 +12,7 @@ An effect is not named beside others that
 Nor does it spoil the name of those that bring much.
 """
 
-from fishmj.effects.classes import together
+from fishmj.effects.ambiguity import together
 from fishmj.gap.decide.poorly_determined import SMALL, small
 from fishmj.gap.decide.rivals import Support
 from fishmj.gap.search.likelihood import Likelihood

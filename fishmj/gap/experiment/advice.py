@@ -11,7 +11,7 @@ import numpy as np
 from fishmj.gap.decide.intervals import HALF, estimate
 from fishmj.gap.decide.rivals import replaced
 from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis, experiment_scores, hinted, normalised
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.effect_fitter import Candidate
 from fishmj.gap.search.likelihood import Likelihood
@@ -40,7 +40,7 @@ def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNu
 
 def advice(plant, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
-    from fishmj.effects.classes import together
+    from fishmj.effects.ambiguity import together
 
     best = next((p for p in found if p.sigma >= ENOUGH), None)
     if best:

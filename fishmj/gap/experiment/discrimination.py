@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import excitation
-from fishmj.effects.classes import together
+from fishmj.effects.ambiguity import together
 from fishmj.excitation import Excitation
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import smooth, whitening
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.gap.records.residual import ResidualLayout

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from fishmj.gap.localise.comparison import Comparison
-from fishmj.gap.localise.regimes import beat_of
+from fishmj.gap.localise.error_by_regime import beat_of
 
 LEAST = 0.05  # rad, standard deviation of a command that beats
 BINS = 5

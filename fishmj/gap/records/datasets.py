@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
-from fishmj.gap.null.recorded import RecordedNull
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.recorded_null import RecordedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.log import Trial, check, measurements
+from fishmj.log import Trial, measurements, trial_check
 from fishmj.log.compact import read_bundle
 from fishmj.log.dataset import Taken, take
 from fishmj.log.npz_tables import row_place
@@ -74,9 +74,9 @@ def _bundle(data: Path) -> Taken:
         if not isinstance(trial.name, str) or not isinstance(trial.meta, dict):
             raise StoreError(f"{data}: not a bundle of trials (a name that is no text, or no meta data); write it again")
         try:
-            check.check_meta(trial.meta, f"{data}: {trial.name}")
+            trial_check.check_meta(trial.meta, f"{data}: {trial.name}")
             for name, table in trial.tables.items():
-                check.check_table(name, table, row_place(data / trial.name / name))
+                trial_check.check_table(name, table, row_place(data / trial.name / name))
         except FishmjError as error:
             broken[trial.name] = str(error)
             continue

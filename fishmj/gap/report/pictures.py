@@ -6,8 +6,8 @@ import numpy as np
 
 from fishmj.gap.localise import Localisation
 from fishmj.gap.localise.error_growth import GrowthCurve
-from fishmj.gap.report.drawing import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
 from fishmj.gap.report.report_data import ReportPart, Round
+from fishmj.gap.report.svg import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
 from fishmj.gap.report.words import LETTERS
 from fishmj.gap.wording import level, number
 

@@ -7,9 +7,9 @@ import numpy as np
 from fishmj import __version__
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
-from fishmj.gap.report.drawing import style
 from fishmj.gap.report.report_data import ReportData, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
+from fishmj.gap.report.svg import style
 from fishmj.gap.report.traces import traces
 from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, meaning, next_step
 from fishmj.gap.verdict import LIKELIHOOD, said

@@ -7,7 +7,7 @@ import numpy as np
 
 from fishmj.gap.localise import Comparison
 from fishmj.gap.records.residual import ChannelBlock
-from fishmj.gap.report.drawing import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
+from fishmj.gap.report.svg import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
 from fishmj.pages import drawn
 
 HALF = 1.645  # of a 90 % band

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.effects.classes import together
+from fishmj.effects.ambiguity import together
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.cross_validation import CrossValidated
 from fishmj.gap.search.effect_fitter import Candidate, EffectFitter

@@ -19,7 +19,7 @@ from fishmj.hydro_fit.fit import prediction_interval
 from fishmj.hydro_fit.fit.rollout import SwimWindow, fish_batch_of, is_free, recorded
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 LEAST = 40  # swims: with fewer the factor hangs on the worst few

@@ -22,7 +22,7 @@ from fishmj.hydro_fit.fit.serialise import packed, unpacked
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 STEPS = 100  # of learning by swims; the first fit had more of them, from forces alone

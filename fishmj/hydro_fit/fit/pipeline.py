@@ -42,7 +42,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 from fishmj.water import residual_hooks
 from fishmj.water import residual_network as residual
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")

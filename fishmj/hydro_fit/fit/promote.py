@@ -5,7 +5,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.store import sha256
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 
 def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:

@@ -19,7 +19,7 @@ import warp as wp
 
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.run.actuation import JointDriver, Servos
+from fishmj.lbm_oracle.run.joint_driver import JointDriver, Servos
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, TickState, checkpoint, finer, hand_over, restore
 from fishmj.log import SCHEMA, Trial, numbered

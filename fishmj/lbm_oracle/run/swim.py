@@ -21,7 +21,7 @@ from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.field_options import STRONG, add_fields
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.last_good_state import LastGood
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     stage = _stage(args)
     less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
-    cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
+    solver_cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
     run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         snapshot.load(args.start, run.coupled)

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from fishmj.errors import LogError
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
+from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.guess import LEFT, NANOSECONDS, TAKEN, UNCLEAR, FileKind, Guess
-from fishmj.log.importers.units import likely
 from fishmj.log.limits import quoted
 
 

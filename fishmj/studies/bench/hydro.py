@@ -46,7 +46,7 @@ def _robot(learnt: bool):
 def _with_residual() -> Path:
     """File of the shipped fit with a made-up residual."""
     from fishmj.water import residual_hooks, residual_network
-    from fishmj.water.model import HydroModel
+    from fishmj.water.hydro_model import HydroModel
 
     model = HydroModel.load(MODEL)
     net = residual_network.blank(len(model.base.k), MEMBERS, HIDDEN, seed=0)
@@ -84,7 +84,7 @@ def _alone(quick: bool, water: str) -> Work:
     from fishmj.engines.extensions import Extensions
     from fishmj.engines.single import SingleFish
     from fishmj.water.injection import inject
-    from fishmj.water.planar import PlanarWater
+    from fishmj.water.planar_water import PlanarWater
 
     robot = _robot(water == "residual")
     model = mjcf.build(robot, bare=True, ellipsoid=water == "ellipsoid")
@@ -185,7 +185,7 @@ def _swim(quick: bool, learnt: bool) -> Work:
     from fishmj.dynamics import planar_chain
     from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
     from fishmj.mjcf import load_robot
-    from fishmj.water.model import HydroModel
+    from fishmj.water.hydro_model import HydroModel
     from fishmj.water.prior import flat
 
     robot = load_robot("fish")

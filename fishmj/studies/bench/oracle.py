@@ -124,7 +124,7 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
     import warp as wp
 
     from fishmj.errors import SimDiverged
-    from fishmj.lbm_oracle.run.batch import ConcurrentRuns
+    from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
     from fishmj.lbm_oracle.run.setup import SwimSetup
 
     stage = SwimSetup(domain=domain, device=str(device))

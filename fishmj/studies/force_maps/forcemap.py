@@ -22,7 +22,7 @@ from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.output import map_plots
 from fishmj.lbm_oracle.output.field_options import add_fields
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.mjcf import load_robot
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     tick = robot.timing.bus_dt
     held = [(domain, sum(plan.ticks(point.speed, tick)) * tick) for point in left]
     less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
-    cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
+    solver_cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
     if args.domain in PREVIEWS:
         console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(points)} points, {len(points) - len(left)} of them done before, in {args.out}")

@@ -13,8 +13,8 @@ from fishmj import console, cost, interrupt
 from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
-from fishmj.gap.commands import options
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.commands import gap_options
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
 from fishmj.store import write_text
@@ -35,7 +35,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap bench", __doc__)
     add = parser.add_argument
     add("--cases", type=console.whole(1, MOST), default=400, metavar="N", help=f"how many, 1 to {MOST} (default 400)")
-    options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
+    gap_options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
     kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
     add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
     add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")

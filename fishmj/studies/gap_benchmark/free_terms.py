@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.terms.model_with_terms import termed

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import turned
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import ResidualLayout

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.gap.models.servo import DT, OneServo, Pendulum, PendulumLog, ServoMotor
+from fishmj.gap.models.servo_model import DT, OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.log import Trial

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.hydro_fit import check
-from fishmj.hydro_fit.check import _from as late_means
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import fish_batch_of, is_free, recorded
+from fishmj.hydro_fit.free_swims import _from as late_means
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.studies.mujoco_ellipsoid.fit import Fitted, forces
@@ -24,12 +24,12 @@ class Start(NamedTuple):
     learnt: None = None
 
 
-class Swum(check.FreeSwims):
+class Swum(free_swims.FreeSwims):
     """All free swims of some records, whole and settled, and the free runs."""
 
     def __init__(self, water: Fitted, robot: Robot, records: Sequence[SegmentRecord]):
         self.records = [r for r in records if is_free(r)]
-        ch, settled = planar_chain.chain_of(robot), round(check.SETTLED / records[0].tick)
+        ch, settled = planar_chain.chain_of(robot), round(free_swims.SETTLED / records[0].tick)
         swim = Bound(water.swim(robot), water.flat)
         self.fleet = fish_batch_of(ch, robot, self.records, seconds=1e6)
         self.track = swim.run(self.fleet, water.flat)
@@ -40,7 +40,7 @@ class Swum(check.FreeSwims):
 def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict:
     """{"figures", "n", "freerun_s"} as `check.judge` gives them, but for the error bar and the guard, which this has not."""
     swum = Swum(water, robot, records)
-    got, n = check.errors(swum, swum.late)
+    got, n = free_swims.errors(swum, swum.late)
     held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = _thrust(water, robot, held), len(held)
     far = np.linalg.norm(swum.cruise_track.q[..., :2] - swum.cruise.q[:, 1:, :2], axis=-1)

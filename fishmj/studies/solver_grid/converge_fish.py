@@ -25,7 +25,7 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.setup import SwimSetup
@@ -184,7 +184,7 @@ def main(argv: list[str]) -> int:
     cruise_s = args.beats / Gait.of_the_paper().frequency
     runs = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
-    cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
+    solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     device = str(device_of(args.device))
     console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
     with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:

@@ -19,7 +19,7 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.output import map_plots
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.setup import SwimSetup
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
     left = [key for key in keys if key not in book.rows]
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
     less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
-    cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
+    solver_cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
     device = str(device_of(args.device))
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
     with console.Progress(len(left), "speeds", every=1e9 if args.json else None) as bar:

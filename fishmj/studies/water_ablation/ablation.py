@@ -17,7 +17,7 @@ import numpy as np
 from fishmj import interrupt
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.code_hash import code
 from fishmj.hydro_fit.fit.pipeline import FitSettings
 from fishmj.hydro_fit.record import SegmentRecord
@@ -26,7 +26,7 @@ from fishmj.store import plain, read_json, write_json
 from fishmj.studies.mujoco_ellipsoid import fit as ellipsoid
 from fishmj.studies.mujoco_ellipsoid import force, judged
 from fishmj.studies.water_ablation.ablation_fit import Variant
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat
 
 SCHEMA = "fishmj.ablation/1"
@@ -141,7 +141,7 @@ def _one(
     with interrupt.keeping(kept):
         model = unfitted(robot) if row.kind == "prior" else variant.solve()
     scores = variant.scores | {"judged": variant.score(flat(model.base), model.learnt)}
-    told = _told(check.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
+    told = _told(free_swims.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
     return told | {"validation": scores, "stages": variant.seconds}
 
 

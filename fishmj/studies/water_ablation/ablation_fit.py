@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.hydro_fit.fit import pipeline
 from fishmj.hydro_fit.fit.serialise import unpacked
 from fishmj.store import plain
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import unflat
 
 NEEDS = {  # settings that a stage depends on, besides those of the stages before it

@@ -15,11 +15,11 @@ from fishmj.log.folder import META_FILE
 from fishmj.names import checked
 from fishmj.store import Manifest, sha256, write_json
 from fishmj.store.manifest import MANIFEST
-from fishmj.virtual_robot import draws
+from fishmj.virtual_robot import random_streams
 from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.effect import EntryParameter
-from fishmj.virtual_robot.oddities import ODDITIES
+from fishmj.virtual_robot.catalogue_entry import EntryParameter
 from fishmj.virtual_robot.trials import EFFECTS
+from fishmj.virtual_robot.uncatalogued import ODDITIES
 
 SCHEMA = "fishmj.truth/1"
 WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
@@ -46,7 +46,7 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
     for position, text in enumerate(texts):
         if own := own_reference(text):
             raise ConfigError(f"effect {own[:60]}: the second robot cannot hide it, having equations of its own; {INSTEAD}")
-        rng = draws.stream(seed, "lottery", position)
+        rng = random_streams.stream(seed, "lottery", position)
         name, colon, list_ = text.partition(":")
         main = None
         if not colon:

@@ -30,10 +30,10 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.visual_geometry import fin_plates
 from fishmj.units import G
-from fishmj.water import planar
+from fishmj.water import planar_water
 
 
-class FreeWater(planar.PlanarWater):
+class FreeWater(planar_water.PlanarWater):
     """Structured water around one fish with a free root; attributes as `PlanarWater`."""
 
     root = "free"
@@ -80,11 +80,11 @@ class FreeWater(planar.PlanarWater):
         """The error that names the first term and link whose force is not finite."""
         motion = self._planar(data)
         for i, link in enumerate(self.robot.links):
-            named = planar.named_terms(self.chain.strips, self.swimmer.water, i, *motion[i], self.attached)
+            named = planar_water.named_terms(self.chain.strips, self.swimmer.water, i, *motion[i], self.attached)
             for term, value in named.items():
                 if not np.all(np.isfinite(value)):
-                    return planar.diverged(data, term, link.name, *motion[i])
-        return planar.diverged(data, "vertical, roll or fins", self.robot.links[0].name, *motion[0])
+                    return planar_water.diverged(data, term, link.name, *motion[i])
+        return planar_water.diverged(data, "vertical, roll or fins", self.robot.links[0].name, *motion[0])
 
     def _planar(self, data) -> list:
         """(u, w, Omega) of every link relative to its water."""

@@ -12,14 +12,14 @@ from pathlib import Path
 from fishmj import console, controllers, interrupt
 from fishmj.campaign.dagger.dagger import correct
 from fishmj.campaign.data.collect import Local
-from fishmj.campaign.data.command import ON_GPU
+from fishmj.campaign.data.collect_command import ON_GPU
 from fishmj.campaign.data.run_segments import Setup
-from fishmj.hydro_fit.dataset import SEGMENTS, SegmentDataset, open_dataset
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 SWIMS = 600.0  # s of swims in a fit
 
@@ -50,7 +50,7 @@ def main(argv: list[str]) -> int:
 
     box, water = preset(args.domain), args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
-    cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
+    solver_cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
     setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
     pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)

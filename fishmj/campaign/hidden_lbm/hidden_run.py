@@ -5,21 +5,21 @@ from typing import cast
 
 import numpy as np
 
-from fishmj.campaign.hidden_lbm.body import HiddenBody
 from fishmj.campaign.hidden_lbm.electronics import Electronics, Queue
+from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
-from fishmj.lbm_oracle.run.actuation import JointDriver
 from fishmj.lbm_oracle.run.domain import Domain, preset
+from fishmj.lbm_oracle.run.joint_driver import JointDriver
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch
 from fishmj.mjcf.model import reference_qpos
-from fishmj.virtual_robot import draws, network
-from fishmj.virtual_robot.machine import RobotConstants
-from fishmj.virtual_robot.motion import Recording
+from fishmj.virtual_robot import network, random_streams
+from fishmj.virtual_robot.robot_constants import RobotConstants
+from fishmj.virtual_robot.simulate import Recording
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import weather
 
@@ -72,7 +72,7 @@ class HiddenRun(Run):
 
     def __init__(self, job: Job, device: str):
         self.job, what, made = job, job.what, job.made
-        hand = draws.stream(job.seed, "placing", job.index).standard_normal(3) * job.noise
+        hand = random_streams.stream(job.seed, "placing", job.index).standard_normal(3) * job.noise
         start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
         state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
         state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.gap.null.simulated import RUNS
+from fishmj.gap.null.simulated_null import RUNS
 from fishmj.gap.records.datasets import LAST_SEED, LOUDEST, MOST_RUNS
 
 MOST_EFFECTS = 8

@@ -15,11 +15,11 @@ import numpy as np
 
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
-from fishmj.virtual_robot import draws
+from fishmj.virtual_robot import random_streams
 from fishmj.virtual_robot.loop import H
-from fishmj.virtual_robot.motion import STILL, Recording, run
 from fishmj.virtual_robot.network import Radio
 from fishmj.virtual_robot.sensors import on_its_clock
+from fishmj.virtual_robot.simulate import STILL, Recording, run
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import SENSORS, Effects, plant, sense, weather
 
@@ -57,7 +57,7 @@ class ClosedLoopRobot:
         changing = made.tank.sigma > 0.0 or made.odd.pulse != 0.0
         self._gust = weather(made, HORIZON, seed, 0) if changing else STILL
         self._radio = Radio(made.network, made.odd, seed, 0, noise)
-        self._streams = {name: draws.stream(seed, name, 0) for name in SENSORS}
+        self._streams = {name: random_streams.stream(seed, name, 0) for name in SENSORS}
         self._queue: list[tuple[float, int, np.ndarray]] = []
         self._order = count()
         self._past: Recording | None = None

@@ -14,7 +14,7 @@ from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
 from fishmj.store import Manifest
-from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
+from fishmj.tasks.recorded_sensors import NOTE, clocks, sensed, sigmas
 
 BLOCK = 200  # ticks whose flow is looked up at once
 
@@ -22,7 +22,7 @@ BLOCK = 200  # ticks whose flow is looked up at once
 def trial_of(r: Result, i: int) -> Trial:
     """Trial i of a result in the log's schema, origin "synthetic".
 
-    `joint` and `pose` are what encoders and tracker report (`fishmj.tasks.recorded`), `truth` is the exact state. A fish whose
+    `joint` and `pose` are what encoders and tracker report (`tasks.recorded_sensors`), `truth` is the exact state. A fish whose
     tank stopped is logged up to there.
     """
     ticks = ended(r, i)

@@ -16,23 +16,23 @@ import numpy as np
 
 from fishmj import console
 from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.actuation import drive, ticks_of
 from fishmj.campaign.data.collect import Local, collect
+from fishmj.campaign.data.joint_commands import drive, ticks_of
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.campaign.data.segment import Segment
 from fishmj.campaign.hybrid.correction_segment import Path as Along
 from fishmj.campaign.hybrid.correction_segment import Solver
 from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
 from fishmj.dynamics import planar_chain
-from fishmj.hydro_fit.dataset import open_dataset
 from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.store import read_json, write_json
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 SHORTER = 0.9  # of the tail's length, in the wrong surrogate
 LOOKED = 100  # ticks after a new seed that are set against a swim without one
@@ -68,7 +68,7 @@ def main(argv: list[str]) -> int:
     box, model, segments = preset(args.domain), surrogate_of(args), episodes_of(robot, args)
     water = sum(segment.water for segment in segments)
     less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
-    cost.agree("hydro_fit hybrid", args.device, [(box, water)], instead=less, tanks=args.tanks)
+    solver_cost.agree("hydro_fit hybrid", args.device, [(box, water)], instead=less, tanks=args.tanks)
     setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
     plan = plans.Plan(label="hybrid", robot=robot, seed=args.seed, segments=tuple(segments))
     collect(plan, out / "solver", setup, pool=Local(args.tanks), quiet=args.json)

@@ -17,7 +17,7 @@ from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import Robot, load_robot
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if not (args.dry_run or args.ray):
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
-        cost.agree(
+        solver_cost.agree(
             "hydro_fit collect",
             args.device,
             [(domain, water)],

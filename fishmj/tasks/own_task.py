@@ -21,7 +21,7 @@ import numpy as np
 from fishmj import engines, plugins
 from fishmj.errors import OwnCodeError, UnknownName
 from fishmj.tasks import station_hold as hold
-from fishmj.tasks.course import COURSES, EpisodeStart, StepTruth
+from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth
 
 LONGEST = 1e6  # s
 TRIED = 5  # episodes of the trial run

@@ -22,7 +22,7 @@ import numpy as np
 from fishmj.calib import resolve
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
-from fishmj.gap.null import code_hash
+from fishmj.gap.null import source_digest
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import WINDOW, ResidualLayout
@@ -130,7 +130,7 @@ class SimulatedNull:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
         swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
-        made = [code_hash.digest(SIMULATOR), sha256(resolve("virtual_robot")), model(plant)]
+        made = [source_digest.digest(SIMULATOR), sha256(resolve("virtual_robot")), model(plant)]
         text = json.dumps([*made, swims, plant.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
@@ -147,7 +147,7 @@ def kept_at(key: str) -> Path:
 
 def model(plant) -> str:
     """Hash of the code that predicts the null runs and takes their residuals."""
-    return code_hash.digest(type(plant).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
+    return source_digest.digest(type(plant).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
 
 
 def repeated(record: Record) -> Excitation:

@@ -15,9 +15,9 @@ import numpy as np
 
 from fishmj import console, store
 from fishmj.calib import calib_folder
-from fishmj.evaluate.driver import run
 from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.result import Result
+from fishmj.evaluate.run_trials import run
 from fishmj.mjcf.description import Robot
 
 KEPT = "lbm"  # folder of finished trials

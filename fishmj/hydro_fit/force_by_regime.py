@@ -10,7 +10,7 @@ from fishmj.hydro_fit.fit.gauss_newton import tow_drag
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, added, attachment, base_force, rows_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 NAMES = {
     "gait": "cruise",

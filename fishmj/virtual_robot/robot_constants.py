@@ -9,7 +9,6 @@ import numpy as np
 from fishmj.calib import read_toml, resolve
 from fishmj.mjcf.description import Robot, Servo
 from fishmj.units import G
-from fishmj.virtual_robot.body import RigidBody, body_of
 from fishmj.virtual_robot.constants import (
     Camera,
     HullConstants,
@@ -20,6 +19,7 @@ from fishmj.virtual_robot.constants import (
     Uncatalogued,
     WaterConstants,
 )
+from fishmj.virtual_robot.rigid_body import RigidBody, body_of
 
 CONSTANTS = "virtual_robot"
 GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")

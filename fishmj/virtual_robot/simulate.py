@@ -6,7 +6,7 @@ import numpy as np
 
 from fishmj.errors import SimDiverged
 from fishmj.virtual_robot.loop import H, advance
-from fishmj.virtual_robot.machine import RobotConstants
+from fishmj.virtual_robot.robot_constants import RobotConstants
 from fishmj.virtual_robot.state import COLUMNS, LOG, State
 
 COLUMN = {name: i for i, name in enumerate(COLUMNS)}

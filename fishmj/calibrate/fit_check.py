@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from fishmj.calibrate import latency, servo
+from fishmj.calibrate import latency, servo_fit
 from fishmj.calibrate.bias import widened
-from fishmj.calibrate.logs import Logs
+from fishmj.calibrate.calibration_logs import Logs
 from fishmj.gap.models.test_stand import TestStand
 
 Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
@@ -12,7 +12,7 @@ Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval
 
 def one(true: dict[str, float], logs: Logs, plant: TestStand) -> Off:
     """Calibrate servo and latencies of a robot whose numbers are given."""
-    found = servo.calibrate(logs, plant, alone=False)
+    found = servo_fit.calibrate(logs, plant, alone=False)
     fitted = found.estimates | {"camera_latency": latency.calibrate(logs, found).estimates["camera_latency"]}
     wide = {name: widened(e) for name, e in fitted.items()}
     return {

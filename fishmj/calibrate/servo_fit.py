@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, Tick, fit
-from fishmj.calibrate.logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.errors import LogError
 from fishmj.gap.models.test_stand import CONSTANTS, TestStand
 from fishmj.gap.records.records import Record

@@ -15,8 +15,8 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.excitation import Excitation
-from fishmj.gap.null import code_hash
-from fishmj.gap.null.simulated import SimulatedNull, Tick, model
+from fishmj.gap.null import source_digest
+from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import WINDOW
 from fishmj.log import Trial
@@ -63,7 +63,7 @@ class RecordedNull(SimulatedNull):
         return out
 
     def _key(self, plant, record: Record, what: Excitation) -> str:
-        made = [[sha256(path) for path in self.bundles], code_hash.digest("fishmj.log.compact"), model(plant)]
+        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model(plant)]
         text = json.dumps([*made, plant.fingerprint, what.id, *WINDOW, record.dt, *what.start])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 

@@ -26,7 +26,7 @@ from fishmj.names import checked
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.prior import unflat
-from fishmj.water.schema import check
+from fishmj.water.water_schema import check
 
 SCHEMA = "fishmj.water/1"
 UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from fishmj import console
-from fishmj.calibrate import fit_plots, latency, mass, model, servo, slip, slip_picture
+from fishmj.calibrate import calibrated_model, fit_plots, latency, mass, servo_fit, slip, slip_picture
 from fishmj.calibrate.bias import widened
+from fishmj.calibrate.calibration_logs import Logs, read
 from fishmj.calibrate.least_squares import ParameterEstimate
-from fishmj.calibrate.logs import Logs, read
 from fishmj.errors import LogError
 from fishmj.gap.commands.doors import of_this_robot
 from fishmj.gap.models.test_stand import TestStand
@@ -67,10 +67,10 @@ def run_servo(args) -> Answer:
     """Servo gain, damping, friction and command latency from sine, square and impulse."""
     robot = load_robot(args.model)
     logs, plant = benched(args, robot)
-    found = servo.calibrate(logs, plant, bars=shown)
+    found = servo_fit.calibrate(logs, plant, bars=shown)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     apart = [
-        {"medium": m, **{name: fit.estimates[name].value for name in servo.FREE}, "rounds": fit.rounds}
+        {"medium": m, **{name: fit.estimates[name].value for name in servo_fit.FREE}, "rounds": fit.rounds}
         for m, fit in found.alone.items()
     ]
     left = [
@@ -86,12 +86,14 @@ def run_servo(args) -> Answer:
     picture = fit_plots.draw(found, args.report / "overlay.png")
     page = fit_plots.report(args.report, "Servo calibration", tables, picture, said(logs, found.words))
     if args.out:
-        text, s = model.start(args.out, args.model), plant.robot.servo
+        text, s = calibrated_model.start(args.out, args.model), plant.robot.servo
         kp, kd = estimates["kp"].value, estimates["kd"].value
         values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
-        text = model.put(text, "servo", {key: model.short(value) for key, value in values.items()})
-        text = model.put(text, "timing", {"command_latency": model.short(estimates["command_latency"].value)})
-        model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
+        text = calibrated_model.put(text, "servo", {key: calibrated_model.short(value) for key, value in values.items()})
+        text = calibrated_model.put(
+            text, "timing", {"command_latency": calibrated_model.short(estimates["command_latency"].value)}
+        )
+        calibrated_model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
     return {
         "estimates": plain(estimates),
         "alone": apart,
@@ -107,7 +109,7 @@ def run_latency(args) -> Answer:
     """Command and camera latency, from the clocks and against the fitted servo."""
     robot = load_robot(args.model)
     logs, plant = benched(args, robot)
-    fitted = servo.calibrate(logs, plant, alone=False, bars=shown)
+    fitted = servo_fit.calibrate(logs, plant, alone=False, bars=shown)
     found = latency.calibrate(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
@@ -120,9 +122,9 @@ def run_latency(args) -> Answer:
         needs = " and ".join(latency.ABRUPT)
         console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
     if args.out:
-        values = {name: model.short(e.value) for name, e in estimates.items()}
-        text = model.put(model.start(args.out, args.model), "timing", values)
-        model.write(args.out, text, "latency", estimates, {}, args.data)
+        values = {name: calibrated_model.short(e.value) for name, e in estimates.items()}
+        text = calibrated_model.put(calibrated_model.start(args.out, args.model), "timing", values)
+        calibrated_model.write(args.out, text, "latency", estimates, {}, args.data)
     return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page, "skipped": logs.broken}
 
 
@@ -154,7 +156,9 @@ def run_slip(args) -> Answer:
         args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), slip_picture.WORDS
     )
     if args.out:
-        model.write(args.out, model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data)
+        calibrated_model.write(
+            args.out, calibrated_model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data
+        )
     return {
         "estimates": plain({"slip": found.estimate}),
         "profile": found.rows(),
@@ -182,13 +186,13 @@ def run_mass(args) -> Answer:
     links = [{"link": name, "mass [kg]": m, "com from its front [m]": c} for name, (m, c) in found.links.items()]
     console.say(console.table(rows(found.estimates)), "", console.table(links))
     if args.out:
-        text = model.start(args.out, args.model)
+        text = calibrated_model.start(args.out, args.model)
         for name, (m, c) in found.links.items():
-            text = model.put(text, "link", {"mass": model.short(m), "com": model.short(c)}, name)
-        text = model.put(text, "body", {"mass_total": sum(model.short(m) for m, _ in found.links.values())})
+            text = calibrated_model.put(text, "link", {"mass": calibrated_model.short(m), "com": calibrated_model.short(c)}, name)
+        text = calibrated_model.put(text, "body", {"mass_total": sum(calibrated_model.short(m) for m, _ in found.links.values())})
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
-        model.write(args.out, text, "mass", found.estimates, beyond, args.data)
+        calibrated_model.write(args.out, text, "mass", found.estimates, beyond, args.data)
     fit_plots.report(
         args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)]
     )

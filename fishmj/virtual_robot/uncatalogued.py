@@ -4,7 +4,7 @@ Families differ in kind: memory, coupling, asymmetry, place, time, timing, sensi
 """
 
 from fishmj.virtual_robot.catalogue import ALL, BODY, SERVO, _keep, _one
-from fishmj.virtual_robot.effect import CatalogueEntry
+from fishmj.virtual_robot.catalogue_entry import CatalogueEntry
 
 _ROWS: list[tuple] = [
     (

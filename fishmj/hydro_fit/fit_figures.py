@@ -4,9 +4,9 @@ import io
 
 import numpy as np
 
-from fishmj.hydro_fit.check import GAITS, FreeSwims
 from fishmj.hydro_fit.fit.prediction_interval import CHANNELS, half_width, means
 from fishmj.hydro_fit.fit.rollout import recorded
+from fishmj.hydro_fit.free_swims import GAITS, FreeSwims
 
 LABELS = {"speed": "speed along the body [m/s]", "yaw_rate": "yaw rate [rad/s]", "power": "servo power [W]"}
 

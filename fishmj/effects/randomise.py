@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from fishmj.effects.active import EffectStack
 from fishmj.effects.effect import Parameter
+from fishmj.effects.stack import EffectStack
 
 
 def draw(active: EffectStack, n: int, rng: np.random.Generator, scale: float = 1.0) -> np.ndarray:

@@ -28,7 +28,7 @@ from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_batch_of, is_free, padded, recorded
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 SETTLED, FREERUN = 4.0, 10.0  # s

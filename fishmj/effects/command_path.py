@@ -3,7 +3,7 @@
 The transport delay of the clock "command" is not in here: whoever feeds the servo looks that much earlier into the result.
 """
 
-from fishmj.effects.active import EffectStack
+from fishmj.effects.stack import EffectStack
 
 
 def delivered(xp, active: EffectStack, parameters, commands, h: float):

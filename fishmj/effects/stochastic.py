@@ -6,8 +6,8 @@ physics holds them; a generator or a randomised training run draws them here, ea
 
 import numpy as np
 
-from fishmj.effects.active import EffectStack
 from fishmj.effects.sites import Measured
+from fishmj.effects.stack import EffectStack
 
 
 def arrivals(active: EffectStack, parameters, t, commands, rng) -> tuple[np.ndarray, np.ndarray]:

@@ -12,10 +12,10 @@ import numpy as np
 from fishmj.campaign.hidden_lbm.implicit_servo import forces
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.mjcf import build
-from fishmj.virtual_robot.body import body_of
 from fishmj.virtual_robot.constants import HullConstants, Uncatalogued
-from fishmj.virtual_robot.machine import RobotConstants, nominal
-from fishmj.virtual_robot.motion import STILL
+from fishmj.virtual_robot.rigid_body import body_of
+from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
+from fishmj.virtual_robot.simulate import STILL
 from fishmj.virtual_robot.state import State
 
 ABSOLUTE = np.eye(6)  # T: rates of (x, y, psi, j1, j2, j3) -> (x, y, W1 .. W4)
