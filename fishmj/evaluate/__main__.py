@@ -38,7 +38,7 @@ def options() -> console.Parser:
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     water = "structured: the description's own coefficients; surrogate: the shipped water fitted for this robot; a fitted one by"
-    water += " name or TOML file; lbm: the flow solver itself, hours without a GPU"
+    water += " name (NAME-base: without its residual) or TOML file; lbm: the flow solver itself, hours without a GPU"
     add("--water", type=console.text, default="structured", help=water)
     add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
     add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in --water lbm: 1 slides, 0 sticks")
@@ -105,7 +105,7 @@ def main(argv: list[str]) -> int:
     if unused and args.water != "lbm":
         raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
     joined = own_effects.join(args.effects)
-    if args.water not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
+    if args.water.removesuffix("-base") not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, (*WATERS, *shipped()))
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
