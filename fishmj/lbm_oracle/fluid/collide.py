@@ -1,6 +1,6 @@
 """Recursive-regularised collision, written in moments.
 
-    rho = sum f_i      rho u = sum c_i f_i      P = sum (c_i c_i - c_s^2 I) f_i - rho u u            (departure from equilibrium)
+    rho = sum f_i      rho u = sum c_i f_i      P = sum (c_i c_i - c_s^2 I) f_i - rho u u            (non-equilibrium stress)
     P <- P + b (-2 rho c_s^2 tau dev S - dev P)      S = (grad u + grad u^T) / 2, with eddy viscosity only
     P' = (1 - omega) (P - tr P / 3 I) + (1 - omega_bulk) tr P / 3 I                                 omega = 1 / tau
     A2 = rho v v + P',  v = u + G                                                                    exact-difference force
@@ -70,7 +70,7 @@ def non_equilibrium_stress(f: vec19, drho: float, u: wp.vec3):
 
 @wp.func
 def hybrid_stress(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float):
-    """P with a share of its traceless part replaced by what the slopes dx = d u / d x, ... of the velocity say."""
+    """P with a share of its traceless part replaced by that of the velocity gradient, dx = d u / d x and so on."""
     a = share * _CS2 * rho_tau
     mean = _CS2 * (p[0] + p[1] + p[2])
     third = 2.0 * _CS2 * (dx[0] + dy[1] + dz[2])

@@ -110,10 +110,3 @@ def survey(
     wp.atomic_add(mass, y, total)
     if bad > 0:
         wp.atomic_add(lost, y, bad)
-
-
-@wp.kernel
-def rest(low: wp.vec3i, s: Params, force: wp.array3d(dtype=wp.vec3)):
-    """No force in a box of world nodes."""
-    i, j, k = wp.tid()
-    force[folded(low[0] + i, s.nx), folded(low[1] + j, s.ny), folded(low[2] + k, s.nz)] = wp.vec3()

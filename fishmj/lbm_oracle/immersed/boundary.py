@@ -52,7 +52,7 @@ class Boundary:
         self.width, self.passes, self.slip = check_width(width), int(passes), slip_here(slip, lattice)
         if self.passes < 1:
             raise ConfigError(f"immersed boundary: passes = {passes}; expected 1 or more, 2 by default")
-        self.drive = fluid.numbers.drive
+        self.drive = fluid.params.body_acceleration
         self.wraps = wp.vec3i(*(int(axis.low == "periodic") for axis in fluid.boundaries.axes))
         n, self.dofs, self.links = len(markers), body.dofs, body.links
         if n == 0:

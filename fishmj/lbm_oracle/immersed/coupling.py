@@ -117,7 +117,7 @@ class FluidStructure:
     def answer(self) -> None:
         """Launch the force, and the fluid's step under it."""
         self.boundary.answer(self.fluid.force)
-        self.fluid.advance()
+        self.fluid.stream_collide()
         self.boundary.clear(self.fluid.force)
 
     def _queue(self, part: str) -> None:
