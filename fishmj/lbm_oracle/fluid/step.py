@@ -163,15 +163,14 @@ def gradient_within(faces: Faces):
 @wp.func
 def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=wp.vec3), node: wp.vec3i, here: int):
     """Acceleration of a world node, uniform and, inside `box`, the body's; and the share of its stress that the gradient gives."""
-    g, share = s.body_acceleration, s.hybrid_share
+    push = wp.vec3()
     # only in the body's box is there a force to load: 12 bytes that all other nodes save
     if (
         node[0] >= box[0] and node[0] < box[3] and node[1] >= box[1] and node[1] < box[4] and node[2] >= box[2] and node[2] < box[5]
     ):
         push = peek3(force, here)
-        g += push
-        share = wp.where(wp.length_sq(push) == 0.0, s.hybrid_share, s.hybrid_share_layer)
-    return g, share
+    share = wp.where(wp.length_sq(push) == 0.0, s.hybrid_share, s.hybrid_share_layer)
+    return s.body_acceleration + push, share
 
 
 @cache
