@@ -144,7 +144,7 @@ def test_without_slip_the_answer_matrix_is_symmetric_and_dissipates():
     coupled = pond("cpu", slip=0.0)
     coupled.body.place([0.55, 0.3, 0.7, 0.5, -0.6, 0.4])
     coupled.step()
-    matrix, at_rest = coupled.boundary.answer_matrix
+    matrix, at_rest = coupled.boundary.response
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-5 * np.abs(matrix).max())
     assert np.linalg.eigvalsh((matrix + matrix.T) / 2).min() > 0
     np.testing.assert_allclose(at_rest, 0.0, atol=1e-12)
@@ -204,10 +204,10 @@ def test_mujoco_takes_exactly_the_velocity_that_was_found(root):
 
 def test_the_device_solves_the_equation_that_the_docstring_states(bent):
     coupled, _ = bent
-    matrix, at_rest = coupled.boundary.answer_matrix
+    matrix, at_rest = coupled.boundary.response
     sent = coupled.boundary.view
     right, system = sent["momentum"] - at_rest, sent["system"] + matrix
-    np.testing.assert_allclose(coupled.boundary.outbox.numpy(), np.linalg.solve(system, right), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(coupled.boundary.velocity, np.linalg.solve(system, right), rtol=1e-9, atol=1e-12)
 
 
 def test_planar_and_free_root_swim_alike():

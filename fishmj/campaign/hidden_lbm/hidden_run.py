@@ -117,7 +117,7 @@ class HiddenRun(Run):
             if self.follow is not None:
                 self.follow(self.coupled)
             before = after
-        self.coupled.join()
+        self.coupled.join_stream()
         self.coupled.take_wrench(CARRY)
 
     def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
@@ -134,14 +134,14 @@ class ElectronicsDriver:
         wire.begin_tick(tick)
         wire.place(self.body)
 
-    def drive(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+    def actuate(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         self.wire.drive(self.body, self.began + step * self.body.dt)
         return np.concatenate([np.zeros(3), self.wire.held]), np.zeros(6)
 
-    def begun(self) -> None:
+    def record(self) -> None:
         """Nothing to keep."""
 
-    def finished(self) -> None:
+    def follow(self) -> None:
         self.wire.follow(self.body)
 
 

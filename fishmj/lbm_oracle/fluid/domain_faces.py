@@ -158,7 +158,9 @@ class Boundaries:
             for kind in getattr(self, name):
                 FACES[kind].check(self, name)
         if any(self.wall_velocity_lu) and "moving" not in self.kinds:
-            raise ConfigError(f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so")
+            raise ConfigError(
+                f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so"
+            )
         if self.sponge < 0 or not 0 <= self.sponge_rate <= 1:
             raise ConfigError(f"boundaries: sponge = {self.sponge} cells (>= 0), sponge_rate = {self.sponge_rate} (0 to 1)")
 

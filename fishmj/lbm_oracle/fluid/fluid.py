@@ -90,7 +90,13 @@ class Fluid:
         self.flow = flow or Flow()
         self._kernel = stream_collide(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
         self._keeps = keep_velocity
-        self._options = {"cw": cw, "omega_bulk": omega_bulk, "blend": blend, "body_acceleration": body_acceleration, "dtype": dtype}
+        self._options = {
+            "cw": cw,
+            "omega_bulk": omega_bulk,
+            "blend": blend,
+            "body_acceleration": body_acceleration,
+            "dtype": dtype,
+        }
         self._params = _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend)
         self.threads = thread_slabs.slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):

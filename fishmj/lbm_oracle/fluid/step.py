@@ -166,7 +166,12 @@ def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=w
     push = wp.vec3()
     # only in the body's box is there a force to load: 12 bytes that all other nodes save
     if (
-        node[0] >= box[0] and node[0] < box[3] and node[1] >= box[1] and node[1] < box[4] and node[2] >= box[2] and node[2] < box[5]
+        node[0] >= box[0]
+        and node[0] < box[3]
+        and node[1] >= box[1]
+        and node[1] < box[4]
+        and node[2] >= box[2]
+        and node[2] < box[5]
     ):
         push = peek3(force, here)
     share = wp.where(wp.length_sq(push) == 0.0, s.hybrid_share, s.hybrid_share_layer)

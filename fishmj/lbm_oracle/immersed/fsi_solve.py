@@ -22,7 +22,7 @@ def fetch(sent: wp.array(dtype=wp.float64), host: wp.array(dtype=wp.float64)):
 
 
 @wp.kernel
-def weigh(
+def response_part(
     jacobian: wp.array2d(dtype=wp.vec3),
     volume: wp.array(dtype=float),
     force: wp.array2d(dtype=wp.vec3),
@@ -39,7 +39,7 @@ def weigh(
 
 
 @wp.kernel
-def gather(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total: wp.array2d(dtype=wp.float64)):
+def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total: wp.array2d(dtype=wp.float64)):
     """total[i, r] = scale sum_c part[c, i, r]."""
     i, r = wp.tid()
     s = wp.float64(0.0)
@@ -74,12 +74,12 @@ def solver(n: int) -> wp.Kernel:
             free = host[at.fixed + i] < wp.float64(0.5)
             right = host[at.momentum + i] - water[i, 0]
             for j in range(wp.static(n)):
-                answer = water[i, j + 1]
+                response = water[i, j + 1]
                 entry = host[at.system + n * i + j]
                 if implicit == 1:
-                    entry += answer
+                    entry += response
                 else:
-                    right -= answer * host[at.before + j]
+                    right -= response * host[at.before + j]
                 a[i, j] = wp.where(free, entry, wp.where(wp.static(i == j), wp.float64(1.0), wp.float64(0.0)))
             a[i, wp.static(n)] = wp.where(free, right, host[at.value + i])
         for p in range(wp.static(n)):
@@ -153,13 +153,13 @@ def add_wrench(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     total: wp.array2d(dtype=wp.float64),
-    heard: wp.array2d(dtype=wp.float64),
+    on_host: wp.array2d(dtype=wp.float64),
 ):
-    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `heard` is the host's copy."""
+    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `on_host` is the host's copy."""
     l, i = wp.tid()
     s = wp.float64(0.0)
     for c in range(part.shape[0]):
         s += part[c, l, i]
     before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
     total[l, i] = before + scale * s
-    heard[l, i] = before + scale * s
+    on_host[l, i] = before + scale * s

@@ -40,14 +40,14 @@ class Points(NamedTuple):
 
 
 @wp.kernel
-def look(
+def measure(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     place: wp.array(dtype=wp.vec3d),
     link: wp.array(dtype=int),
     f: wp.array(dtype=Any),
     directions: wp.array(dtype=wp.vec3i),
-    drive: wp.vec3,
+    body_acceleration: wp.vec3,
     dx: wp.float64,
     shape: wp.vec3i,
     along: wp.array(dtype=float),
@@ -65,7 +65,7 @@ def look(
         i, j, k = o // 4, (o // 2) % 2, o % 2
         weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
         rho, m = pulled(f, directions, low[0] + i, low[1] + j, low[2] + k, shape)
-        total += weight * wp.dot(axis, m / rho + drive)
+        total += weight * wp.dot(axis, m / rho + body_acceleration)
     along[p] = total
 
 
@@ -75,7 +75,7 @@ def mean(
     link: wp.array(dtype=int),
     share: wp.array(dtype=float),
     scale: wp.float64,
-    told: wp.array(dtype=wp.float64),
+    speed: wp.array(dtype=wp.float64),
 ):
     """s_l, m/s."""
     l = wp.tid()
@@ -83,8 +83,8 @@ def mean(
     for p in range(along.shape[0]):
         if link[p] == l:
             total += share[p] * along[p]
-    told[l] = scale * wp.float64(total)
+    speed[l] = scale * wp.float64(total)
 
 
 for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
-    wp.overload(look, {"f": wp.array(dtype=_storage)})
+    wp.overload(measure, {"f": wp.array(dtype=_storage)})

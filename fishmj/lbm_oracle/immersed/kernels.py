@@ -123,7 +123,7 @@ def pulled(f: wp.array(dtype=Any), directions: wp.array(dtype=wp.vec3i), x: int,
 def read_cells(
     f: wp.array(dtype=Any),
     directions: wp.array(dtype=wp.vec3i),
-    drive: wp.vec3,
+    body_acceleration: wp.vec3,
     cell: wp.array(dtype=wp.vec3),
     store: wp.array(dtype=wp.vec3i),
     width: int,
@@ -139,12 +139,12 @@ def read_cells(
     rho, m = pulled(f, directions, x, y, z, shape)
     p = cell[k]
     bx, by, bz = first(p[0], width) + i, first(p[1], width) + j, first(p[2], width) + l
-    box_u[bx, by, bz] = m / rho + drive
+    box_u[bx, by, bz] = m / rho + body_acceleration
     box_rho[bx, by, bz] = rho
 
 
 @wp.kernel
-def aim(
+def set_target(
     cell: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     jacobian: wp.array2d(dtype=wp.vec3),
@@ -226,7 +226,7 @@ def combine(force: wp.array2d(dtype=wp.vec3), v: wp.array(dtype=wp.float64), fin
 
 
 @wp.kernel
-def push(
+def spread_force(
     cell: wp.array(dtype=wp.vec3),
     store: wp.array(dtype=wp.vec3i),
     volume: wp.array(dtype=float),
@@ -248,7 +248,7 @@ def push(
 
 
 @wp.kernel
-def clear(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, acceleration: wp.array3d(dtype=wp.vec3)):
+def clear_force(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, acceleration: wp.array3d(dtype=wp.vec3)):
     """G = 0 in the cells that the markers touched in the last step."""
     k, o = wp.tid()
     at = store[k]

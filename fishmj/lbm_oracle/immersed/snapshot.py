@@ -23,7 +23,7 @@ def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
     state |= {
         "momentum": body.momentum.copy(),
-        "slide": body.slide.copy(),
+        "slide": body.interior_speed.copy(),
         "gain": coupled.gain.copy(),
         "steps": np.array(coupled.steps),
     }
@@ -37,7 +37,7 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
         ConfigError: it belongs to another grid or another fish.
     """
     body, data = coupled.body, coupled.body.data
-    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.slide)):
+    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.interior_speed)):
         if state[name].shape != value.shape:
             raise ConfigError(f"oracle state: {name} has shape {state[name].shape}, this fish needs {value.shape}")
     coupled.fluid.restore({name.removeprefix("fluid."): value for name, value in state.items() if name.startswith("fluid.")})
