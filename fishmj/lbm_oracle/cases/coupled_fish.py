@@ -1,7 +1,7 @@
 """The fish itself, free, as light as the water, with its thin light tail, in a periodic box.
 
 The explicit scheme must fail within a tenth of a second and the implicit one must not; momentum is conserved
-(`audit`), and the force that the markers exchange is the force that the cells feel. Speed is not gated: a fin that
+(`momentum_budget`), and the force that the markers exchange is the force that the cells feel. Speed is not gated: a fin that
 trails makes thrust either way, so that swimming forwards proves little.
 """
 

@@ -61,15 +61,6 @@ def hits(c: int, at: int, size: int):
 
 
 @wp.func
-def folded(i: int, n: int):
-    """World node -> memory."""
-    r = i % n
-    if r < 0:
-        r += n
-    return r
-
-
-@wp.func
 def within(i: int, n: int):
     """An index less than one size out of range, brought back; cheaper than a division."""
     if i < 0:
@@ -130,6 +121,35 @@ def pull_through(faces: Faces, number: type):
     return pull
 
 
+def leave_through(faces: Faces):
+    """Two Warp functions of the faces that complete their nodes, on x and y: the inner neighbour, and what is made of its moments."""
+    (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
+    complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
+
+    @wp.func
+    def inward(s: Params, at: wp.vec3i):
+        x = wp.clamp(at[0], wp.static(int(low_x)), s.nx - 1 - wp.static(int(high_x)))
+        y = wp.clamp(at[1], wp.static(int(low_y)), s.ny - 1 - wp.static(int(high_y)))
+        return wp.vec3i(x, y, at[2])
+
+    @wp.func
+    def leave(s: Params, flow: Inflow, at: wp.vec3i, inner: wp.vec3i, node: wp.vec3i, step: int, drho: float, u: wp.vec3):
+        """Density and velocity, the sponge's rate, and the background velocity that it relaxes to."""
+        sigma = ramp(wp.static(low_x), wp.static(high_x), at[0], s.nx, s.sponge)
+        sigma += ramp(wp.static(low_y), wp.static(high_y), at[1], s.ny, s.sponge)
+        sigma = s.sponge_rate * sigma
+        target = wp.vec3()
+        outer = inner[0] != at[0] or inner[1] != at[1]
+        if outer or sigma > 0.0:  # the interior never evaluates the background flow, eight loads of a table
+            target = background(flow, wp.vec3(float(node[0]), float(node[1]), float(node[2])), step)
+            if outer:
+                n = wp.normalize(wp.vec3(float(at[0] - inner[0]), float(at[1] - inner[1]), 0.0))
+                drho, u = wp.static(complete)(drho, u, target, n)
+        return drho, u, sigma, target
+
+    return inward, leave
+
+
 def gradient_within(faces: Faces):
     """The Warp function of the velocity gradient, d u / d x, d y, d z in rows, from the last step.
 
@@ -178,6 +198,13 @@ def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=w
     return s.body_acceleration + push, share
 
 
+def _module(faces: Faces, model: str, dtype: str, keeps: str):
+    """A module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop."""
+    module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), model, dtype, keeps]))
+    wp.set_module_options(OPTIONS | {"fast_math": model != "none"}, module)
+    return module
+
+
 @cache
 def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
     """The kernel for these faces of x, y and z; `subgrid` adds eddy viscosity and hybrid stress.
@@ -185,14 +212,10 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
     `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
     """
     number = STORAGE[dtype]
-    # a module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop
-    parts = [__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none", dtype, "u" if keeps else "f"]
-    module = wp.get_module(".".join(parts))
-    wp.set_module_options(OPTIONS | {"fast_math": subgrid}, module)
+    module = _module(faces, "wale" if subgrid else "none", dtype, "u" if keeps else "f")
     pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
-    (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
-    opened = low_x or high_x or low_y or high_y
-    complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
+    opened = any(any(completes(axis)) for axis in faces)
+    inward, leave = leave_through(faces)
 
     @wp.kernel(module=module, grid_stride=False)
     def stream_collide(
@@ -220,38 +243,27 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
 
         inner, inner_m = at, m
         if wp.static(opened):
-            x = wp.clamp(at[0], wp.static(int(low_x)), s.nx - 1 - wp.static(int(high_x)))
-            y = wp.clamp(at[1], wp.static(int(low_y)), s.ny - 1 - wp.static(int(high_y)))
-            inner = wp.vec3i(x, y, at[2])
-            inner_m = wp.vec3i(within(m[0] + x - at[0], s.nx), within(m[1] + y - at[1], s.ny), m[2])
+            inner = inward(s, at)
+            inner_m = wp.vec3i(within(m[0] + inner[0] - at[0], s.nx), within(m[1] + inner[1] - at[1], s.ny), m[2])
         q = pull(f, s, inner, inner_m)
-        drho = density(q)
+        drho = density(q)  # of the pulled populations: ten moments are all that the collision needs of nineteen
         u = (1.0 / (1.0 + drho)) * momentum(q)
         p = non_equilibrium_stress(q, drho, u)
-
         sigma = float(0.0)  # noqa: UP018
         target = wp.vec3()
         if wp.static(opened):
-            sigma = ramp(wp.static(low_x), wp.static(high_x), at[0], s.nx, s.sponge)
-            sigma += ramp(wp.static(low_y), wp.static(high_y), at[1], s.ny, s.sponge)
-            sigma = s.sponge_rate * sigma
-            outer = inner[0] != at[0] or inner[1] != at[1]
-            if outer or sigma > 0.0:  # the interior never evaluates the background flow, eight loads of a table
-                target = background(flow, wp.vec3(float(node[0]), float(node[1]), float(node[2])), step + 1)
-                if outer:
-                    n = wp.normalize(wp.vec3(float(at[0] - inner[0]), float(at[1] - inner[1]), 0.0))
-                    drho, u = wp.static(complete)(drho, u, target, n)
+            drho, u, sigma, target = leave(s, flow, at, inner, node, step + 1, drho, u)
 
         g, share = acceleration_at(s, box, force, node, here)
         nu = s.nu
-        if wp.static(subgrid):
+        if wp.static(subgrid):  # from the last step's velocity: this step's neighbours are being written by other threads
             d = velocity_gradient(u_old, s, at, m)
             nu += wale(d[0], d[1], d[2], s.cw2)
             p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
         p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
-        v = u + g
+        v = u + g  # exact difference: f_eq(u + G) - f_eq(u), without a half-force correction of P (collide.py)
         if wp.static(opened):
-            if sigma > 0.0:
+            if sigma > 0.0:  # after the collision and on P too: a sponge on density and velocity alone lets shear waves through
                 drho -= sigma * drho
                 u += sigma * (target - u)
                 v += sigma * (target - v)
@@ -262,7 +274,7 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
             # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
             poke(f_next, wp.static(i) * n_cells + here, q[i])
         if wp.static(keeps):
-            poke3(u_next, here, 0.5 * (u + v))
+            poke3(u_next, here, 0.5 * (u + v))  # u + G / 2, the second-order velocity of the water
 
     return stream_collide
 

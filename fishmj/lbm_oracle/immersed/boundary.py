@@ -84,7 +84,7 @@ class Boundary:
         self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
         self.box_u, self.box_rho = empty(self.box_shape, wp.vec3), empty(self.box_shape, wp.float32)
         self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
-        self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)
+        self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)  # all v_j and the rest state at once: one set of launches
         self.final = empty(n, wp.vec3)
         chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
@@ -127,7 +127,7 @@ class Boundary:
             if room < self.width / 2:
                 raise ConfigError(
                     f"immersed boundary: a marker is {room:.2f} cells from the outermost nodes of axis {'xyz'[a]}, and its kernel"
-                    f" reaches {self.width / 2:g}, round the box to the other side; keep the body further in, or take a larger box"
+                    f" reaches {self.width / 2:g}, across to the other side; keep the body further in, or enlarge the box"
                 )
 
     def set_equation(self, system, right, velocity, fixed=None, value=None) -> None:
@@ -138,7 +138,9 @@ class Boundary:
             view["fixed"][:] = 0.0 if fixed is None else fixed
             view["value"][:] = 0.0 if value is None else value
             self._holds = fixed is not None
-        view["fresh"][:], self._taken, self._current = self._taken, False, True
+        view["fresh"][:] = self._taken
+        self._taken = False
+        self._current = True
 
     def assemble_response(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
         """Queue everything up to K and b0, and how the interior water slides, after `place_markers`.
@@ -163,6 +165,7 @@ class Boundary:
             self.scratch.zero_()
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
+        # float32 forces, float64 sums: K enters a solve whose pivots differ by the ratio of trunk to tail, 1e4
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
         self._launch(fsi_solve.response_total, self.water.shape, [self.part, scale * lat.velocity], [self.water])
@@ -173,16 +176,8 @@ class Boundary:
         """Queue how fast the interior water moves along the links."""
         if self.interior is None:
             return
-        args = [
-            self.host,
-            self.layout,
-            *self._points,
-            f,
-            self.directions,
-            self.body_acceleration,
-            wp.float64(self.lattice.dx),
-            shape,
-        ]
+        args = [self.host, self.layout, *self._points, f, self.directions, self.body_acceleration]
+        args += [wp.float64(self.lattice.dx), shape]
         self._launch(interior.measure, len(self._along), args, [self._along])
         args = [self._along, self._points[1], self._shares, self.lattice.velocity]
         self._launch(interior.mean, self.links, args, [self._interior_speed])

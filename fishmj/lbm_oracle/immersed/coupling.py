@@ -6,10 +6,9 @@
     push_water         F -> G (spread_force), then the fluid's step (stream_collide)        device
     advance            MuJoCo's own step to v+                                              host
 
-Strong coupling without sub-iterations: K is exact, since the direct forcing is linear in v, so that a body as light as water, or a
-thin light tail, is stable. The explicit scheme takes the water's answer to the old velocity and diverges there
-(docs/oracle_coupling.md). Host and device work at the same time: the device makes up K while the host makes up M, and it moves the
-water while MuJoCo steps.
+Strong coupling without sub-iterations: K is exact, since the direct forcing is linear in v. A body as light as water, or a thin
+light tail, is stable so; the explicit scheme takes the water's answer to the old velocity and diverges (docs/oracle_coupling.md).
+Host and device work side by side: the device makes up K while the host makes up M, and moves the water while MuJoCo steps.
 """
 
 from contextlib import nullcontext
@@ -52,7 +51,7 @@ class FluidStructure:
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
         self.steps = 0
-        self.gain = np.zeros((body.links, 6))  # momentum of the inside water handed to the links since `take_wrench`
+        self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
         self._graphs = _Graphs(self) if fluid.device.is_cuda else None
 
     @property
@@ -144,7 +143,7 @@ class FluidStructure:
         """Mean wrench of the water on every link over the last `seconds` (since the last call), each (L, 6).
 
         World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
-        momentum of the inside water added: the force of the real water on a hull that holds none.
+        momentum of the interior water added: the force of the real water on a hull that holds none.
         """
         raw = self.boundary.take_wrench() / seconds
         gain, self.gain = self.gain / seconds, np.zeros(self.gain.shape)

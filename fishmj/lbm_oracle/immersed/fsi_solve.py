@@ -75,13 +75,14 @@ def solver(n: int) -> wp.Kernel:
             right = host[at.momentum + i] - water[i, 0]
             for j in range(wp.static(n)):
                 response = water[i, j + 1]
-                entry = host[at.system + n * i + j]
+                entry = host[at.system + n * i + j]  # the host's side, which came while K was made up
                 if implicit == 1:
                     entry += response
                 else:
                     right -= response * host[at.before + j]
                 a[i, j] = wp.where(free, entry, wp.where(wp.static(i == j), wp.float64(1.0), wp.float64(0.0)))
             a[i, wp.static(n)] = wp.where(free, right, host[at.value + i])
+        # pivots, though M is symmetric: K is not at slip ratios between 0 and 1, nor is a row that a tether replaced
         for p in range(wp.static(n)):
             for i in range(wp.static(n)):
                 if wp.static(i > p):
@@ -105,6 +106,7 @@ def solver(n: int) -> wp.Kernel:
         for i in range(wp.static(n)):
             v[i] = x[i]
             old = implicit == 0 and host[at.fixed + i] < wp.float64(0.5)
+            # the explicit scheme pushes the water by the old velocity, which is what makes it explicit
             target[i] = wp.where(old, host[at.before + i], x[i])
 
     return solve
@@ -131,7 +133,7 @@ def wrench(
     origin = point3(host, at.frame + 12 * l)
     k = c
     while k < volume.shape[0]:
-        w = wp.float64(0.0)
+        w = wp.float64(0.0)  # a thread sums for one link: atomics over links would add in another order every time
         if before[k] == l:
             w += wp.float64(1.0) - share[k]
         if after[k] == l:

@@ -32,7 +32,7 @@ class Points(NamedTuple):
         ds = ((g.span[:, 1] - g.span[:, 0]) / g.strip_x.shape[1])[:, None]
         width, height = g.strip_w / ds, g.strip_h / ds
         area = width * height / (width * height).sum(1, keepdims=True)
-        place = [
+        place = [  # two by two, not one on the axis: what turns with the link must not look like what slides along it
             np.stack([g.strip_x, side * width / 4, up * height / 4], -1).reshape(-1, 3) for side in (-1, 1) for up in (-1, 1)
         ]
         link = np.repeat(np.arange(g.n_links), g.strip_x.shape[1])
@@ -60,6 +60,7 @@ def measure(
     axis = wp.vec3(float(rotation[0, 0]), float(rotation[1, 0]), float(rotation[2, 0]))
     low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
     part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
+    # trilinear, not the markers' kernel: that one reaches through a wall a cell thick to the water outside
     total = wp.float32(0.0)
     for o in range(8):
         i, j, k = o // 4, (o // 2) % 2, o % 2
@@ -78,7 +79,7 @@ def mean(
     speed: wp.array(dtype=wp.float64),
 ):
     """s_l, m/s."""
-    l = wp.tid()
+    l = wp.tid()  # one thread a link in a fixed order of points: atomics would cost the repetition to the bit
     total = wp.float32(0.0)
     for p in range(along.shape[0]):
         if link[p] == l:

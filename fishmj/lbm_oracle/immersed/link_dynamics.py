@@ -118,7 +118,9 @@ def move(s: LinkArrays):
             w += s.qvel[d] * spin
         put(s.twist, 6 * l, u)
         put(s.twist, 6 * l + 3, w)
-        if s.interior_speed[l] == s.interior_speed[l]:
+        if (
+            s.interior_speed[l] == s.interior_speed[l]
+        ):  # not nan: measured. Only along the link: across it the wall takes it along
             axis = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
             u += (s.interior_speed[l] - wp.dot(axis, u)) * axis
         put(s.now, 6 * l, s.mass[l] * u)
@@ -126,12 +128,13 @@ def move(s: LinkArrays):
 
 
 @wp.func
-def gained(e: LinkDynamics):
+def add_interior(e: LinkDynamics):
     """I: what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
     s = e.body
     for d in range(s.dofs):
         e.impulse[d] = wp.float64(0.0)
     for k in range(6 * s.links):
+        # a difference in the world's axes, not M_f a: it holds the Coriolis part by itself, and sums to nothing over a whole path
         e.gain[k] = s.now[k] - e.last[k]
         e.last[k] = s.now[k]
         push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
@@ -141,17 +144,17 @@ def gained(e: LinkDynamics):
 
 @wp.kernel
 def gain(e: LinkDynamics):
-    gained(e)
+    add_interior(e)
 
 
 @wp.kernel
 def assemble(e: LinkDynamics):
     """M + dt D and the right-hand side."""
-    gained(e)
+    add_interior(e)
     s = e.body
     n, dt = s.dofs, e.dt[0]
     for i in range(n):
-        e.system[i * n + i] += dt * e.damping[i]
+        e.system[i * n + i] += dt * e.damping[i]  # on the left, as MuJoCo's Euler takes it: else its step would not return v+
         e.smooth[i] = e.passive[i] + e.actuator[i] - e.bias[i]
         total = dt * (e.smooth[i] + e.applied[i]) + e.impulse[i]
         for j in range(n):
@@ -162,7 +165,8 @@ def assemble(e: LinkDynamics):
 @wp.kernel
 def inverse_force(e: LinkDynamics):
     """The force with which MuJoCo's own step ends at the velocity found: (M + dt D) (v+ - v) / dt - f."""
-    n, greatest, lost = e.body.dofs, wp.float64(0.0), wp.float64(0.0)
+    n = e.body.dofs
+    greatest, lost = wp.float64(0.0), wp.float64(0.0)  # a greatest alone would pass over nan, which compares as false
     for i in range(n):
         total = wp.float64(0.0)
         for j in range(n):

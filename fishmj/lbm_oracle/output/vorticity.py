@@ -7,7 +7,8 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, folded
+from fishmj.lbm_oracle.fluid.lattice import wrap
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
 from fishmj.lbm_oracle.output.map_plots import outline
 from fishmj.lbm_oracle.output.slices import Slice
 
@@ -17,9 +18,9 @@ wp.set_module_options(OPTIONS)
 @wp.func
 def _at(s: Params, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: int, k: int, share: float):
     """Velocity of window node (i, j) between planes k and k + 1."""
-    x, y = folded(origin[0] + i, s.nx), folded(origin[1] + j, s.ny)
-    low = u[x, y, folded(origin[2] + k, s.nz)]
-    high = u[x, y, folded(origin[2] + wp.min(k + 1, s.nz - 1), s.nz)]
+    x, y = wrap(origin[0] + i, s.nx), wrap(origin[1] + j, s.ny)
+    low = u[x, y, wrap(origin[2] + k, s.nz)]
+    high = u[x, y, wrap(origin[2] + wp.min(k + 1, s.nz - 1), s.nz)]
     return (1.0 - share) * low + share * high
 
 
