@@ -108,7 +108,7 @@ def reconstruct(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
     j = rho * v
     axx, ayy, azz = j[0] * v[0] + p[0], j[1] * v[1] + p[1], j[2] * v[2] + p[2]
     axy, axz, ayz = j[0] * v[1] + p[3], j[0] * v[2] + p[4], j[1] * v[2] + p[5]
-    # third order by recursion, not from f: the populations' own third moments are the ghosts that make a collision unstable
+    # third order by recursion, not from f: the populations' own third moments hold the lattice's ghost modes
     axxy = j[0] * v[0] * v[1] + 2.0 * u[0] * p[3] + u[1] * p[0]
     axxz = j[0] * v[0] * v[2] + 2.0 * u[0] * p[4] + u[2] * p[0]
     axyy = j[1] * v[1] * v[0] + 2.0 * u[1] * p[3] + u[0] * p[1]

@@ -48,7 +48,7 @@ class Fluid:
     Args:
         boundaries: of the six faces. subgrid: eddy viscosity, `wale` or `none`. flow: background, through open faces and at rest
             else. body_acceleration: (3,) m/s2, everywhere. cw: WALE's constant. omega_bulk: rate at which the trace of the stress
-            relaxes. blend: share of the stress that the velocity gradient gives in a step (collide.py), quoted at the paper's grid;
+            relaxes. blend: share of the stress that the velocity gradient gives in a step (collide.py), at the paper's grid;
             0 is kept to show that it fails. dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
 
     Arrays are indexed by world node modulo shape. Raises ConfigError and UnknownName for what cannot be.

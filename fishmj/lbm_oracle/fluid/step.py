@@ -1,4 +1,4 @@
-"""One step of the fluid in one pass over memory: pull, moments, faces, force, velocity gradient, eddy viscosity, collision, sponge.
+"""One step of the fluid in one pass over memory: pull, moments, faces, force, gradient, eddy viscosity, collision, sponge.
 
     f_i(x, t + 1) = f_i'(x - c_i, t)
 
@@ -122,7 +122,7 @@ def pull_through(faces: Faces, number: type):
 
 
 def leave_through(faces: Faces):
-    """Two Warp functions of the faces that complete their nodes, on x and y: the inner neighbour, and what is made of its moments."""
+    """Two Warp functions of the faces that complete their nodes, on x and y: the inner neighbour; what its moments become."""
     (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
     complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
 
@@ -153,7 +153,7 @@ def leave_through(faces: Faces):
 def gradient_within(faces: Faces):
     """The Warp function of the velocity gradient, d u / d x, d y, d z in rows, from the last step.
 
-    At a face the node stands in for its missing neighbour: exact for the velocity along a slip face, half the shear beside a wall.
+    At a face the node stands in for its missing neighbour: right along a slip face, half the shear beside a wall at rest.
     """
     bounded = [not FACES[axis.low].wraps for axis in faces]
 
@@ -182,7 +182,7 @@ def gradient_within(faces: Faces):
 
 @wp.func
 def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=wp.vec3), node: wp.vec3i, here: int):
-    """Acceleration of a world node, uniform and, inside `box`, the body's; and the share of its stress that the gradient gives."""
+    """Acceleration of a world node, uniform and, inside `box`, the body's; and the share of stress that the gradient gives."""
     push = wp.vec3()
     # only in the body's box is there a force to load: 12 bytes that all other nodes save
     if (
@@ -263,7 +263,7 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
         p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
         v = u + g  # exact difference: f_eq(u + G) - f_eq(u), without a half-force correction of P (collide.py)
         if wp.static(opened):
-            if sigma > 0.0:  # after the collision and on P too: a sponge on density and velocity alone lets shear waves through
+            if sigma > 0.0:  # in moments, P among them: at sigma = 1 the node would be the background's equilibrium
                 drho -= sigma * drho
                 u += sigma * (target - u)
                 v += sigma * (target - v)

@@ -103,7 +103,7 @@ class ImmersedBody:
         self._weigh()
 
     def place(self, qpos, qvel=None, interior_speed=np.nan) -> None:
-        """Put the body into a state; its water moves with it, or along the links at `interior_speed` (L,) m/s: nothing speeds up."""
+        """Put the body into a state; its water moves with it, along the links at `interior_speed` (L,) m/s, and gains nothing."""
         self.data.qpos[:] = qpos
         self.data.qvel[:] = 0.0 if qvel is None else qvel
         self.interior_speed[:] = interior_speed

@@ -165,7 +165,7 @@ class Boundary:
             self.scratch.zero_()
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
-        # float32 forces, float64 sums: K enters a solve whose pivots differ by the ratio of trunk to tail, 1e4
+        # float32 forces, float64 sums: K joins masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
         self._launch(fsi_solve.response_total, self.water.shape, [self.part, scale * lat.velocity], [self.water])

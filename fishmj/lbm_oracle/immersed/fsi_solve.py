@@ -82,7 +82,7 @@ def solver(n: int) -> wp.Kernel:
                     right -= response * host[at.before + j]
                 a[i, j] = wp.where(free, entry, wp.where(wp.static(i == j), wp.float64(1.0), wp.float64(0.0)))
             a[i, wp.static(n)] = wp.where(free, right, host[at.value + i])
-        # pivots, though M is symmetric: K is not at slip ratios between 0 and 1, nor is a row that a tether replaced
+        # pivots, though M is symmetric: K is so only without slip, and a row that a tether replaced is not
         for p in range(wp.static(n)):
             for i in range(wp.static(n)):
                 if wp.static(i > p):

@@ -60,7 +60,7 @@ def measure(
     axis = wp.vec3(float(rotation[0, 0]), float(rotation[1, 0]), float(rotation[2, 0]))
     low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
     part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
-    # trilinear, not the markers' kernel: that one reaches through a wall a cell thick to the water outside
+    # trilinear: the markers' kernel reaches 1.5 cells, out of a hull that is three cells wide
     total = wp.float32(0.0)
     for o in range(8):
         i, j, k = o // 4, (o // 2) % 2, o % 2

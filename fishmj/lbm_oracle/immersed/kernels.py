@@ -197,7 +197,7 @@ def spread(
         wy = wx * phi(p[1] - float(y + j), width)
         for l in range(width):
             w = wy * phi(p[2] - float(z + l), width)
-            # over the local density, so that sum rho G = sum V F: over 1, sound would pump momentum into the body
+            # over the local density, so that sum rho G = sum V F: over 1, the water would gain rho times what the markers give
             wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
 
 

@@ -134,7 +134,7 @@ def add_interior(e: LinkDynamics):
     for d in range(s.dofs):
         e.impulse[d] = wp.float64(0.0)
     for k in range(6 * s.links):
-        # a difference in the world's axes, not M_f a: it holds the Coriolis part by itself, and sums to nothing over a whole path
+        # a difference in the world's axes, not M_f a: it holds the Coriolis part by itself, and telescopes over the steps
         e.gain[k] = s.now[k] - e.last[k]
         e.last[k] = s.now[k]
         push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
