@@ -1,4 +1,4 @@
-"""A controller at the helm of a segment: it sees the numbers that it would see anywhere, noisy and late, every control step."""
+"""A controller that steers a segment: it sees the numbers that it would see anywhere, noisy and late, every control step."""
 
 from math import ceil
 

@@ -10,7 +10,7 @@
 
 The solver's water stays as its fish left it and the fish is put where the surrogate's is: during `lead` it is led along the
 surrogate's own path, to the letter, until the water has got used to it, then it swims the same commands by its servos. How far
-the two drift apart within `span` moves the factors (`correct.matched`). A fish that begins at rest in still water needs no lead.
+the two drift apart within `span` moves the factors (`online_correction.matched`). A fish at rest in still water needs no lead.
 The surrogate's own state is never moved, so a corrected swim has no jumps. A solver that is missing, fails or takes longer than
 `patience` seconds a stretch switches itself off once, with one warning; what was learnt stays. Uniform streams only.
 """
@@ -79,7 +79,7 @@ class Surrogate:
 
 
 @dataclass
-class Opened:
+class OpenSegment:
     """A stretch under way: ticks at its start and of its lead, and the surrogate where the lead ends."""
 
     at: int
@@ -87,7 +87,7 @@ class Opened:
     start: Surrogate | None = None
 
 
-class Misses:
+class MovementError:
     """How differently a surrogate with other factors moves over a stretch, in tolerances of a right one.
 
     Means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s: (R, B) for factors (10, B).
@@ -155,7 +155,7 @@ class Hybrid:
             raise ConfigError(f"hybrid: {got}; expected first >= 0, span > 0, and lead and span within {self.every} s")
         self.base = self.surrogate.water
         self.size = self.surrogate.robot.timing.bus_dt
-        self._open: Opened | None = None
+        self._open: OpenSegment | None = None
         if self.oracle is None:
             self._switch_off("there is no solver")
 
@@ -164,7 +164,7 @@ class Hybrid:
         fish, since = self.surrogate, self.surrogate.ticks - round(self.first / self.size)
         if not self.off and since >= 0 and since % round(self.every / self.size) == 0:
             still = not np.any(fish.v) and not np.any(fish.stream)
-            self._open = Opened(fish.ticks, 0 if still else round(self.lead / self.size))
+            self._open = OpenSegment(fish.ticks, 0 if still else round(self.lead / self.size))
             fish.trail = [(fish.q, fish.v)]
         opened = self._open
         if opened is not None and fish.ticks == opened.at + opened.lead:
@@ -172,10 +172,10 @@ class Hybrid:
         fish.tick(command)
         self.path.append(fish.q.copy())
         if opened is not None and fish.ticks == opened.at + round((self.lead + self.span) / self.size):
-            self._look(opened)
+            self._correct(opened)
             self._open, fish.trail = None, None
 
-    def _look(self, opened: "Opened") -> None:
+    def _correct(self, opened: "OpenSegment") -> None:
         began, oracle, fish, start = time.perf_counter(), self.oracle, self.surrogate, cast(Surrogate, opened.start)
         if oracle is None or self.off:
             return
@@ -189,11 +189,11 @@ class Hybrid:
             self._switch_off(" ".join(str(error).split()))
             return
         wall = time.perf_counter() - began
-        misses = Misses(start, self.base, seen, commands, self.own)
-        before = misses(self.state.factors[:, None])
-        self.state = online_correction.matched(self.state, misses, idle=self.every if self.rows else 0.0)
+        miss = MovementError(start, self.base, seen, commands, self.own)
+        before = miss(self.state.factors[:, None])
+        self.state = online_correction.matched(self.state, miss, idle=self.every if self.rows else 0.0)
         fish.water = online_correction.applied(self.base, self.state)
-        after = misses(self.state.factors[:, None])
+        after = miss(self.state.factors[:, None])
         rms = [float(np.sqrt(np.mean(r**2))) for r in (before, after)]
         self.rows.append((opened.at * self.size, *rms, wall))
         if wall > self.patience and len(self.rows) > 1:  # the first one sets the solver up
