@@ -133,7 +133,7 @@ def forbidden(*_, **__):
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fishmj.gap.records.datasets.taken", forbidden)
-    monkeypatch.setattr("fishmj.gap.null.simulated_null.Null.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.simulated_null.SimulatedNull.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
