@@ -20,8 +20,8 @@ from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts
 from fishmj.gap.report.sections import html
 from fishmj.gap.report.words import CONTRACT, gates, headline
+from fishmj.gap.search.likelihood import investigate, likelihood_of
 from fishmj.gap.wording import quantity
-from fishmj.gap.workflow import evidence_of, investigate
 from fishmj.virtual_robot import generate
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both
@@ -51,7 +51,7 @@ def material(inquiry):
 def planted(plant, hidden: dict, runs=RUNS):
     """The comparison of records in which `hidden` is planted, before and after it is put into the model, where that has it."""
     records = [record_of(t, plant.dt) for t in generate(hidden, runs, SEED)]
-    e = evidence_of(plant, records, NULL)
+    e = likelihood_of(plant, records, NULL)
     row = plant.null.copy()
     for name, values in hidden.items():
         for parameter, value in values.items() if name in EFFECTS else ():

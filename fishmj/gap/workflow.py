@@ -1,6 +1,6 @@
 """`gap find` from end to end: a data set in, an answer out.
 
-read -> audit clocks -> repeatable? -> null runs -> find -> decide -> free forces -> gap on records that no decision saw
+read -> null runs -> forward selection -> gates -> free forces -> repeatable? -> gap on records that no decision saw
 """
 
 import time
@@ -14,20 +14,15 @@ from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search.cross_validation import split
-from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.search.stepwise import Selection, find
-from fishmj.gap.thresholds import Gates, frozen
+from fishmj.gap.search.likelihood import Likelihood, likelihood_of
+from fishmj.gap.search.stepwise import Selection, forward_select
+from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict, said
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import level, title
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
-
-SEEN = 4.0  # mean square over the floor from which a channel shows a gap
-GROWN = 0.1  # by which a gap of chance may grow
-UNSEEN = 9  # records from which on a quarter is set aside for the last figure only
 
 
 @dataclass(frozen=True)
@@ -83,15 +78,15 @@ def investigate(
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
     weighed = mass_properties.sensor(page or {}, plant)
-    e = evidence_of(plant, mass_properties.with_page(seen, weighed), null, bars)
+    e = likelihood_of(plant, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
-    with bars(gates.most + 1, "search", "rounds") as bar:
-        found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
+    with bars(gates.max_effects + 1, "search", "rounds") as bar:
+        found = forward_select(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):
-        from fishmj.gap.terms import challenged
+        from fishmj.gap.terms import challenge
 
-        verdict = challenged(plant, e, found, verdict)
+        verdict = challenge(plant, e, found, verdict)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
@@ -101,27 +96,22 @@ def investigate(
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null, bars)
     if further and verdict.answer == "UNEXPLAINED":
-        from fishmj.gap.terms import described
+        from fishmj.gap.terms import describe
 
         say("which force would it be?")
-        verdict = replace(verdict, terms=described(plant, e, null, seed))
+        verdict = replace(verdict, terms=describe(plant, e, null, seed))
     apart = None
     if unseen.any():
-        apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
+        apart = likelihood_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
         before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
-        near = apart.around(found.best.row, found.near.form)
-        grown = after > before + GROWN and near.loss(found.best.row) > apart.loss(plant.null)
+        near = apart.linearised_at(found.best.row, found.near.form)
+        grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(plant.null)
         if grown and verdict.answer in ("NAMED", "CLASS"):
             why = f"the gap grows from {level(before)} to {level(after)} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
     synthetic = any(t.value("origin") == "synthetic" for t in trials)
     return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
-
-
-def evidence_of(plant, records: list[Record], null: SimulatedNull, bars: Bars = silent) -> Likelihood:
-    """Records with the null that their null runs make."""
-    return Likelihood(plant, records, null.residuals(plant, records, ResidualLayout(records), bars))
 
 
 def compiled(plant, say: Callable[[str], None]) -> None:
@@ -136,7 +126,7 @@ def compiled(plant, say: Callable[[str], None]) -> None:
 def set_aside(records: list[Record], seed: int) -> np.ndarray:
     """(L,) bool: a quarter of many records, none of few."""
     aside = np.zeros(len(records), bool)
-    if len(records) >= UNSEEN:
+    if len(records) >= thresholds().workflow.set_aside_from:
         aside[np.random.default_rng(seed + 1).permutation(len(records))[: len(records) // 4]] = True
     return aside
 
@@ -158,7 +148,7 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
             n = min(len(b.t) for b in same)
             values = np.stack([residual[b.where][:n] for b in same])
             gap, between = float(np.mean(values**2)), float(np.mean(np.var(values, 0, ddof=1)))
-            if gap > SEEN:
+            if gap > thresholds().workflow.replicate_gap:
                 ratios.append(gap / max(between, 1e-12))
     if ratios and np.median(ratios) <= RATIO:
         return f"records of the same experiment differ from each other as much as from the model (ratio {np.median(ratios):.2f})"

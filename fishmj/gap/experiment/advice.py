@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fishmj.gap.decide.intervals import HALF, estimate
-from fishmj.gap.decide.rivals import replaced
+from fishmj.gap.decide.intervals import estimate
+from fishmj.gap.decide.rivals import swap_effect
 from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis, experiment_scores, hinted, normalised
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
-from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.fit import Candidate
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.stepwise import Selection
+from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import title
@@ -61,13 +62,13 @@ def sides_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothes
     if not found.steps:
         return []
     near = found.near
-    whole = near.part(np.ones(len(e.records), bool))
+    whole = near.subset(near.everything)
     accepted = [s for s in found.steps if s.accepted]
     sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
     for rival in verdict.rivals[: LEFT - 1]:
         rounds = [s for s in accepted if s.ranked[0].names[-1] == rival["instead_of"]] or accepted
         like = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
-        other = replaced(whole, found.best, rival["instead_of"], like) if like else None
+        other = swap_effect(whole, found.best, rival["instead_of"], like) if like else None
         sets += [other] if other else []
     if len(sets) < 2:
         sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]
@@ -87,10 +88,12 @@ def side(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
 def written(plant, s: Hypothesis) -> dict:
     """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
     out: dict = {}
+    quantile = thresholds().intervals.quantile
     entries = [(x, p) for x in plant.active.effects if x.name in s.names for p in x.parameters]
     for k, (x, p) in enumerate(sorted(entries, key=lambda xp: s.names.index(xp[0].name))):
         place = plant.index(x.name, p.name)
-        value, half = s.row[place], HALF * abs(s.moves[k, place] - s.row[place])
+        value = s.row[place]
+        half = quantile * abs(s.moves[k, place] - value)
         out.setdefault(x.name, {})[p.name] = [float(value), float(value - half), float(value + half)]
     return out
 
@@ -98,10 +101,11 @@ def written(plant, s: Hypothesis) -> dict:
 def read(plant, values: dict, weight: float) -> Hypothesis:
     """The side that `written` wrote."""
     row, moves = plant.null.copy(), []
+    quantile = thresholds().intervals.quantile
     for name, entries in values.items():
         for parameter, (value, low, high) in entries.items():
             row[plant.index(name, parameter)] = value
-            moves.append((plant.index(name, parameter), (high - low) / 2 / HALF))
+            moves.append((plant.index(name, parameter), (high - low) / 2 / quantile))
     rows = np.repeat(row[None], len(moves), 0)
     for k, (place, spread) in enumerate(moves):
         rows[k, place] += spread

@@ -10,7 +10,7 @@ from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.fit import Candidate
 from fishmj.gap.thresholds import Gates, frozen
 from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
@@ -141,8 +141,8 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         if not step.accepted and number:
             break
         everything, best = np.ones(len(e.records), bool), step.ranked[0]
-        gained = (e.around(start.row) if number else e).part(everything).loss(start.row) - best.cost
-        z, *sides = e.around(best.row).part(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
+        gained = (e.linearised_at(start.row) if number else e).subset(everything).loss(start.row) - best.cost
+        z, *sides = e.linearised_at(best.row).subset(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
         free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
         share = likelihood.p_best(
             np.stack(
@@ -183,7 +183,7 @@ def values(plant, c: Candidate, name: str) -> dict:
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
     """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
     e = inquiry.evidence
-    whole = e.part(np.ones(len(e.records), bool))
+    whole = e.subset(np.ones(len(e.records), bool))
     rows, owners = [], []
     for effect in e.plant.active.effects:
         if effect.name in inquiry.found.best.names:
