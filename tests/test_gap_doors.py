@@ -18,9 +18,8 @@ from fishmj.gap import __main__ as gap
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, find, model_version, unlike
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import simulated_null
 from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull, repeated
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
@@ -61,17 +60,16 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     trial = generate({}, ["idle"], 0)[0]
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
-    what = simulated_null.repeated(record_of(trial, robot.timing.physics_dt))
-    SimulatedNull(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
+    record = record_of(trial, robot.timing.physics_dt)
+    SimulatedNull(runs=12)._run(robot, repeated(record), record)
     assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
 
 
 def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
     record = record_of(generate({}, ["idle"], 0)[0], questioned.dt)
-    what = simulated_null.repeated(record)
     other = SwimmingFish(stiffer(1.06), questioned.active.effects)
-    assert SMALL._key(questioned, record, what) != SMALL._key(other, record, what)
+    assert SMALL._key(questioned, record, repeated(record)) != SMALL._key(other, record, repeated(record))
 
 
 def test_effects_that_a_model_lists_do_not_change_its_null_runs():

@@ -65,7 +65,7 @@ def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     """The terms that describe what `records` show beyond the model, best first.
 
     Args:
-        plant: the fish with the library in it (model_with_terms). null: (n, m) residuals of null runs at the windows of `records`.
+        plant: the fish with the library in it. null: (n, m) residuals of null runs at the windows of `records`.
     """
     e = Likelihood(plant, records, null)
     whole = e.subset(e.everything)

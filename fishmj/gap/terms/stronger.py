@@ -1,12 +1,12 @@
 """Does a free force explain more than what was found? Then what was found stands in for it.
 
-    gain = sum_f loss_f(model as it is) - loss_f(term)      folds f, each predicted by a coefficient from the others (cross_validation.py)
+    gain = sum_f loss_f(model as it is) - loss_f(term)      folds f, each predicted by a coefficient from the others
     lead = gain(best term) - gain(what was found)
 
 A name is a formula, and has to do better than one that knows nothing: the best single term of the typed library, fitted from the
-model as it is and judged as the name was, unseen and in the evidence around itself. A right name leads by hundreds and more, or a
-term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest to that,
-and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
+model as it is and judged as the name was, held out and by the likelihood linearised at itself. A right name leads by hundreds and
+more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
+to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
 """
 
 from dataclasses import replace
