@@ -480,7 +480,7 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(simulated_null, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("fishmj.gap.null.simulated_null.cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):

@@ -172,13 +172,16 @@ def errors(plant: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
 
     Where a record ends before the horizon there is NaN.
     """
+    # Each row restarts with its own lateness: with the nominal one, a row that holds a delay would begin from states of the past,
+    # and its error would start at an offset that the delay has already explained.
     late = latencies(plant, row)
     found = segments(records, late)
     if not found:
         return np.zeros(0, int), *np.zeros((2, 0, len(HORIZONS), plant.joints + 3))
     parts = [s for _, s in found]
     predictions = RestartedModel(plant, parts, late).predict([s.record for s in parts], row)
-    error, start = np.full((2, len(parts), len(HORIZONS), plant.joints + 3), np.nan)
+    error = np.full((len(parts), len(HORIZONS), plant.joints + 3), np.nan)
+    start = np.full_like(error, np.nan)
     for s, (part, predicted) in enumerate(zip(parts, predictions, strict=True)):
         for sensor, name, wait in _clocks(part.record, late):
             columns = slice(0, plant.joints) if name == "joint" else slice(plant.joints, None)
@@ -186,6 +189,8 @@ def errors(plant: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
             rest = sensor.values - predicted[name][0]
             for h, horizon in enumerate(HORIZONS):
                 some = np.abs(sensor.t - wait - horizon) <= AROUND
+                # Averaged about the horizon, not taken at one stamp: single-stamp noise would hide the errors of the first tenth
+                # of a second, which tell an offset from a velocity.
                 if some.sum() >= 3 and sensor.t[-1] >= wait + horizon:
                     error[s, h, columns] = rest[some].mean(0)
                     moved = horizon if name == "pose" else 0.0  # a servo forgets its start
@@ -224,7 +229,10 @@ def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, f
     rng = np.random.default_rng(0)
 
     def of(weights: np.ndarray) -> float:
+        # Records are drawn, not restarts: those of one record share its constants and its commands.
         mean = lambda sq, who: np.nansum(sq * weights[who][:, None], 0) / np.sum(np.isfinite(sq) * weights[who][:, None], 0)
+        # Squares are subtracted, not errors: what the start's uncertainty makes, or what is left with the effects found, is
+        # independent of what the effects do. Below a fifth of the whole the difference is mostly noise.
         square = mean(one, owner) - (mean(two, other) if changed else mean(made, owner))
         floor = 0.2 * mean(one, owner)
         good = np.isfinite(square) & (square > floor)

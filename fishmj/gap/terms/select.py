@@ -74,12 +74,17 @@ def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     g, probed = signatures(whole, terms)
     onto = groups(e.layout, 1 if len(records) >= LIMITS.whole_records else LIMITS.pieces)
     gains = held_out(base.z, g, onto)
+    # The best of ninety terms gains something on any fish: what the luckiest reaches on null runs is subtracted from all.
     floor = null_gains(e, null, g, onto)
     sided = np.where([one_sided(t) for t in terms], LIMITS.one_sided_weight, 1.0)
     net = (gains - floor) * sided
     rng = np.random.default_rng(seed)
+    # Decoys, not a chi-squared: neighbouring samples of z are alike, so a term has fewer degrees of freedom than samples.
     q = discovery(gains, decoy_gains(base.z, g, e.layout, onto, rng))
+    # Pieces, not whole records: of two or three records there are too few halves to draw.
     stable = stability(base.z, g, groups(e.layout, LIMITS.pieces), net / np.maximum(gains, 1e-9), rng)
+    # First order chooses among all terms; the few that are left are fitted with the whole model, since a fish that drifts far off
+    # its path is no straight line in a coefficient.
     order = shortlist(net, probed)
     polished = {c.names[-1]: c for c in whole.refine(whole.screen(base, [terms[k] for k in order]), 3)}
     for k, gain in zip(order, crossed_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
