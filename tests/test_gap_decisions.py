@@ -123,7 +123,7 @@ def test_the_share_of_an_effect_is_that_of_the_round_that_added_it():
 
 
 def test_what_the_catalogue_takes_for_each_other_is_confused_both_ways(plant):  # noqa: F811
-    e = SimpleNamespace(plant=plant)
+    e = SimpleNamespace(model=plant)
     assert confused(e, "joint_sensor_delay", "command_latency") and confused(e, "command_latency", "joint_sensor_delay")
     assert not confused(e, "steady_current", "speed_limit")
 
@@ -131,7 +131,7 @@ def test_what_the_catalogue_takes_for_each_other_is_confused_both_ways(plant):  
 def test_a_little_friction_beside_play_is_not_named_and_much_of_it_is():
     both = ("gear_backlash", "coulomb_friction")
     known = [effects.get(name) for name in (*both, "wall_effect")]
-    e = SimpleNamespace(plant=SimpleNamespace(active=SimpleNamespace(effects=known)))
+    e = SimpleNamespace(model=SimpleNamespace(active=SimpleNamespace(effects=known)))
     assert masked_by(e, both, {"coulomb_friction"}) == {"coulomb_friction"}
     assert masked_by(e, both, set()) == masked_by(e, both, set(both)) == set()
     assert masked_by(e, ("wall_effect", "coulomb_friction"), {"coulomb_friction"}) == set()  # nothing alike

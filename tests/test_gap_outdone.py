@@ -34,7 +34,7 @@ def best(e) -> tuple[Selection, Verdict]:
     """The best single effect of the plant, as a search that stops there and names it would leave it."""
     whole, folds = e.subset(e.everything), split(e.records)
     base = whole.base()
-    first = whole.refine(whole.screen(base, e.plant.active.effects)[:3], 4)[0]
+    first = whole.refine(whole.screen(base, e.model.active.effects)[:3], 4)[0]
     fitted = converge(e, folds, first, tuple(refine(e.subset(~f), first) for f in folds))
     gain = sum(e.subset(f).loss(base.row) for f in folds) - fitted.loss(folds)
     return Selection(base, fitted, folds, (), whole.whiten.logdet), Verdict("NAMED", gates={"gain": gain})
@@ -93,7 +93,7 @@ def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):
 def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free):  # noqa: F811
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 83)
     there = e.with_model(free)
-    assert there.plant is free and there.origin is there and e.plant is plant
+    assert there.model is free and there.origin is there and e.model is plant
     assert there.subset(there.everything).base().cost == pytest.approx(e.subset(e.everything).base().cost)
 
 
@@ -111,7 +111,7 @@ def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
 
 
 def test_only_what_can_only_be_right_may_have_a_wrong_form(plant):  # noqa: F811
-    e = SimpleNamespace(plant=plant)
+    e = SimpleNamespace(model=plant)
     assert needs_exact_value(e, ("command_quantisation",))
     assert not needs_exact_value(e, ("command_quantisation", "yaw_drag")) and not needs_exact_value(e, ())
     gates = frozen()

@@ -55,7 +55,7 @@ def material(v, *, changed=None, steps=None, parts=()):
     found = SimpleNamespace(steps=steps or (step(True, (v.gap_before, v.gap_after)),), best=candidate("steady_current"))
     found.base = SimpleNamespace(row=np.zeros(1))
     inquiry = SimpleNamespace(
-        verdict=v, found=found, evidence=SimpleNamespace(plant=plant), records=[], notes=(), unseen=np.zeros(1, bool)
+        verdict=v, found=found, evidence=SimpleNamespace(model=plant), records=[], notes=(), unseen=np.zeros(1, bool)
     )
     changed = v.taken if changed is None else changed
     comparison = SimpleNamespace(changed=changed)
@@ -86,7 +86,7 @@ def test_the_gap_of_unseen_records_is_that_of_the_fits_which_did_not_see_them():
     blocks = [SimpleNamespace(channel="joint", where=slice(0, 2)), SimpleNamespace(channel="joint", where=slice(2, 4))]
     layout = SimpleNamespace(record=np.array([0, 0, 1, 1]), blocks=blocks, residuals=lambda rows: np.array(rows))
     plant = SimpleNamespace(predict=lambda records, rows: [[1.0 * r[0]] * 4 for r in rows])
-    near = SimpleNamespace(layout=layout, plant=plant, records=[0, 1], scale=np.ones(4))
+    near = SimpleNamespace(layout=layout, model=plant, records=[0, 1], scale=np.ones(4))
     fits = tuple(replace(candidate(), row=np.array([value])) for value in (2.0, 3.0))
     assert CrossValidated(near, candidate(), fits).gap(np.array([[True, False], [False, True]])) == pytest.approx((4.0 + 9.0) / 2)
 

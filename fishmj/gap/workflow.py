@@ -46,7 +46,7 @@ class Inquiry:
 
 
 def investigate(
-    plant,
+    model,
     trials: list[Trial],
     *,
     gates: Gates | None = None,
@@ -59,7 +59,7 @@ def investigate(
     admit: Callable[[Likelihood], None] = lambda e: None,
     notes: tuple[str, ...] = (),
 ) -> Inquiry:
-    """Find what the model of `plant` is missing in `trials`.
+    """Find what the model of `model` is missing in `trials`.
 
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
@@ -69,16 +69,16 @@ def investigate(
         LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """
     gates, null = gates or frozen(), null or SimulatedNull()
-    records = [record_of(t, plant.dt) for t in trials]
+    records = [record_of(t, model.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
-    say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(plant.active.effects)} effects in question")
-    compiled(plant, say)
+    say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")
+    compiled(model, say)
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
-    weighed = mass_properties.sensor(page or {}, plant)
-    e = likelihood_of(plant, mass_properties.with_page(seen, weighed), null, bars)
+    weighed = mass_properties.sensor(page or {}, model)
+    e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
     with bars(gates.max_effects + 1, "search", "rounds") as bar:
         found = forward_select(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
@@ -86,7 +86,7 @@ def investigate(
     if verdict.answer in ("NAMED", "CLASS"):
         from fishmj.gap.terms import challenge
 
-        verdict = challenge(plant, e, found, verdict)
+        verdict = challenge(model, e, found, verdict)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
@@ -99,14 +99,14 @@ def investigate(
         from fishmj.gap.terms import describe
 
         say("which force would it be?")
-        verdict = replace(verdict, terms=describe(plant, e, null, seed))
+        verdict = replace(verdict, terms=describe(model, e, null, seed))
     apart = None
     if unseen.any():
-        apart = likelihood_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
-        before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
+        apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
+        before, after = apart.gap(model.null)[0], apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
         near = apart.linearised_at(found.best.row, found.near.form)
-        grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(plant.null)
+        grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
         if grown and verdict.answer in ("NAMED", "CLASS"):
             why = f"the gap grows from {level(before)} to {level(after)} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
@@ -114,12 +114,12 @@ def investigate(
     return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
 
 
-def compiled(plant, say: Callable[[str], None]) -> None:
-    """Have the plant's step as machine code, and say how long that took: it is in no bar's time left."""
-    if "kernel" not in vars(plant):
-        say("compiling the plant's kernel: some 12 s on one core the first time, then cached")
+def compiled(model, say: Callable[[str], None]) -> None:
+    """Have the model's step as machine code, and say how long that took: it is in no bar's time left."""
+    if "kernel" not in vars(model):
+        say("compiling the model's kernel: some 12 s on one core the first time, then cached")
         begin = time.monotonic()
-        _ = plant.kernel
+        _ = model.kernel
         say(f"compiled in {time.monotonic() - begin:.1f} s")
 
 
@@ -137,7 +137,7 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
     Mean square of the residual over its variance between replicates, the median over the channels that show a gap: a slow random
     drift may by chance lead all replicates of one channel the same way.
     """
-    residual = e.layout.residuals(e.plant.predict(e.records, e.plant.null))[0] / e.scale
+    residual = e.layout.residuals(e.model.predict(e.records, e.model.null))[0] / e.scale
     ratios = []
     for members in groups(trials).values():
         names = {t.name for t in members}

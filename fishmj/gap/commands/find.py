@@ -149,8 +149,8 @@ def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list
         write_json(folder / "verdict.json", verdict)
     else:
         some = [r for r in inquiry.records if r.name in context["judged"]]
-        plant = inquiry.evidence.plant
-        measure = lambda versions: compare_models.gaps_of(versions, some, null_of(context["null"]), plant)
+        model = inquiry.evidence.model
+        measure = lambda versions: compare_models.gaps_of(versions, some, null_of(context["null"]), model)
         done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
         patched = done.path.name if done.path and done.accepted else ""
         write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})

@@ -87,7 +87,7 @@ def needs_exact_value(e: Likelihood, names) -> bool:
     That stands in for nothing, and its form may be wrong: a command in steps jumps between the right values, though no two
     robots do at the same moment.
     """
-    known = {x.name: x for x in e.plant.active.effects}
+    known = {x.name: x for x in e.model.active.effects}
     return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
 
 
@@ -170,10 +170,10 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Na
     closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
     out = []
     for name in c.names:
-        effect = next(x for x in e.plant.active.effects if x.name == name)
+        effect = next(x for x in e.model.active.effects if x.name == name)
         values = {}
         for p in effect.parameters:
-            k = c.places.index(e.plant.index(name, p.name))
+            k = c.places.index(e.model.index(name, p.name))
             edges = (float(np.clip(value[k] + side * half * spread[k], p.low, p.high)) for side in (-1, 1))
             values[p.name] = Value(float(value[k]), p.unit, *edges)
         share = stand[name].p_best if name in stand else 1.0
@@ -184,11 +184,11 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Na
 def sanity(e: Likelihood, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
     """What is not believable about the values of one effect. little: what it gains could be that of any."""
     limits = thresholds()
-    size = bounds(e.plant)[2]
-    effect = next(x for x in e.plant.active.effects if x.name == n.name)
+    size = bounds(e.model)[2]
+    effect = next(x for x in e.model.active.effects if x.name == n.name)
     out = []
     for p in effect.parameters:
-        place = e.plant.index(n.name, p.name)
+        place = e.model.index(n.name, p.name)
         if any(b != p.null and abs(c.row[place] - b) < limits.decide.bound_tolerance * size[place] for b in (p.low, p.high)):
             out.append(f"{title(n.name)}: {title(p.name)} = {quantity(c.row[place], p.unit)} lies on its bound")
     first, *others = size_parameters(effect)

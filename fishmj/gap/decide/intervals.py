@@ -22,11 +22,11 @@ def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """(values (K,), standard deviations (K,)) of a candidate's parameters."""
     limits = thresholds().intervals
     search = e.subset(e.everything)
-    low, high, _ = bounds(e.plant)
+    low, high, _ = bounds(e.model)
     places = list(c.places)
-    rows = np.concatenate([c.row[None], difference_rows(e.plant, c)])
+    rows = np.concatenate([c.row[None], difference_rows(e.model, c)])
     moved = np.array([rows[1 + k, place] - c.row[place] for k, place in enumerate(places)])
-    residual = e.layout.residuals(e.plant.predict(e.records, rows))
+    residual = e.layout.residuals(e.model.predict(e.records, rows))
     jacobian = (residual[1:] - residual[0]) / moved[:, None]
     white = search.whiten(jacobian)
     spurious = null_estimates(e, jacobian)
@@ -37,7 +37,7 @@ def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     if len(e.records) < limits.jackknife_records:
         by_jackknife = np.minimum(by_jackknife, limits.jackknife_cap * by_curvature)
     sampling = np.maximum(by_curvature, by_jackknife)
-    form = limits.formula_error * np.abs(c.row[places] - e.plant.null[places])
+    form = limits.formula_error * np.abs(c.row[places] - e.model.null[places])
     form = form / np.sqrt(1.0 + form**2 * np.sum((jacobian[:, weighed] / e.d[weighed]) ** 2, 1))
     # The mean of what null runs would give is taken off: a model that is late by itself does not make the robot late.
     values = np.clip(c.row[places] - spurious.mean(0), low[places], high[places])

@@ -52,7 +52,7 @@ def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: G
     others = list({frozenset(c.names): c for c in (*tried, *known_twins(whole, best, name)) if c is not None}.values())
     polished = whole.refine([best, *others], 2)
     ours = next(c for c in polished if c.names == best.names)
-    free = [c for c in polished if c.names != best.names and not on_bound(whole.plant, c)]
+    free = [c for c in polished if c.names != best.names and not on_bound(whole.model, c)]
     share = likelihood.p_best(np.stack([likelihood.costs(c.z, whole.layout) for c in (ours, *free)]))
     rivals = []
     for c, p in zip(free, share[1:], strict=True):
@@ -65,7 +65,7 @@ def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: G
 def known_twins(whole: EffectFitter, best: Candidate, name: str) -> list[Candidate]:
     """`best` with the effect replaced by those that are known to look the same."""
     twins = {twin for kind in containing(name) for twin in kind.effects} - {*best.names, name}
-    effects = [x for x in whole.plant.active.effects if x.name in twins]
+    effects = [x for x in whole.model.active.effects if x.name in twins]
     return whole.screen(drop_effect(whole, best, name), effects) if effects else []
 
 
@@ -74,18 +74,18 @@ def swap_effect(whole: EffectFitter, best: Candidate, name: str, other: Candidat
     newest = other.names[-1]
     if newest in best.names:
         return None
-    effects = {x.name: x for x in whole.plant.active.effects}
-    places = lambda n: [whole.plant.index(n, p.name) for p in effects[n].parameters]
+    effects = {x.name: x for x in whole.model.active.effects}
+    places = lambda n: [whole.model.index(n, p.name) for p in effects[n].parameters]
     row = best.row.copy()
-    row[places(name)] = whole.plant.null[places(name)]
+    row[places(name)] = whole.model.null[places(name)]
     row[places(newest)] = other.row[places(newest)]
     names = (*(n for n in best.names if n != name), newest)
     return whole.at(row, names, tuple(p for n in names for p in places(n)))
 
 
-def on_bound(plant, c: Candidate) -> bool:
+def on_bound(model, c: Candidate) -> bool:
     """Whether a parameter lies on a bound that is not its null."""
-    low, high, size = bounds(plant)
+    low, high, size = bounds(model)
     tolerance = thresholds().decide.bound_tolerance
-    near = lambda place, edge: edge != plant.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
+    near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
     return any(near(place, low[place]) or near(place, high[place]) for place in c.places)

@@ -48,14 +48,14 @@ def may_be_another(name: str, stand: Support, gates: Gates) -> bool:
 
 def confused(e: Likelihood, one: str, other: str) -> bool:
     """Whether the catalogue lists one of two effects among those that the other is taken for."""
-    known = {x.name: {c.other for c in x.confusions} for x in e.plant.active.effects}
+    known = {x.name: {c.other for c in x.confusions} for x in e.model.active.effects}
     return other in known[one] or one in known[other]
 
 
 def masked_by(e: Likelihood, names, weak: set[str]) -> set[str]:
     """Those of `weak`, much smaller than usual, beside another of `names` that is not: it is taken for them, or turns the same
     gears."""
-    geared = {x.name for x in e.plant.active.effects if x.gear is not None}
+    geared = {x.name for x in e.model.active.effects if x.gear is not None}
     return {n for n in weak for other in set(names) - weak if confused(e, n, other) or {n, other} <= geared}
 
 
@@ -66,7 +66,7 @@ def size_parameters(effect) -> list:
 
 def smaller_than(e: Likelihood, n: Named, share: float) -> bool:
     """Whether every main value is less than `share` of the least that is typical."""
-    main = size_parameters(next(x for x in e.plant.active.effects if x.name == n.name))
+    main = size_parameters(next(x for x in e.model.active.effects if x.name == n.name))
     return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
 
 
@@ -85,6 +85,6 @@ def within_null_scatter(e: Likelihood, effects) -> bool:
     """Whether what was found is one effect, and no larger than null runs may make of it though nothing is hidden in them."""
     if len(effects) != 1:
         return False
-    main = size_parameters(next(x for x in e.plant.active.effects if x.name == effects[0].name))
+    main = size_parameters(next(x for x in e.model.active.effects if x.name == effects[0].name))
     values = effects[0].parameters
     return insignificant(main, values) if len(main) > 1 else poorly_determined(main[0], values[main[0].name])

@@ -1,6 +1,6 @@
 """Null runs that were swum elsewhere: data sets of the flow solver in which nothing is hidden, one bundle a fish.
 
-    RecordedNull(folder="data/gap/lbm/nulls").residuals(plant, records, layout)
+    RecordedNull(folder="data/gap/lbm/nulls").residuals(model, records, layout)
 
 As `SimulatedNull`, except that nothing can be made on the spot: an experiment that the sets do not hold has no null.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from fishmj.errors import ConfigError, LogError
 from fishmj.excitation import Excitation
 from fishmj.gap.null import source_digest
-from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model
+from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model_digest
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import WINDOW
 from fishmj.log import Trial
@@ -69,9 +69,9 @@ class RecordedNull(SimulatedNull):
             raise LogError(f"{self.folder}: {did}; expected all. The sets hold {held}")
         return out
 
-    def _key(self, plant, record: Record, what: Excitation) -> str:
-        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model(plant)]
-        text = json.dumps([*made, plant.fingerprint, what.id, *WINDOW, record.dt, *what.start])
+    def _key(self, model, record: Record, what: Excitation) -> str:
+        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model_digest(model)]
+        text = json.dumps([*made, model.fingerprint, what.id, *WINDOW, record.dt, *what.start])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 

@@ -50,7 +50,7 @@ def headline(v: Verdict) -> str:
 def meaning(m: ReportData) -> str:
     """One sentence on what it means."""
     v = m.inquiry.verdict
-    known = {e.name: e for e in m.inquiry.evidence.plant.active.effects}
+    known = {e.name: e for e in m.inquiry.evidence.model.active.effects}
     if v.answer == "NAMED":
         about = "; ".join(_about(known[e.name]) for e in v.effects if e.name in known)
         return f"{about[:1].upper()}{about[1:]}. With it the model {v.told()}."

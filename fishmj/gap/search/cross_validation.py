@@ -50,7 +50,7 @@ class CrossValidated(NamedTuple):
     def gap(self, folds: np.ndarray) -> float:
         """The gap, in units of the floor, each fold (F, L) by the fit that did not see it."""
         layout = self.near.layout
-        predicted = self.near.plant.predict(self.near.records, np.stack([fit.row for fit in self.fits]))
+        predicted = self.near.model.predict(self.near.records, np.stack([fit.row for fit in self.fits]))
         whole = layout.residuals(predicted)
         mine = np.where(folds[:, layout.record], whole, 0.0).sum(0)
         return gap(mine, self.near.scale, layout)
@@ -74,7 +74,7 @@ def parameter_uncertainty_factors(
     white = others.whiten(jacobian[:, ~fold[e.layout.record]])
     root = np.linalg.cholesky(white @ white.T + np.eye(len(jacobian)) / thresholds().fit.prior_sd ** 2)
     places = list(best.places)
-    way = (best.row - fit.row)[places] / bounds(e.plant)[2][places]
+    way = (best.row - fit.row)[places] / bounds(e.model)[2][places]
     distance = max(others.at(best.row).cost - others.at(fit.row).cost, 1.0)
     bend = e.change(fit.row, best.row) - way @ jacobian
     return np.concatenate([np.linalg.solve(root, jacobian), bend[None] / np.sqrt(distance)])

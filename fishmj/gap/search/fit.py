@@ -36,22 +36,22 @@ class EffectFitter:
     """Candidates on one set of records.
 
     Args:
-        plant: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
+        model: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
     """
 
-    def __init__(self, plant, records, layout, whiten):
-        self.plant, self.records, self.layout, self.whiten = plant, records, layout, whiten
+    def __init__(self, model, records, layout, whiten):
+        self.model, self.records, self.layout, self.whiten = model, records, layout, whiten
 
     def z(self, rows) -> np.ndarray:
         """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""
-        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
+        residuals = self.layout.residuals(self.model.predict(self.records, rows))
         return np.nan_to_num(self.whiten(residuals), nan=1e6, posinf=1e6, neginf=-1e6)
 
     def prior(self, rows) -> np.ndarray:
         """(R,) what the prior adds to |z|^2 of parameter rows (R, P)."""
-        size = bounds(self.plant)[2]
-        scaled = (np.asarray(rows) - self.plant.null) / (thresholds().fit.prior_sd * size)
-        return np.sum(scaled[:, len(self.plant.constants) :] ** 2, 1)
+        size = bounds(self.model)[2]
+        scaled = (np.asarray(rows) - self.model.null) / (thresholds().fit.prior_sd * size)
+        return np.sum(scaled[:, len(self.model.constants) :] ** 2, 1)
 
     def costs(self, rows, z) -> np.ndarray:
         """(R,) |z|^2 of rows (R, P) whose z (R, m) are known, and the prior's share."""
@@ -68,7 +68,7 @@ class EffectFitter:
 
     def base(self, row=None) -> Candidate:
         """The model as it is."""
-        return self.at(self.plant.null if row is None else row)
+        return self.at(self.model.null if row is None else row)
 
     def grid_search(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
         """{effect: its best few values} for those of which only a value right to a fraction of a per cent explains anything.
@@ -78,7 +78,7 @@ class EffectFitter:
         limits = thresholds().fit
         found = {}
         for effect, p in [(x, p) for x in effects for p in x.parameters if p.fine]:
-            place = self.plant.index(effect.name, p.name)
+            place = self.model.index(effect.name, p.name)
             # Even in 1 / step, not in step: the phase of the jumps is c / step, and a grid even in step would be far too coarse
             # for small steps and waste most of its values on large ones.
             last = 1.0 / min(abs(t - p.null) for t in p.typical)
@@ -100,10 +100,10 @@ class EffectFitter:
         for effect in effects:
             for k, value in probes(effect, (fine or {}).get(effect.name, ())):
                 row = base.row.copy()
-                row[self.plant.index(effect.name, effect.parameters[k].name)] = value
+                row[self.model.index(effect.name, effect.parameters[k].name)] = value
                 rows.append(row)
                 owners.append((effect, k, value))
-            for row in shape_probes(self.plant, base.row, effect):
+            for row in shape_probes(self.model, base.row, effect):
                 rows.append(row)
                 owners.append((effect, -1, 0.0))
         tried = np.array(rows)
@@ -113,7 +113,7 @@ class EffectFitter:
         for effect in effects:
             mine = [i for i, owner in enumerate(owners) if owner[0] is effect]
             best = min(mine, key=lambda i: cost[i])
-            choices = [tried[best]] + secants(self.plant, base, effect, [(owners[i], z[i]) for i in mine])
+            choices = [tried[best]] + secants(self.model, base, effect, [(owners[i], z[i]) for i in mine])
             found.append((effect, choices))
         flat = np.array([row for _, choices in found for row in choices])
         z = self.z(flat)
@@ -122,20 +122,20 @@ class EffectFitter:
         for effect, choices in found:
             i = at + int(np.argmin(cost[at : at + len(choices)]))
             at += len(choices)
-            places = tuple(self.plant.index(effect.name, p.name) for p in effect.parameters)
+            places = tuple(self.model.index(effect.name, p.name) for p in effect.parameters)
             out.append(Candidate((*base.names, effect.name), (*base.places, *places), flat[i], float(cost[i]), z[i]))
         return sorted(out, key=lambda c: c.cost)
 
     def refine(self, candidates: list[Candidate], iterations: int | None = None) -> list[Candidate]:
         """Damped Gauss-Newton on all parameters of each candidate together (Levenberg 1944, Marquardt 1963); best first."""
-        low, high, size = bounds(self.plant)
+        low, high, size = bounds(self.model)
         prior = thresholds().fit.prior_sd
         best = list(candidates)
         damping = [1e-2] * len(best)
         for _ in range(thresholds().fit.iterations if iterations is None else iterations):
             # All candidates share each call of `z`, since the compiled rollouts are vectorised over rows. The optimisers of
             # SciPy know no batch of problems: each candidate would roll out alone.
-            steps = [difference_rows(self.plant, c) for c in best]
+            steps = [difference_rows(self.model, c) for c in best]
             z = self.z(np.concatenate(steps))
             trials: list[np.ndarray] = []
             owner: list[int] = []
@@ -146,7 +146,7 @@ class EffectFitter:
                 # Per typical size: effects have units from rad to N s2/m2, and both the damping and the prior need one scale.
                 jac = (z[first : first + len(rows)] - c.z) / moved[:, None] * size[places][:, None]
                 first += len(rows)
-                away = (c.row - self.plant.null)[places] / size[places]
+                away = (c.row - self.model.null)[places] / size[places]
                 # The prior stands in the normal matrix, not only in the cost: a parameter that these records leave open has
                 # no slope, and without it the step along it would be arbitrary.
                 normal = jac @ jac.T + np.eye(len(away)) / prior**2
@@ -185,16 +185,16 @@ def on_records(search: EffectFitter, c: Candidate) -> Candidate:
 
 def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:
     """The candidate with one effect at its null."""
-    effect = next(x for x in search.plant.active.effects if x.name == name)
-    gone = {search.plant.index(name, p.name) for p in effect.parameters}
+    effect = next(x for x in search.model.active.effects if x.name == name)
+    gone = {search.model.index(name, p.name) for p in effect.parameters}
     row = c.row.copy()
-    row[list(gone)] = search.plant.null[list(gone)]
+    row[list(gone)] = search.model.null[list(gone)]
     return search.at(row, tuple(n for n in c.names if n != name), tuple(p for p in c.places if p not in gone))
 
 
-def difference_rows(plant, c: Candidate) -> np.ndarray:
+def difference_rows(model, c: Candidate) -> np.ndarray:
     """(K, P) the candidate's row with one parameter moved in each, for finite differences: up, or down at the upper bound."""
-    _, high, size = bounds(plant)
+    _, high, size = bounds(model)
     rows = np.tile(c.row, (len(c.places), 1))
     for row, place in zip(rows, c.places, strict=True):
         step = thresholds().fit.difference_step * size[place]
@@ -217,7 +217,7 @@ def probes(effect: Effect, fine: tuple[float, ...] = ()) -> list[tuple[int, floa
     return out
 
 
-def shape_probes(plant, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
+def shape_probes(model, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
     """Rows with the effect at its usual size and each shaping parameter on either side of its null."""
     out = []
     shapes = [p for p in effect.parameters if p.shape]
@@ -226,15 +226,15 @@ def shape_probes(plant, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
             row = base.copy()
             for p in effect.parameters:
                 if not p.shape:
-                    row[plant.index(effect.name, p.name)] = np.clip(
+                    row[model.index(effect.name, p.name)] = np.clip(
                         p.null + (1 if p.high > p.null else -1) * _size(p), p.low, p.high
                     )
-            row[plant.index(effect.name, shape.name)] = value
+            row[model.index(effect.name, shape.name)] = value
             out.append(row)
     return out
 
 
-def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
+def secants(model, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
     """Rows from the linear combination of each parameter's probes that lowers |z| most, one row a magnitude."""
     out = []
     for m in thresholds().fit.probe_sizes:
@@ -245,7 +245,7 @@ def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
             near = [(value, z) for (_, j, value), z in tried if j == k]
             value, z = min(near, key=lambda v: abs(abs(v[0] - p.null) - m * _size(p)))
             columns.append((z - base.z) / (value - p.null))
-            places.append(plant.index(effect.name, p.name))
+            places.append(model.index(effect.name, p.name))
             sizes.append(_size(p))
         jac = np.array(columns) * np.array(sizes)[:, None]
         normal = jac @ jac.T
@@ -259,10 +259,10 @@ def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
     return out
 
 
-def bounds(plant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bounds(model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(low, high, typical size) of every entry of a parameter row."""
-    n = len(plant.constants)
-    entries = [p for e in plant.active.effects for p in e.parameters]
+    n = len(model.constants)
+    entries = [p for e in model.active.effects for p in e.parameters]
     low = np.array([0.1] * n + [p.low for p in entries])
     high = np.array([10.0] * n + [p.high for p in entries])
     return low, high, np.array([1.0] * n + [_size(p) for p in entries])

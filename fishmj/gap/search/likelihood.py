@@ -36,16 +36,16 @@ class Likelihood:
     change. origin: the likelihood at the model as it is.
     """
 
-    def __init__(self, plant, records: list[Record], null: np.ndarray, form: float | None = None):
+    def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None):
         limits = thresholds().likelihood
-        self.plant, self.records, self.origin = plant, records, self
+        self.model, self.records, self.origin = model, records, self
         self.form = limits.model_error if form is None else form
         self.runs = len(null)
         self.layout = ResidualLayout(records)
         # One set of draws, kept: whatever is linearised later is compared with the origin draw by draw, so that their
         # difference is not the draws'.
-        self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(plant.constants)))
-        self._null_tangents, self._null_nonlinear = self._constants(getattr(plant, "nothing", plant.null))
+        self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(model.constants)))
+        self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
         self.factors = null / np.sqrt(len(null))
         self.d = leftover(null, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
@@ -56,16 +56,16 @@ class Likelihood:
         """(L,) bool: all records."""
         return np.ones(len(self.records), bool)
 
-    def with_model(self, plant) -> "Likelihood":
-        """The same records and null with other effects in question; `plant` at its null is the same model."""
+    def with_model(self, model) -> "Likelihood":
+        """The same records and null with other effects in question; `model` at its null is the same model."""
         there = copy(self.origin)
-        there.plant, there.origin = plant, there
+        there.model, there.origin = model, there
         return there
 
     def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the constants' tolerance does to the residual of a parameter row: (C, m) tangents, (m,) mean square of what is
         not linear in them."""
-        sigma = np.array([constant.sigma for constant in self.plant.constants])
+        sigma = np.array([constant.sigma for constant in self.model.constants])
         draws = np.concatenate([np.zeros((1, len(sigma))), np.eye(len(sigma)), self._draws])
         rows = np.tile(row, (len(draws), 1))
         rows[:, : len(sigma)] += draws * sigma
@@ -76,7 +76,7 @@ class Likelihood:
         return tangents, smooth(np.sqrt(nonlinear), self.layout) ** 2
 
     def _residuals(self, rows) -> np.ndarray:
-        return np.nan_to_num(self.layout.residuals(self.plant.predict(self.records, rows)))
+        return np.nan_to_num(self.layout.residuals(self.model.predict(self.records, rows)))
 
     def linearised_at(self, row: np.ndarray, form: float | None = None) -> "Likelihood":
         """The same for a fish that has the effects of `row`, right to within `form` of what they change at each moment."""
@@ -89,7 +89,7 @@ class Likelihood:
         # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
         known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear, 0.0)
         # A weighing is what mass means, no formula of the water's: no form error is granted there.
-        change = self.change(row, self.plant.null) * (self.layout.channel != mass_properties.CHANNEL)
+        change = self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
         there = copy(self)
         there.factors, there.response = factors, ModelResponse(factors, known, change, smooth(change, self.layout))
         return there.with_model_error(start.form if form is None else form)
@@ -97,10 +97,10 @@ class Likelihood:
     def _null_through_sensors(self, row: np.ndarray) -> np.ndarray:
         """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
         null, root = self.origin.factors, np.sqrt(self.runs)
-        if not sensed(self.plant, row):
+        if not sensed(self.model, row):
             return null
         shown = self.layout.measured - self._residuals(row[None])[0]
-        return through(self.plant, self.layout, row, shown, null * root) / root
+        return through(self.model, self.layout, row, shown, null * root) / root
 
     def with_model_error(self, form: float) -> "Likelihood":
         """The same effects, right to within another relative error."""
@@ -130,7 +130,7 @@ class Likelihood:
         columns = keep[self.layout.record]
         factors = self.factors[:, columns]
         factors = factors if more is None else np.concatenate([factors, more])
-        return EffectFitter(self.plant, records, ResidualLayout(records), whitening(factors, self.d[columns]))
+        return EffectFitter(self.model, records, ResidualLayout(records), whitening(factors, self.d[columns]))
 
     def loss(self, row: np.ndarray) -> float:
         """Twice the negative log likelihood of all records, of one parameter row."""
@@ -138,8 +138,8 @@ class Likelihood:
 
     def jacobian(self, c: Candidate) -> np.ndarray:
         """(K, m) what a typical size of each parameter of a candidate does to the residual, about its values."""
-        size = bounds(self.plant)[2]
-        rows = np.concatenate([c.row[None], difference_rows(self.plant, c)])
+        size = bounds(self.model)[2]
+        rows = np.concatenate([c.row[None], difference_rows(self.model, c)])
         residuals = self._residuals(rows)
         moves = np.array([(row[p] - c.row[p]) / size[p] for row, p in zip(rows[1:], c.places, strict=True)])
         return (residuals[1:] - residuals[0]) / moves.reshape(-1, 1)
@@ -151,13 +151,13 @@ class Likelihood:
 
     def gap(self, row) -> tuple[float, dict]:
         """The gap of a parameter row over all records and by channel, in units of the floor."""
-        residual = self.layout.residuals(self.plant.predict(self.records, row))[0]
+        residual = self.layout.residuals(self.model.predict(self.records, row))[0]
         return gap(residual, self.scale, self.layout), by_channel(residual, self.scale, self.layout)
 
 
-def likelihood_of(plant, records: list[Record], null, bars: Bars = silent) -> Likelihood:
+def likelihood_of(model, records: list[Record], null, bars: Bars = silent) -> Likelihood:
     """Of records with the null runs that `null` (a `SimulatedNull`) makes of them. bars: of runs made anew."""
-    return Likelihood(plant, records, null.residuals(plant, records, ResidualLayout(records), bars))
+    return Likelihood(model, records, null.residuals(model, records, ResidualLayout(records), bars))
 
 
 def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tuple[Likelihood, Candidate]:

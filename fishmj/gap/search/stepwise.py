@@ -87,7 +87,7 @@ def forward_select(
     e: Likelihood, gates: Gates, folds: np.ndarray, effects=None, progress=None, bar: Bar | None = None
 ) -> Selection:
     """Add effects while records predicted without their fold get likelier. progress: called with each step. bar: of rounds."""
-    pool = [x for x in effects or e.plant.active.effects if is_absent(e.plant, x)]
+    pool = [x for x in effects or e.model.active.effects if is_absent(e.model, x)]
     whole = e.subset(e.everything)
     base = whole.base()
     selected = CrossValidated(e, base, (base,) * len(folds))
@@ -183,7 +183,7 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
 
 def gap_before_after(known: CrossValidated, fitted: CrossValidated, folds: np.ndarray) -> tuple[float, float]:
     """What `SelectionStep.gap` holds."""
-    as_it_is = known.near.gap(known.near.plant.null)[0]
+    as_it_is = known.near.gap(known.near.model.null)[0]
     return min(as_it_is, known.gap(folds)), fitted.gap(folds)
 
 
@@ -221,10 +221,10 @@ def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effect
     return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
 
 
-def is_absent(plant, effect) -> bool:
+def is_absent(model, effect) -> bool:
     """Whether the model that is questioned does not have the effect yet."""
-    places = [plant.index(effect.name, p.name) for p in effect.parameters]
-    return tuple(plant.null[places]) == effect.null
+    places = [model.index(effect.name, p.name) for p in effect.parameters]
+    return tuple(model.null[places]) == effect.null
 
 
 # --------------------------------------------------------------------------------------------------------------------- pruning

@@ -23,20 +23,20 @@ def model_with_terms(robot):
     return _COMPILED.setdefault(made.fingerprint, made)
 
 
-def describe(plant, e, null, seed: int = 0) -> tuple[dict, ...]:
+def describe(model, e, null, seed: int = 0) -> tuple[dict, ...]:
     """The terms of an inquiry as plain dictionaries; none for a model that is no swimming fish.
 
     Args:
         e: `Likelihood` of the records. null: how its null runs are drawn.
     """
-    there = _with_terms(plant)
+    there = _with_terms(model)
     if there is None:
         return ()
-    residuals = null.residuals(plant, e.records, e.layout)
+    residuals = null.residuals(model, e.records, e.layout)
     return tuple(asdict(t) | {"firm": t.firm} for t in terms_of(there, e.records, residuals, seed))
 
 
-def challenge(plant, e, found, verdict):
+def challenge(model, e, found, verdict):
     """The verdict on what was found, UNEXPLAINED if a free force explains more (stronger.py); as it is for no swimming fish.
 
     Args:
@@ -44,15 +44,15 @@ def challenge(plant, e, found, verdict):
     """
     from fishmj.gap.terms import stronger
 
-    there = _with_terms(plant)
+    there = _with_terms(model)
     return verdict if there is None else stronger.challenge(there, e, found, verdict)
 
 
-def _with_terms(plant):
+def _with_terms(model):
     """The fish with the library in place of the catalogue; None for a model that is no swimming fish."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    return model_with_terms(plant.robot) if isinstance(plant, SwimmingFish) else None
+    return model_with_terms(model.robot) if isinstance(model, SwimmingFish) else None
 
 
 __all__ = ["Term", "challenge", "describe", "model_with_terms", "terms_of"]

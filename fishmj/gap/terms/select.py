@@ -61,15 +61,15 @@ class Term:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
+def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
     """The terms that describe what `records` show beyond the model, best first.
 
     Args:
-        plant: the fish with the library in it. null: (n, m) residuals of null runs at the windows of `records`.
+        model: the fish with the library in it. null: (n, m) residuals of null runs at the windows of `records`.
     """
-    e = Likelihood(plant, records, null)
+    e = Likelihood(model, records, null)
     whole = e.subset(e.everything)
-    terms = [x for x in plant.active.effects if x in library()]
+    terms = [x for x in model.active.effects if x in library()]
     base = whole.base()
     g, probed = signatures(whole, terms)
     onto = groups(e.layout, 1 if len(records) >= LIMITS.whole_records else LIMITS.pieces)
@@ -90,7 +90,7 @@ def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     for k, gain in zip(order, crossed_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
         net[k] = (gain - floor[k]) * sided[k]
     ranked = sorted(order, key=lambda k: -net[k])[: LIMITS.listed]
-    return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, plant) for k in ranked)
+    return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, model) for k in ranked)
 
 
 def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
@@ -100,7 +100,7 @@ def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
 
 def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
     """(F,) gain of fitted terms on records left out: about each optimum c, c(-l) = c - sum_k g_k z_k / sum_k g_k^2, k not l."""
-    _, _, size = bounds(whole.plant)
+    _, _, size = bounds(whole.model)
     rows, steps = [], []
     for c in fitted:
         row, place = c.row.copy(), c.places[-1]
@@ -114,13 +114,13 @@ def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], on
     return np.sum(base.z**2) - np.sum(at**2, 1) - np.sum(2 * change * b + change**2 * a, 1)
 
 
-def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
+def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
     effect, c = terms[k], polished[terms[k].name]
     norm = np.linalg.norm(g, axis=1) + 1e-300
     cos = np.abs(g @ g[k]) / norm / norm[k]
     alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
     p = effect.parameters[0]
-    value = float(c.row[plant.index(effect.name, p.name)])
+    value = float(c.row[model.index(effect.name, p.name)])
     excess = base.cost - size
     closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
     return Term(
@@ -139,11 +139,11 @@ def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
 
 def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """(K, m) change of z for the usual coefficient of each term, to first order; (K,) least |z|^2 at a few finite ones."""
-    plant, sizes = whole.plant, (LIMITS.probe, -LIMITS.probe, *LIMITS.finite_probes)
-    rows = np.tile(plant.null, (len(terms), len(sizes), 1))
+    model, sizes = whole.model, (LIMITS.probe, -LIMITS.probe, *LIMITS.finite_probes)
+    rows = np.tile(model.null, (len(terms), len(sizes), 1))
     for k, term in enumerate(terms):
         p = term.parameters[0]
-        rows[k, :, plant.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
+        rows[k, :, model.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
     z = whole.z(rows.reshape(-1, rows.shape[-1])).reshape(len(terms), len(sizes), -1)
     g = (z[:, 0] - z[:, 1]) / (2 * LIMITS.probe)
     g[np.abs(z[:, :2]).max((1, 2)) > LIMITS.diverged] = 0.0  # a rollout that left the finite numbers says nothing

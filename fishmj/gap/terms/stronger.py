@@ -35,14 +35,14 @@ class StrongerTerm(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def challenge(plant, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
+def challenge(model, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     """The verdict, with the lead of the best free term; UNEXPLAINED where that is more than chance.
 
     Args:
-        plant: the fish with the library in place of the catalogue (terms.model_with_terms).
+        model: the fish with the library in place of the catalogue (terms.model_with_terms).
     """
     limits = thresholds()
-    free = strongest_term(plant, e, found)
+    free = strongest_term(model, e, found)
     lead = free.gain - verdict.gates["gain"]
     allowed = max(limits.likelihood.model_error, limits.stronger.form_ratio * found.near.form)
     checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
@@ -59,11 +59,11 @@ def outdone(checks: dict) -> bool:
     return checks.get("lead", 0.0) > thresholds().stronger.lead and checks["believed"]
 
 
-def strongest_term(plant, e: Likelihood, found: Selection) -> StrongerTerm:
+def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
     """The term that explains most of the records of `e`, but for those that are the formula of what was found."""
-    start, folds = e.with_model(plant), found.folds
-    named = [x for x in e.plant.active.effects if x.name in found.best.names]
-    terms = {x.name: x for x in plant.active.effects if x in library() and not any(is_own_formula(n, x) for n in named)}
+    start, folds = e.with_model(model), found.folds
+    named = [x for x in e.model.active.effects if x.name in found.best.names]
+    terms = {x.name: x for x in model.active.effects if x in library() and not any(is_own_formula(n, x) for n in named)}
     tried = (relinearise(start, c, 1) for c in best_in_sample(start, list(terms.values())))
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
     fitted = CrossValidated(near, c, tuple(refine(near.subset(~f), c) for f in folds))
