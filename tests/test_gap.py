@@ -51,7 +51,7 @@ def test_rollouts_are_those_of_mujoco(plant):
     [
         pytest.param("command_latency", {"delay": 0.03}, marks=pytest.mark.slow),
         pytest.param("steady_current", {"x": 0.03, "y": -0.01}, marks=pytest.mark.slow),
-        pytest.param("coulomb_friction", {"torque": 0.12}, marks=pytest.mark.subset("search")),
+        pytest.param("coulomb_friction", {"torque": 0.12}, marks=pytest.mark.part("search")),
     ],
 )
 def test_a_hidden_effect_is_named_with_its_size(plant, name, values):

@@ -68,7 +68,8 @@ def investigate(
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """
-    gates, null = gates or frozen(), null or SimulatedNull()
+    gates = gates or frozen()
+    null = null or SimulatedNull()
     records = [record_of(t, model.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
@@ -103,7 +104,8 @@ def investigate(
     apart = None
     if unseen.any():
         apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
-        before, after = apart.gap(model.null)[0], apart.gap(found.best.row)[0]
+        before = apart.gap(model.null)[0]
+        after = apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
         near = apart.linearised_at(found.best.row, found.near.form)
         grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
@@ -147,7 +149,8 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
         for same in zip(*([b for b in e.layout.blocks if b.record == i] for i in rows), strict=True):
             n = min(len(b.t) for b in same)
             values = np.stack([residual[b.where][:n] for b in same])
-            gap, between = float(np.mean(values**2)), float(np.mean(np.var(values, 0, ddof=1)))
+            gap = float(np.mean(values**2))
+            between = float(np.mean(np.var(values, 0, ddof=1)))
             if gap > thresholds().workflow.replicate_gap:
                 ratios.append(gap / max(between, 1e-12))
     if ratios and np.median(ratios) <= RATIO:

@@ -144,7 +144,9 @@ def transfer(e: Likelihood, found: Selection) -> float:
     """
     limits = thresholds().decide
     rises, allowed = [], []
-    record, near, fitted = e.layout.record, found.near, found.fitted
+    record = e.layout.record
+    near = found.near
+    fitted = found.fitted
     base = e.loss(found.base.row)
     for fold, fit, more in zip(found.folds, fitted.fits, fitted.uncertainty_factors(found.folds), strict=True):
         whole = near.subset(near.everything, more).loss(fit.row)
@@ -159,7 +161,8 @@ def transfer(e: Likelihood, found: Selection) -> float:
 
 def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
-    e, half = found.near, thresholds().intervals.quantile
+    e = found.near
+    half = thresholds().intervals.quantile
     # Values are fitted once more with the constants as uncertain as the formulas; with that uncertainty in the selection, too, an
     # effect that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)

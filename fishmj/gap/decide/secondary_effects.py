@@ -23,7 +23,8 @@ from fishmj.gap.verdict import Named, Value
 
 def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Support], doubts: dict, gates: Gates) -> set[str]:
     """Names of those. doubts: what is not believable about each."""
-    limits, e = thresholds().secondary, found.near.origin
+    limits = thresholds().secondary
+    e = found.near.origin
     whole = sum(s.gain for s in stand.values())
     share = {n: s.gain / whole for n, s in stand.items()}
     # What an effect gained when it was added counts, too: beside a later one that can imitate it, it may gain little at the end.

@@ -100,7 +100,8 @@ def written(model, s: Hypothesis) -> dict:
 
 def read(model, values: dict, weight: float) -> Hypothesis:
     """The side that `written` wrote."""
-    row, moves = model.null.copy(), []
+    row = model.null.copy()
+    moves = []
     quantile = thresholds().intervals.quantile
     for name, entries in values.items():
         for parameter, (value, low, high) in entries.items():

@@ -80,7 +80,8 @@ def prospect(model, sides: list[Hypothesis], record: Record, null: SimulatedNull
     seen = -layout.residuals(model.predict([record], rows))  # predictions, up to what was measured
     spots = np.cumsum([1, *(1 + len(s.moves) for s in sides)])
     parts = [seen[a:b] for a, b in zip(spots[:-1], spots[1:], strict=True)]
-    worth, best = 0.0, (0.0, (sides[0].label, sides[1].label))
+    worth = 0.0
+    best = (0.0, (sides[0].label, sides[1].label))
     for i, j in combinations(range(len(sides)), 2):
         open_ = [p[1:] - p[0] for p in (parts[i], parts[j])]
         wrong = [smooth(form * (p[0] - seen[0]), layout) for p in (parts[i], parts[j])]

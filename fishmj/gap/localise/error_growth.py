@@ -113,7 +113,8 @@ def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSeg
         return None
     x, y, yaw = pose.value
     vx, vy, r = pose.rate
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     steps = int(np.ceil((seconds + max(late)) / record.dt)) + 1
     place = np.clip((t0 - late.command) / record.dt + np.arange(steps), 0, len(record.commands) - 1)
     i = np.minimum(place.astype(int), len(record.commands) - 2)

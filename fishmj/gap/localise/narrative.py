@@ -61,7 +61,8 @@ def beat(p) -> str:
 
 def lag(p) -> str:
     """What comes late, and where along the way that puts it."""
-    joint, heading = p.lags.joint, p.lags.heading
+    joint = p.lags.joint
+    heading = p.lags.heading
     if joint is None and heading is None:
         return ""
     parts = []
@@ -82,7 +83,8 @@ def lag(p) -> str:
 
 def conclusion(p) -> str:
     """Where between command and camera the delay sits."""
-    joint, heading = p.lags.joint, p.lags.heading
+    joint = p.lags.joint
+    heading = p.lags.heading
     if joint is None or heading is None:
         return ""
     if told(joint) and told(heading) and alike(joint, heading):
@@ -108,7 +110,8 @@ def frame(p) -> str:
     vector, sd = (f.world, f.world_sd) if f.points == "world" else (f.body, f.body_sd)
     if np.hypot(*vector) < 2 * np.hypot(*sd):
         return ""
-    size, angle = 1e3 * np.hypot(*vector), math.degrees(math.atan2(vector[1], vector[0]))
+    size = 1e3 * np.hypot(*vector)
+    angle = math.degrees(math.atan2(vector[1], vector[0]))
     if f.points == "world":
         what = f"{number(size)} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
         against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"

@@ -2,7 +2,7 @@
 
     r_i' = g(p + r_i) - g(p)      g: what the measurement effects of a parameter row make of a pose, p: the pose predicted
 
-The other effects leave the null runs as they are: what they change in them is a matter of the constants (evidence.py).
+The other effects leave the null runs as they are: what they change in them is a matter of the constants (likelihood.py).
 """
 
 import numpy as np
@@ -14,7 +14,8 @@ SENSORS = ("pose", "placed")
 
 def through(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     """(n, m) residuals of null runs as the sensors of a parameter row show them. shown: (m,) what the row predicts."""
-    values, out = row[len(model.constants) :], residuals.copy()
+    values = row[len(model.constants) :]
+    out = residuals.copy()
     for i in range(len(layout.records)):
         for sensor in SENSORS:
             where = [b.where for b in layout.blocks if b.record == i and b.sensor == sensor]

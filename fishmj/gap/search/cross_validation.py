@@ -41,7 +41,8 @@ class CrossValidated(NamedTuple):
 
     def conditional_loss(self, folds: np.ndarray) -> float:
         """The same, given what the other records tell of the fish's constants, which all of them share."""
-        near, out = self.near, 0.0
+        near = self.near
+        out = 0.0
         for fold, fit, more in zip(folds, self.fits, self.uncertainty_factors(folds), strict=True):
             others = near.subset(~fold, more[:, ~fold[near.layout.record]])
             out += near.subset(near.everything, more).loss(fit.row) - others.loss(fit.row)

@@ -40,7 +40,10 @@ class EffectFitter:
     """
 
     def __init__(self, model, records, layout, whiten):
-        self.model, self.records, self.layout, self.whiten = model, records, layout, whiten
+        self.model = model
+        self.records = records
+        self.layout = layout
+        self.whiten = whiten
 
     def z(self, rows) -> np.ndarray:
         """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""

@@ -38,7 +38,9 @@ class Likelihood:
 
     def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None):
         limits = thresholds().likelihood
-        self.model, self.records, self.origin = model, records, self
+        self.model = model
+        self.records = records
+        self.origin = self
         self.form = limits.model_error if form is None else form
         self.runs = len(null)
         self.layout = ResidualLayout(records)
@@ -59,7 +61,8 @@ class Likelihood:
     def with_model(self, model) -> "Likelihood":
         """The same records and null with other effects in question; `model` at its null is the same model."""
         there = copy(self.origin)
-        there.model, there.origin = model, there
+        there.model = model
+        there.origin = there
         return there
 
     def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,12 +94,14 @@ class Likelihood:
         # A weighing is what mass means, no formula of the water's: no form error is granted there.
         change = self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
         there = copy(self)
-        there.factors, there.response = factors, ModelResponse(factors, known, change, smooth(change, self.layout))
+        there.factors = factors
+        there.response = ModelResponse(factors, known, change, smooth(change, self.layout))
         return there.with_model_error(start.form if form is None else form)
 
     def _null_through_sensors(self, row: np.ndarray) -> np.ndarray:
         """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
-        null, root = self.origin.factors, np.sqrt(self.runs)
+        null = self.origin.factors
+        root = np.sqrt(self.runs)
         if not sensed(self.model, row):
             return null
         shown = self.layout.measured - self._residuals(row[None])[0]
@@ -105,7 +110,8 @@ class Likelihood:
     def with_model_error(self, form: float) -> "Likelihood":
         """The same effects, right to within another relative error."""
         there = copy(self)
-        there.form, there.d = form, self.response.d(form)
+        there.form = form
+        there.d = self.response.d(form)
         return there
 
     def with_estimated_model_error(self, row: np.ndarray) -> "Likelihood":
@@ -174,7 +180,9 @@ def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tup
         proposal_loss = there.loss(proposal.row)
         if proposal_loss > loss:
             break
-        near, best, loss = there, proposal, proposal_loss
+        near = there
+        best = proposal
+        loss = proposal_loss
     return near, on_records(near.subset(e.everything), best)
 
 

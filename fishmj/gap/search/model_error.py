@@ -90,7 +90,8 @@ class ModelResponse(NamedTuple):
 
     def _error(self, residual: np.ndarray, channels: np.ndarray, allowed: float) -> ModelError:
         """The same, of what is changed on each channel of each record (B, m)."""
-        forms, gains = thresholds().model_error.form_grid, thresholds().model_error.gain_grid
+        forms = thresholds().model_error.form_grid
+        gains = thresholds().model_error.gain_grid
         losses = self.losses(residual, forms, gains, channels)
         i, j = np.unravel_index(np.argmin(losses), losses.shape)
         # How much a too large form error gains is what is judged, not its size alone: where little is to be seen, 10 % and
@@ -113,7 +114,8 @@ class ModelResponse(NamedTuple):
 
 def products(factors: np.ndarray, d: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Of factors (K, m) over d (m,): their Gram matrix, with the residual over d, and |r / d|^2 + log det D."""
-    scaled, r = factors / d, residual / d
+    scaled = factors / d
+    r = residual / d
     return scaled @ scaled.T, scaled @ r, float(r @ r + 2.0 * np.sum(np.log(d)))
 
 

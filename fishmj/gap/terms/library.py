@@ -185,7 +185,8 @@ def _world(axis: tuple[float, float], f: Factor):
 
     def body(xp, p, b, memory, h):
         force = p.coefficient * f.value(xp, b)
-        c, s = xp.cos(b.heading), xp.sin(b.heading)
+        c = xp.cos(b.heading)
+        s = xp.sin(b.heading)
         return b._replace(fx=b.fx + force * (c * ax + s * ay), fy=b.fy + force * (c * ay - s * ax)), memory
 
     return body

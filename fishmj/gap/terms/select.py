@@ -103,7 +103,8 @@ def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], on
     _, _, size = bounds(whole.model)
     rows, steps = [], []
     for c in fitted:
-        row, place = c.row.copy(), c.places[-1]
+        row = c.row.copy()
+        place = c.places[-1]
         steps.append(0.02 * size[place])
         row[place] += steps[-1]
         rows.append(row)
@@ -115,7 +116,8 @@ def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], on
 
 
 def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
-    effect, c = terms[k], polished[terms[k].name]
+    effect = terms[k]
+    c = polished[terms[k].name]
     norm = np.linalg.norm(g, axis=1) + 1e-300
     cos = np.abs(g @ g[k]) / norm / norm[k]
     alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
@@ -139,7 +141,8 @@ def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
 
 def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """(K, m) change of z for the usual coefficient of each term, to first order; (K,) least |z|^2 at a few finite ones."""
-    model, sizes = whole.model, (LIMITS.probe, -LIMITS.probe, *LIMITS.finite_probes)
+    model = whole.model
+    sizes = (LIMITS.probe, -LIMITS.probe, *LIMITS.finite_probes)
     rows = np.tile(model.null, (len(terms), len(sizes), 1))
     for k, term in enumerate(terms):
         p = term.parameters[0]
@@ -226,7 +229,8 @@ def stability(z, g, onto: np.ndarray, share, rng, draws: int = LIMITS.half_sampl
     share: (K,) what of each term's gain is left once null runs and sides are counted.
     """
     b, a = sums(z, g, onto)
-    count, hits = onto.shape[1], np.zeros(len(g))
+    count = onto.shape[1]
+    hits = np.zeros(len(g))
     for _ in range(draws):
         half = rng.permutation(count)[: max(2, count // 2)]
         gain = b[:, half].sum(1) ** 2 / (a[:, half].sum(1) + 1e-12) * np.clip(share, 0.0, 1.0)

@@ -61,7 +61,8 @@ def outdone(checks: dict) -> bool:
 
 def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
     """The term that explains most of the records of `e`, but for those that are the formula of what was found."""
-    start, folds = e.with_model(model), found.folds
+    start = e.with_model(model)
+    folds = found.folds
     named = [x for x in e.model.active.effects if x.name in found.best.names]
     terms = {x.name: x for x in model.active.effects if x in library() and not any(is_own_formula(n, x) for n in named)}
     tried = (relinearise(start, c, 1) for c in best_in_sample(start, list(terms.values())))
