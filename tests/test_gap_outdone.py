@@ -1,6 +1,5 @@
 """What was found has to explain more than any free force; and an effect that can only be right may be wrong in its form."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -103,10 +102,10 @@ def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
     verdict = investigate(plant, trials, null=NULL).verdict
     assert verdict.answer == "NAMED" and verdict.gates["lead"] < 0.0
     assert not verdict.gates["believed"]  # a constant force is a poor current
-    given = replace(thresholds().stronger, lead=verdict.gates["lead"] - 1.0)
+    given = thresholds().stronger._replace(lead=verdict.gates["lead"] - 1.0)
     monkeypatch.setattr(stronger, "thresholds", lambda: thresholds()._replace(stronger=given))
     assert investigate(plant, trials, null=NULL).verdict.answer == "NAMED"
-    given = replace(given, form_ratio=1e3)
+    given = given._replace(form_ratio=1e3)
     assert investigate(plant, trials, null=NULL).verdict.answer == "UNEXPLAINED"
 
 

@@ -20,7 +20,8 @@ def test_each_threshold_has_a_value_a_unit_and_a_source_and_is_read():
     assert set(file) == set(thresholds()._fields)
     for name, table in file.items():
         read = getattr(thresholds(), name)
-        assert set(table) == {field.name for field in fields(read)}
+        names = [field.name for field in fields(read)] if name == "gates" else list(read._fields)
+        assert list(table) == names
         for key, entry in table.items():
             assert set(entry) == {"value", "unit", "source"} and entry["unit"], key
             assert entry["source"].partition(": ")[0] in ("tuned", "default", "derived"), key
