@@ -58,16 +58,16 @@ def separation(model, one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(apart @ np.linalg.solve(usual + open_.T @ open_, apart)))
 
 
-def told(model, records: list[Record]) -> str:
+def agreement(model, records: list[Record]) -> str:
     """In words, what the records' weighings say of the model as it is; "" without any."""
     weighed = next((r.weighed for r in records if r.weighed is not None), None)
     if weighed is None:
         return ""
     rows = zip(QUANTITIES, weighed.values[0], predicted(model, model.null)[0], weighed.sigma, strict=True)
     off = [
-        f"{name} is {value:.4g} {unit}, the model's {model:.4g} ({abs(value - model) / sigma:.0f} sigma)"
-        for (name, unit), value, model, sigma in rows
-        if abs(value - model) > BEYOND * sigma
+        f"{name} is {value:.4g} {unit}, the model's {nominal:.4g} ({abs(value - nominal) / sigma:.0f} sigma)"
+        for (name, unit), value, nominal, sigma in rows
+        if abs(value - nominal) > BEYOND * sigma
     ]
     known = ", ".join(name for (name, _), value in zip(QUANTITIES, weighed.values[0], strict=True) if np.isfinite(value))
     return f"Weighed: its {'; its '.join(off)}." if off else f"What was weighed agrees ({known})."

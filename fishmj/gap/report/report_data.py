@@ -82,7 +82,7 @@ def gathered(inquiry: Inquiry, gates: Gates | None = None) -> ReportData:
     e, found = inquiry.evidence, inquiry.found
     logs = [r._replace(weighed=None) for r in e.records]
     c = compared(e.model, logs, e.scale[e.layout.channel != mass_properties.CHANNEL], found.base.row, after(inquiry))
-    growth, weighed = curves(e.model, logs, *c.rows), mass_properties.told(e.model, e.records)
+    growth, weighed = curves(e.model, logs, *c.rows), mass_properties.agreement(e.model, e.records)
     return ReportData(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 
