@@ -103,11 +103,12 @@ def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(pla
 
 def test_what_was_weighed_is_said_in_words(plant):
     (record,) = (record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1]))
-    said = lambda hides: mass_properties.told(
+    said = lambda hides: mass_properties.agreement(
         plant, mass_properties.with_page([record], mass_properties.sensor(page(hides, 5), plant))
     )
     assert (
-        said({}) == "What was weighed agrees (mass, balance point, yaw inertia)." and mass_properties.told(plant, [record]) == ""
+        said({}) == "What was weighed agrees (mass, balance point, yaw inertia)."
+        and mass_properties.agreement(plant, [record]) == ""
     )
     assert "yaw inertia is 0.01897 kg m2" in said(TURNS) and "the model's 0.013" in said(TURNS) and "mass" not in said(TURNS)
 
