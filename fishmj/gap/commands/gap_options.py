@@ -4,8 +4,8 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
+from fishmj.gap.null.recorded_null import LAST_SEED, LOUDEST, MOST_RUNS
 from fishmj.gap.null.simulated_null import RUNS
-from fishmj.gap.records.datasets import LAST_SEED, LOUDEST, MOST_RUNS
 
 MOST_EFFECTS = 8
 FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter

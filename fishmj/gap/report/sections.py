@@ -72,7 +72,7 @@ def figures(m: ReportData) -> list[str]:
         out.append((level(last.before), f"gap on records {last.name}; 1 is agreement"))
     if v.answer in ("NAMED", "CLASS") and v.effects:
         out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): how surely the best of the catalogue"))
-    seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.plant.active.effects)
+    seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.model.active.effects)
     out.append((f"{len(m.inquiry.records)}", f"records, {seconds:.0f} s; {effects} effects in question"))
     return [f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in out]
 

@@ -1,6 +1,6 @@
 """Cases of the flow solver: data sets that it made, some with an effect hidden in them, and null sets of its own fish.
 
-    data/gap/lbm/nulls/<name>.npz        nothing hidden            `null_sets.Sets` without the one in question
+    data/gap/lbm/nulls/<name>.npz        nothing hidden            `RecordedNull` without the one in question
     data/gap/lbm/planted/<name>.npz      an effect each
     data/gap/lbm/truth.json              {name: {"effects": {..}, "seed": ..}}, opened here only
 
