@@ -164,7 +164,7 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
     parts += [f"{name} = real({float(v)!r})\n" for name, v in reals]
     parts.append(fast_math.source(precision))
     parts += [lane_loop(name, *generate(robot, name), rows) for name in NEEDS[entry]]
-    kernels = Path(__file__).with_name("kernels.py").read_text(encoding="utf-8")
+    kernels = Path(__file__).with_name("lane_kernels.py").read_text(encoding="utf-8")
     plain = "@njit(**MATH)\ndef "
     kernels = re.sub(r"^def ", plain, kernels[kernels.index("\n\n\ndef ") :].lstrip(), flags=re.MULTILINE)
     parts.append(kernels.replace(f"{plain}{entry}(", f"@njit({entry.upper()}, cache=CACHE, nogil=True, **MATH)\ndef {entry}("))

@@ -4,6 +4,7 @@ Not resumable; for a run that must survive, train seed by seed.
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -26,7 +27,7 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
     look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
-    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}") for seed in seeds]
+    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}", learner.policy_layers) for seed in seeds]
     bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
     bar.stage("compiling the first iteration")
     done, next_look, episodes, dropped = 0, settings.assess_every, 0.0, 0.0
@@ -61,8 +62,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
 class Lane:
     """One seed among the others: its folder, its figures, its best policy."""
 
-    def __init__(self, settings: Settings, folder: Path):
-        self.settings, self.folder = settings, folder
+    def __init__(self, settings: Settings, folder: Path, policy_layers: Callable):
+        self.settings, self.folder, self.policy_layers = settings, folder, policy_layers
         self.best: dict | None = None
         self.board = MetricsLog(folder)
         store.write_json(folder / "settings.json", as_dict(settings))
@@ -79,7 +80,7 @@ class Lane:
         s = self.settings
         meta = {"steps": done, "engine": pick_engine(s.engine), "preset": s.preset, "task": as_dict(s)["task"]}
         meta |= {"tune": self.best} if name == "best" else {}
-        policy_of(jax.tree.map(lambda a: a[i], actors), s, meta).save(self.folder / f"{name}.safetensors")
+        policy_of(self.policy_layers(jax.tree.map(lambda a: a[i], actors)), s, meta).save(self.folder / f"{name}.safetensors")
 
     def summary(self, done: int, seconds: float) -> dict:
         """As `Run.summary`; the steps are this seed's, the seconds those of all."""

@@ -7,8 +7,8 @@ import numpy as np
 from fishmj.errors import ConfigError, UnknownName
 
 ACTIVATIONS = {"relu": jax.nn.relu, "tanh": jnp.tanh}
-# target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
-SCALE = {"target": 1.0, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
+# target m, the same within reach m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
+SCALE = {"target": 1.0, "near": 0.1, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
 
 
 def scale(joints: int) -> np.ndarray:
@@ -23,6 +23,12 @@ def input_scale(joints: int, memory: int) -> np.ndarray:
     """Divisors of the whole policy input: observation, then (action, observation) pairs."""
     one = scale(joints)
     return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
+
+
+def privileged_scale(joints: int) -> np.ndarray:
+    """Divisors of what a privileged critic sees besides: true observation, flow, share of time left, target within reach."""
+    s = SCALE
+    return np.concatenate([scale(joints), [s["velocity"]] * 2, [1.0], [s["near"]] * 2])
 
 
 def mlp(key, sizes, last: float = 0.01):

@@ -26,6 +26,12 @@ PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # wha
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 
+FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints called them before, the longer first
+    ".agent.target_critics": ".targets", ".agent.opt_states": ".optimisers", ".agent": "",
+    ".replay.next_obs": ".memory.ahead", ".replay.terminated": ".memory.ended", ".replay": ".memory",
+    ".opt_state": ".optimiser", ".env_state": ".env", ".env_steps": ".updates", ".iteration": ".updates",
+}  # fmt: skip
+
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
     """Every leaf of a pytree under its path; random keys as their bits."""
@@ -37,13 +43,21 @@ def arrays_of(tree) -> dict[str, np.ndarray]:
     return out
 
 
+def stored_name(name: str, arrays: dict) -> str:
+    """The name of a leaf in a checkpoint, which may be from a version that called it otherwise."""
+    if name in arrays:
+        return name
+    now, then = next(((now, then) for now, then in FORMER.items() if name.startswith(now)), ("", ""))
+    return then + name.removeprefix(now)
+
+
 def tree_of(arrays: dict[str, np.ndarray], like):
     """The inverse of `arrays_of`. Raises ConfigError when the checkpoint belongs to another set-up."""
     paths, shape = jax.tree_util.tree_flatten_with_path(like)
     leaves = []
     for path, leaf in paths:
-        name = jax.tree_util.keystr(path)
-        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        name = stored_name(jax.tree_util.keystr(path), arrays)
+        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # no array of numbers: its bits are stored
         expected = jax.random.key_data(leaf).shape if key else leaf.shape
         if name not in arrays or arrays[name].shape != expected:
             got = arrays[name].shape if name in arrays else "nothing"
@@ -174,7 +188,8 @@ class TrainingRun:
         s = self.settings
         meta = {"steps": self.done, "seconds": round(self.seconds, 1), "engine": pick_engine(s.engine), "preset": s.preset}
         meta |= {"task": as_dict(s)["task"], **({"tune": figures} if figures else {})}
-        policy_of(self.training.actor, self.settings, meta).save(self.folder / f"{name}.safetensors")
+        network = self.algorithm.policy_layers(self.training.actor)
+        policy_of(network, s, meta).save(self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
         """Stop on non-finite learning or on too many dropped episodes; what was saved stays."""
@@ -193,7 +208,7 @@ class TrainingRun:
         if bad := [k for k, v in table.items() if not np.isfinite(v).all()]:
             raise SimDiverged(
                 f"training: {', '.join(bad[:3])} became non-finite at step {self.done:,}; the newest checkpoint in "
-                f"{self.checkpoints.folder} is intact: --resume with a smaller --learning-rate",
+                f"{self.checkpoints.folder} is intact; start again with a smaller --learning-rate",
                 term="learner",
             )
 
