@@ -225,7 +225,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
     if args.resume and not any((folder / "checkpoints").is_dir() for folder in found.values()):
         said = "start without --resume"
-        if inside := sorted(path.parent.parent.name for path in (args.out or Path()).glob("seed-*/checkpoints/")):
+        if inside := sorted(path.parent.name for path in (args.out or Path()).glob("seed-*/checkpoints")):
             listed = ",".join(name.removeprefix("seed-") for name in inside)
             said = f"there are the runs {', '.join(inside)}: add --seeds {listed}"
         raise ConfigError(f"{', '.join(map(str, found.values()))}: nothing to resume; {said}")

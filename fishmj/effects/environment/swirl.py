@@ -15,6 +15,7 @@ EFFECT = Effect(
     formula="(u, v)' = (u - O y, v + O x)",
     source="pumped tanks: 0.01 to 0.05 rad/s",
     parameters=(Parameter(name="rate", unit="rad/s", low=-0.3, high=0.3, typical=(0.01, 0.05)),),
+    handed=("rate",),
     shows=("position", "heading"),
     confusions=(
         Confusion(
