@@ -9,7 +9,7 @@ import pytest
 from training import EDGE, Point
 
 from fishmj.train import ppo, sac
-from fishmj.train.off_policy import ReplayBuffer
+from fishmj.train.off_policy import ReplayBuffer, Transition
 from fishmj.train.training_run import arrays_of
 
 SMALL = {"hidden": (16,), "envs": 8}
@@ -86,7 +86,7 @@ def test_a_dropped_step_gives_ppo_no_advantage_and_never_reaches_sacs_buffer():
     learner = sac_learner(poisoned=0)
     t, metrics = learner.iterate(learner.init(jax.random.key(0)))
     assert metrics["diverged"] == 8 and t.replay.size == 64
-    assert t.replay.reward[:64].max() <= 0
+    assert t.replay.data.reward[:64].max() <= 0
 
 
 def test_sac_remembers_time_limits_as_no_end_and_the_observation_before_the_restart():
@@ -94,12 +94,12 @@ def test_sac_remembers_time_limits_as_no_end_and_the_observation_before_the_rest
     t = learner.init(jax.random.key(0))
     for _ in range(8):
         t, _ = learner.iterate(t)
-    replay, n = t.replay, int(t.replay.size)
+    stored, n = t.replay.data, int(t.replay.size)
     scale = np.asarray(learner.obs_scale)
-    x, next_x = (np.asarray(a[:n]) @ np.eye(7)[0] * scale[0] for a in (replay.obs, replay.next_obs))
-    np.testing.assert_allclose(next_x, x + 0.3 * np.asarray(replay.action[:n, 0]), atol=1e-6)  # a restart would be elsewhere
-    np.testing.assert_array_equal(replay.terminated[:n] == 1, np.abs(next_x) > EDGE)
-    assert n == 512 and 0 < replay.terminated[:n].sum() < n / 10  # 51 time limits at least, none of them an end
+    x, next_x = (np.asarray(a[:n]) @ np.eye(7)[0] * scale[0] for a in (stored.obs, stored.next_obs))
+    np.testing.assert_allclose(next_x, x + 0.3 * np.asarray(stored.action[:n, 0]), atol=1e-6)  # a restart would be elsewhere
+    np.testing.assert_array_equal(stored.terminated[:n] == 1, np.abs(next_x) > EDGE)
+    assert n == 512 and 0 < stored.terminated[:n].sum() < n / 10  # 51 time limits at least, none of them an end
 
 
 @pytest.mark.parametrize("terminated", [0.0, 1.0])
@@ -111,9 +111,8 @@ def test_sac_critic_loss_is_the_squared_distance_to_the_bellman_target(terminate
     actor[-1] = (actor[-1][0], jnp.array([0.4, -20.0]))  # mu = 0.4, sigma = e^-10
     rng = np.random.default_rng(0)
     obs, next_obs = rng.normal(size=(2, 1, 7)).astype(np.float32)
-    replay = ReplayBuffer(
-        obs, np.array([[0.7]], np.float32), np.array([1.5]), next_obs, np.array([terminated]), jnp.int32(1), jnp.int32(0)
-    )
+    one = Transition(obs, np.array([[0.7]], np.float32), np.array([1.5]), next_obs, np.array([terminated]))
+    replay = ReplayBuffer(one, jnp.int32(1), jnp.int32(0))
     targets = jax.tree.map(lambda a: a + 0.1, agent.critics)
     relu = lambda x: np.maximum(x, 0)
     q = lambda critics, i, s, a: numpy_mlp([(w[i], b[i]) for w, b in critics], np.append(s, a)[None], relu)[0, 0]

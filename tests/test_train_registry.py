@@ -135,8 +135,9 @@ def test_names_of_older_checkpoints_are_found():
         (".agent.actor[0][0]", ".actor[0][0]"),
         (".agent.target_critics[1][0]", ".targets[1][0]"),
         (".agent.opt_states[0][0].mu", ".optimisers[0][0].mu"),
-        (".replay.next_obs", ".memory.ahead"),
-        (".replay.obs", ".memory.obs"),
+        (".replay.data.next_obs", ".memory.ahead"),
+        (".replay.data.obs", ".memory.obs"),
+        (".replay.size", ".memory.size"),
         (".opt_state[1][0].count", ".optimiser[1][0].count"),
         (".env_state.fish.q", ".env.fish.q"),
     ):

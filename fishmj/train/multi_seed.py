@@ -13,11 +13,10 @@ import numpy as np
 
 from fishmj import console, store
 from fishmj.errors import SimDiverged
-from fishmj.train.build import pick_engine, policy_of
 from fishmj.train.interruptions import stop_on_signal
 from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import Settings, as_dict, change
-from fishmj.train.training_run import MAX_DIVERGED, is_better, learner_of
+from fishmj.train.training_run import MAX_DIVERGED, export, is_better, learner_of, summary_of
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
@@ -56,7 +55,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     for i, lane in enumerate(lanes):
         lane.export("last", training.actor, i, done)
     seconds = time.monotonic() - start
-    return [{**lane.summary(done, seconds), "stopped": bool(asked), "together": len(seeds)} for lane in lanes]
+    told = [summary_of(lane.settings, lane.folder, done, seconds, lane.best, bool(asked)) for lane in lanes]
+    return [{**one, "together": len(seeds)} for one in told]
 
 
 class Lane:
@@ -77,21 +77,6 @@ class Lane:
 
     def export(self, name: str, actors, i: int, done: int) -> None:
         """Write the policy `name`."""
-        s = self.settings
-        meta = {"steps": done, "engine": pick_engine(s.engine), "preset": s.preset, "task": as_dict(s)["task"]}
-        meta |= {"tune": self.best} if name == "best" else {}
-        policy_of(self.policy_layers(jax.tree.map(lambda a: a[i], actors)), s, meta).save(self.folder / f"{name}.safetensors")
-
-    def summary(self, done: int, seconds: float) -> dict:
-        """As `Run.summary`; the steps are this seed's, the seconds those of all."""
-        return {
-            "folder": str(self.folder),
-            "policy": str(self.folder / f"{'best' if self.best else 'last'}.safetensors"),
-            "algorithm": self.settings.algo,
-            "engine": pick_engine(self.settings.engine),
-            "seed": self.settings.seed,
-            "steps": done,
-            "seconds": round(seconds, 2),
-            "steps_per_second": round(done / max(seconds, 1e-9)),
-            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
-        }
+        network = self.policy_layers(jax.tree.map(lambda a: a[i], actors))
+        meta = {"steps": done, **({"tune": self.best} if name == "best" else {})}
+        export(network, self.settings, meta, self.folder / f"{name}.safetensors")

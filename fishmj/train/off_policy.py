@@ -73,33 +73,29 @@ class Transition(NamedTuple):
 
 
 class ReplayBuffer(NamedTuple):
-    """Ring buffer of transitions."""
+    """Ring buffer of transitions, (capacity, ...) each."""
 
-    obs: Any
-    action: Any
-    reward: Any
-    next_obs: Any
-    terminated: Any
+    data: Transition
     size: Any
     head: Any
 
     @classmethod
     def empty(cls, capacity: int, n_obs: int, n_act: int) -> "ReplayBuffer":
         """Room for `capacity` transitions."""
-        obs, action, next_obs = (jnp.zeros((capacity, width)) for width in (n_obs, n_act, n_obs))
-        return cls(obs, action, jnp.zeros(capacity), next_obs, jnp.zeros(capacity), jnp.int32(0), jnp.int32(0))
+        shapes = Transition((capacity, n_obs), (capacity, n_act), capacity, (capacity, n_obs), capacity)
+        return cls(Transition(*map(jnp.zeros, shapes)), jnp.int32(0), jnp.int32(0))
 
     def add(self, transition: Transition) -> "ReplayBuffer":
         """With B more transitions, in place of the oldest; the capacity is a multiple of B."""
         put = lambda array, rows: jax.lax.dynamic_update_slice_in_dim(array, rows, self.head, 0)
-        n, capacity = len(transition.reward), len(self.reward)
-        rows = (put(array, new) for array, new in zip(self[:5], transition, strict=True))
-        return ReplayBuffer(*rows, jnp.minimum(self.size + n, capacity), (self.head + n) % capacity)
+        n, capacity = len(transition.reward), len(self.data.reward)
+        data = jax.tree.map(put, self.data, transition)
+        return ReplayBuffer(data, jnp.minimum(self.size + n, capacity), (self.head + n) % capacity)
 
     def sample(self, key, n: int) -> Transition:
         """n transitions, each drawn from all that are there."""
         rows = jax.random.randint(key, (n,), 0, self.size)
-        return Transition(*(array[rows] for array in self[:5]))
+        return jax.tree.map(lambda array: array[rows], self.data)
 
 
 class OffPolicyTrainState(NamedTuple):

@@ -19,6 +19,7 @@ from fishmj.errors import ConfigError, SimDiverged
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of
 from fishmj.train.evaluate_policy import Assessment
 from fishmj.train.interruptions import stop_on_signal, when_there_is_room
+from fishmj.train.learner import PolicyLayers
 from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
@@ -28,7 +29,8 @@ MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single
 
 FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints called them before, the longer first
     ".agent.target_critics": ".targets", ".agent.opt_states": ".optimisers", ".agent": "",
-    ".replay.next_obs": ".memory.ahead", ".replay.terminated": ".memory.ended", ".replay": ".memory",
+    ".replay.data.next_obs": ".memory.ahead", ".replay.data.terminated": ".memory.ended", ".replay.data": ".memory",
+    ".replay": ".memory",
     ".opt_state": ".optimiser", ".env_state": ".env", ".env_steps": ".updates", ".iteration": ".updates",
 }  # fmt: skip
 
@@ -161,19 +163,7 @@ class TrainingRun:
 
     def summary(self, stopped: bool = False) -> dict:
         """What the command line prints last."""
-        best, last = (self.folder / f"{name}.safetensors" for name in ("best", "last"))
-        return {
-            "folder": str(self.folder),
-            "policy": str(best if best.exists() else last),
-            "algorithm": self.settings.algo,
-            "engine": pick_engine(self.settings.engine),
-            "seed": self.settings.seed,
-            "steps": self.done,
-            "seconds": round(self.seconds, 2),
-            "steps_per_second": round(self.done / max(self.seconds, 1e-9)),
-            "stopped": stopped,
-            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
-        }
+        return summary_of(self.settings, self.folder, self.done, self.seconds, self.best, stopped)
 
     def _look(self) -> tuple[dict, bool]:
         """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
@@ -185,11 +175,8 @@ class TrainingRun:
         return {f"tune_{k}": v for k, v in figures.items()}, better
 
     def _export(self, name: str, figures: dict) -> None:
-        s = self.settings
-        meta = {"steps": self.done, "seconds": round(self.seconds, 1), "engine": pick_engine(s.engine), "preset": s.preset}
-        meta |= {"task": as_dict(s)["task"], **({"tune": figures} if figures else {})}
-        network = self.algorithm.policy_layers(self.training.actor)
-        policy_of(network, s, meta).save(self.folder / f"{name}.safetensors")
+        meta = {"steps": self.done, "seconds": round(self.seconds, 1), **({"tune": figures} if figures else {})}
+        export(self.algorithm.policy_layers(self.training.actor), self.settings, meta, self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
         """Stop on non-finite learning or on too many dropped episodes; what was saved stays."""
@@ -238,6 +225,29 @@ class TrainingRun:
             for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
+
+
+def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) -> None:
+    """Write a policy file that says how it was trained."""
+    made = {"engine": pick_engine(settings.engine), "preset": settings.preset, "task": as_dict(settings)["task"]}
+    policy_of(network, settings, {**made, **meta}).save(path)
+
+
+def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool) -> dict:
+    """What a run, or one seed of several, tells at its end."""
+    policies = [folder / f"{name}.safetensors" for name in ("best", "last")]
+    return {
+        "folder": str(folder),
+        "policy": str(policies[0] if policies[0].exists() else policies[1]),
+        "algorithm": settings.algo,
+        "engine": pick_engine(settings.engine),
+        "seed": settings.seed,
+        "steps": done,
+        "seconds": round(seconds, 2),
+        "steps_per_second": round(done / max(seconds, 1e-9)),
+        "stopped": stopped,
+        **{f"tune_{k}": v for k, v in (best or {}).items()},
+    }
 
 
 def go_on(folder: Path, done: int, settings: Settings) -> str:
