@@ -127,6 +127,21 @@ def test_together_refuses_what_brings_its_own_loop(algo, tmp_path, capsys):
     assert "--together trains fishmj's own algorithms only" in capsys.readouterr().err
 
 
+def test_seeds_stopped_together_name_no_command_that_would_not_work(monkeypatch, tmp_path, capsys):
+    from fishmj.train import multi_seed
+    from fishmj.train.training_run import summary_of
+
+    def stopped(settings, seeds, folder):
+        return [summary_of(change(settings, seed=seed), folder / f"seed-{seed}", 5, 1.0, None, True) for seed in seeds]
+
+    monkeypatch.setattr(multi_seed, "train_together", stopped)
+    words = ["--preset", "quick", "--together", "--seeds", "0,1", "--out", str(tmp_path / "run")]
+    assert console.run(main, words) == console.INTERRUPTED
+    out, err = capsys.readouterr()
+    assert "--together cannot go on" in err and "--resume" not in err
+    assert "not yet judged on the tuning flows" in out and "nan" not in out
+
+
 # ---- checkpoints of versions that called things otherwise ----
 
 

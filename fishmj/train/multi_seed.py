@@ -29,7 +29,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}", learner.policy_layers) for seed in seeds]
     bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
     bar.stage("compiling the first iteration")
-    done, next_look, episodes, dropped = 0, settings.assess_every, 0.0, 0.0
+    done, episodes, dropped = 0, 0.0, 0.0
+    next_look = settings.assess_every
     with stop_on_signal(lambda: f"the best policies so far are in {folder}; --together cannot go on") as asked, bar:
         while done < settings.steps and not asked:
             training, figures = iterate(training)

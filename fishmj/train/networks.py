@@ -21,6 +21,7 @@ def scale(joints: int) -> np.ndarray:
 
 def input_scale(joints: int, memory: int) -> np.ndarray:
     """Divisors of the whole policy input: observation, then (action, observation) pairs."""
+    # fixed numbers, no running statistics: a policy file holds them, and the robot divides as training did
     one = scale(joints)
     return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
 
@@ -32,10 +33,13 @@ def privileged_scale(joints: int) -> np.ndarray:
 
 
 def mlp(key, sizes, last: float = 0.01):
-    """Orthogonal weights with gain sqrt(2), the last layer with gain `last`; biases zero."""
+    """Orthogonal weights with gain sqrt(2), the last layer with gain `last`; biases zero. Saxe et al. 2014, arXiv 1312.6120."""
     layers = []
     for i, (a, b) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        # sqrt(2) makes up for the half that ReLU cuts off, so that signals keep their size through the layers; an actor's small
+        # last gain starts it near rest, where tanh is no plateau, and leaves exploring to sigma
         gain = last if i == len(sizes) - 2 else np.sqrt(2)
+        # a key for each layer: one more layer at the end leaves the weights before it as they were
         w = jax.nn.initializers.orthogonal(gain)(jax.random.fold_in(key, i), (a, b), jnp.float32)
         layers.append((w, jnp.zeros(b)))
     return layers

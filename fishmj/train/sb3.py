@@ -78,7 +78,8 @@ class StableSAC:
 
     def init(self, key) -> SB3TrainState:
         """A fresh learner; the seed is the key's."""
-        c, f = self.config, {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[self.config.activation]
+        c = self.config
+        activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[c.activation]
         self.seed = int(jax.random.key_data(key)[-1])
         self.model = RefillCallback(
             "MlpPolicy",
@@ -92,7 +93,7 @@ class StableSAC:
             gradient_steps=self.per_step,
             replay_buffer_class=FiniteReplayBuffer,
             ent_coef="auto_0.2",
-            policy_kwargs={"net_arch": list(c.hidden), "activation_fn": f},
+            policy_kwargs={"net_arch": list(c.hidden), "activation_fn": activation},
             seed=self.seed,
         )
         self.model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder for each `learn`

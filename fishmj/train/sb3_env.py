@@ -60,12 +60,14 @@ class FishVecEnv(VecEnv):
     def step_wait(self):
         """One control step of all fish: (observations, rewards, dones, infos)."""
         raw, reward, terminated, truncated, info = self.fish.step(self._actions)
-        over, last = terminated | truncated, raw
+        over = terminated | truncated
+        last = raw
         if over.any():
             last = raw.copy()
             last[over] = np.stack(info["final_obs"][over])
         seen = np.concatenate([last * self.factor, self._actions, self.seen], 1)[:, : self.seen.shape[1]]
-        self.count, self.gain = self.count + 1, self.gain + reward
+        self.count = self.count + 1
+        self.gain = self.gain + reward
         infos: list[dict] = [{} for _ in over]
         for i in np.flatnonzero(over):
             infos[i] = {

@@ -82,7 +82,8 @@ class TrainingRun:
         self.episodes, self.dropped = 0, 0
         self._saving, self._under_way = Lock(), False
         self._held: tuple[dict, dict] | None = None
-        self._pace, self._looked = 0.0, False
+        self._pace = 0.0  # s of the last iteration
+        self._looked = False
         self.bar = console.Progress(settings.steps, "train", "steps")
         if not quiet:
             self.bar.stage("compiling the fish and the networks")
@@ -96,7 +97,7 @@ class TrainingRun:
 
     def go(self) -> dict:
         """Train to the end, or to Ctrl-C; the summary says which."""
-        s, step = self.settings, self.algorithm.steps_per_iteration
+        s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
@@ -107,7 +108,7 @@ class TrainingRun:
                 self._judge(board, write)
             while self.done < s.steps and not asked:
                 figures = self._iterate()
-                self.done += step
+                self.done += self.algorithm.steps_per_iteration
                 self.seconds = time.monotonic() - start
                 self._check(figures)
                 self._under_way = False
@@ -215,14 +216,18 @@ class TrainingRun:
             found = self.checkpoints.latest()
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
+        # the checkpoint's own settings, not those of settings.json: a resumed run may have written that anew already
         same(self.folder, self.settings, found.meta["settings"])
+        # the fresh state says which leaves, shapes and dtypes there must be; the key among them makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
+        # counts of the run, not of the learner: without them a resumed run would assess, and stop, at other steps
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
         self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
         if found.note:
             console.warn(found.note)
-            for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
+            # newer than the one that was read, and damaged: kept for whoever wants to know, but never tried again
+            for path in self.checkpoints.paths():
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
 
