@@ -50,19 +50,11 @@ def options() -> console.Parser:
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    add(
-        "--envs",
-        type=console.whole(1, 2**20),
-        metavar="N",
-        help=f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})",
-    )
+    envs = f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})"
+    add("--envs", type=console.whole(1, 2**20), metavar="N", help=envs)
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
-    add(
-        "--seeds",
-        type=console.Listed(SEED),
-        metavar="N,..",
-        help="several runs, one after the other, for example 0,1,2 (default: --seed)",
-    )
+    seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
+    add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
     together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
     add("--together", action="store_true", help=together)
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
@@ -70,17 +62,10 @@ def options() -> console.Parser:
     critic = "of PPO. privileged: it sees the flow, the policy does not; plain: what the policy sees (default: privileged)"
     add("--critic", choices=CRITICS, help=critic)
     widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
-    add(
-        "--hidden",
-        type=widths,
-        metavar="N,..",
-        help=f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})",
-    )
-    add(
-        "--learning-rate",
-        type=console.number(0, 1, above=True),
-        help="of the algorithm (default: the preset's, else the algorithm's)",
-    )
+    hidden = f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})"
+    add("--hidden", type=widths, metavar="N,..", help=hidden)
+    rate = "of the algorithm (default: the preset's, else the algorithm's)"
+    add("--learning-rate", type=console.number(0, 1, above=True), help=rate)
     add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")
     intensity = "largest turbulence intensity, u_rms / max(speed, 0.1 m/s); each episode draws from 0 to it"
     intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
@@ -103,9 +88,8 @@ def options() -> console.Parser:
     out += " (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
     p.add_argument("--yes", action="store_true", help="begin also what takes more than a week, or more memory than there is")
-    p.add_argument(
-        "--resume", action="store_true", help="go on with the run in --out, under its own settings: only --steps may differ"
-    )
+    resume = "go on with the run in --out, under its own settings: only --steps may differ"
+    p.add_argument("--resume", action="store_true", help=resume)
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     return p
 
@@ -141,11 +125,8 @@ def settings_from(args, run=None):
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
     algorithm, task, reward = {}, {}, dict(args.reward)
-    top = {
-        name: value
-        for name in ("preset", "engine", "robot", "water", "seed", "command_path")
-        if (value := getattr(args, name)) is not None
-    }
+    plain = ("preset", "engine", "robot", "water", "seed", "command_path")
+    top = {name: value for name in plain if (value := getattr(args, name)) is not None}
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
         s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})

@@ -9,6 +9,7 @@
 One environment step brings `utd` gradient steps a fish, after `warmup` control steps of random actions.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
@@ -117,6 +118,9 @@ class OffPolicy:
     """The loop of a `learner.Learner` with a replay buffer: `block` environment steps an iteration, learning after each."""
 
     name: str
+    init_agent: Callable[..., Any]  # the three that an algorithm writes
+    explore: Callable[..., Any]
+    update: Callable[..., Any]
 
     def __init__(self, env, config: OffPolicyConfig, steps: int):
         self.env, self.config = env, config
@@ -125,18 +129,6 @@ class OffPolicy:
         self.capacity = max(config.envs, min(config.buffer, steps) // config.envs * config.envs)
         self.optimiser = optax.adam(config.learning_rate)
         self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
-
-    def init_agent(self, k_actor, k_critics):
-        """Fresh networks. A NamedTuple with `actor`."""
-        raise NotImplementedError
-
-    def explore(self, agent, obs, key):
-        """Actions (B, J) to learn from, for scaled observations."""
-        raise NotImplementedError
-
-    def update(self, replay: ReplayBuffer, agent, key):
-        """(agent after one gradient step, loss)."""
-        raise NotImplementedError
 
     def diagnostics(self, agent) -> dict:
         """Metrics of the algorithm's own."""

@@ -43,9 +43,7 @@ EFFECT = Effect(
             excitations=("gait", "gait_mirrored"),
         ),
         Confusion(
-            other="servo_deadband",
-            separates="does not change sign with the direction of approach",
-            excitations=("staircase",),
+            other="servo_deadband", separates="does not change sign with the direction of approach", excitations=("staircase",)
         ),
     ),
     servo=servo,

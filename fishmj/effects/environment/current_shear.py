@@ -25,12 +25,7 @@ EFFECT = Effect(
             excitations=("station_left", "station_right", "drift_north"),
         ),
         Confusion(
-            other="steady_current",
-            separates="the same run at two stations",
-            excitations=(
-                "station_left",
-                "station_right",
-            ),
+            other="steady_current", separates="the same run at two stations", excitations=("station_left", "station_right")
         ),
     ),
     flow=flow,

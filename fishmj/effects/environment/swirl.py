@@ -23,14 +23,7 @@ EFFECT = Effect(
             separates="cross drift at other x",
             excitations=("station_left", "station_right", "drift_north"),
         ),
-        Confusion(
-            other="steady_current",
-            separates="vanishes at the centre",
-            excitations=(
-                "station_left",
-                "station_right",
-            ),
-        ),
+        Confusion(other="steady_current", separates="vanishes at the centre", excitations=("station_left", "station_right")),
     ),
     flow=flow,
 )
