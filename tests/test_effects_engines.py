@@ -12,7 +12,7 @@ from fishmj import effects, engines
 from fishmj.effects.calibration import FittedEffect, Interval, write
 from fishmj.effects.sites import Measured
 from fishmj.engines import batch, extensions, mjx, planar
-from fishmj.engines.single import cubic
+from fishmj.engines.recorder import cubic
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow, stack
 from fishmj.log import stacked

@@ -68,5 +68,5 @@ class FishEnv(gymnasium.Env):
             self._picture = None
 
     def _look(self) -> np.ndarray:
-        seen = self.episodes.look(self.np_random.standard_normal((1, self.rules.n_obs)))[0]
+        seen = self.episodes.observation(self.np_random.standard_normal((1, self.rules.n_obs)))[0]
         return spaces.clipped(seen, self._bounds)

@@ -124,7 +124,7 @@ class FishVectorEnv(vector.VectorEnv):
         normals = np.zeros((self.num_envs, self.rules.n_obs))
         for i in range(self.num_envs) if rows is None else rows:
             normals[i] = self._rngs[i].standard_normal(self.rules.n_obs)
-        return spaces.clipped(self.episodes.look(normals), self._bounds)
+        return spaces.clipped(self.episodes.observation(normals), self._bounds)
 
     def _info(self, distance, power, diverged) -> dict:
         every = np.ones(self.num_envs, bool)

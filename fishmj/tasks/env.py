@@ -20,6 +20,7 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.loop import slide
 from fishmj.tasks.own_task import course_of
 from fishmj.tasks.reference import StepTruth
 from fishmj.tasks.sensing import Sensors, readings
@@ -133,8 +134,7 @@ class StationHold:
         commands = task.chunk(jnp, self.robot, state.command, action)
         fish, trace = self.engine.advance(state.fish, commands, state.params, state.current, state.tick)
         bad = ~(jnp.all(jnp.isfinite(fish.q), -1) & jnp.all(jnp.isfinite(fish.v), -1))
-        history = jnp.concatenate([state.history, trace.pose], 1)[:, -self.length :]
-        history = jnp.where(bad[:, None, None], 0.0, history)
+        history = jnp.where(bad[:, None, None], 0.0, slide(jnp, state.history, trace.pose))
         tick = state.tick + commands.shape[1]
         target = self._target(state.launch, tick) if self.moves else state.target
         distance = jnp.linalg.norm(trace.pose[:, -1, :2] - target, axis=-1)
