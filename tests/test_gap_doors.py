@@ -478,9 +478,6 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
     pytest.raises(DescriptionError, lambda: SwimmingFish(replace(load_robot("fish"), name='"""\nimport os  # ')))
 
 
-# Progress.
-
-
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
     monkeypatch.setattr(simulated_null, "cache_folder", lambda: tmp_path)
     told = []
@@ -493,8 +490,7 @@ def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, mon
         sensors = ("joint", "pose", "power", "placed")
         return [{s: np.zeros((1, *getattr(r, s).values.shape)) for s in sensors if getattr(r, s) is not None} for r in records]
 
-    robot = load_robot("fish")
-    still = SimpleNamespace(robot=robot, dt=0.004, fingerprint="still", predict=predict, null=None)
+    still = SimpleNamespace(robot=load_robot("fish"), dt=0.004, fingerprint="still", predict=predict, null=None)
     records = [record_of(t, still.dt) for t in generate({}, ["idle", "idle"], 0)]
     null = SimulatedNull(runs=8)
     null.residuals(still, records, ResidualLayout(records), lambda total, *_: told.append(f"of {total}") or Bar())

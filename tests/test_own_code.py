@@ -464,26 +464,16 @@ def test_an_own_effect_on_sensors_is_put_onto_logs_and_one_before_them_is_not(tm
 
 
 @pytest.mark.parametrize(
-    "verb",
-    [
-        "evaluate.__main__",
-        "train.__main__",
-        "gap.commands.find",
-        "gap.commands.apply",
-        "gap.commands.check",
-        "gap.commands.next_experiment",
+    ("verb", "needed"),
+    [("evaluate.__main__", "pd"), ("train.__main__", "")]
+    + [
+        (f"gap.commands.{name}", needed)
+        for name, needed in (("find", "D"), ("apply", "R"), ("check", "M --data D"), ("next_experiment", "R"))
     ],
 )
-def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, capsys):
-    needed = {
-        "evaluate.__main__": ["pd"],
-        "gap.commands.find": ["D"],
-        "gap.commands.apply": ["R"],
-        "gap.commands.check": ["M", "--data", "D"],
-        "gap.commands.next_experiment": ["R"],
-    }
+def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, needed, capsys):
     main = importlib.import_module(f"fishmj.{verb}").main
-    assert "no module 'nowhere_9'" in refused(main, [*needed.get(verb, []), "--effects", "nowhere_9:X"], capsys)
+    assert "no module 'nowhere_9'" in refused(main, [*needed.split(), "--effects", "nowhere_9:X"], capsys)
 
 
 # the page and Gymnasium
