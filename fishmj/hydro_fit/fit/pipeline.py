@@ -94,18 +94,18 @@ class FitPipeline:
             raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
         self.robot, self.chain, self.folder, self.report = robot, planar_chain.chain_of(robot), folder, report
         self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or FitSettings()
-        self.taught = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
+        self.force_records = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
         self.tick = self.train[0].tick
         self.swim = rollout.SwimWindow(self.chain, planar_chain.nominal(robot))
         self.limits = prior_of(robot)
-        believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
-        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset, "code": code()}
+        prior = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
+        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code()}
         self.about |= {
             "water": flat(planar_chain.nominal(robot).water).tolist(),
             "records": [r.id for r in [*self.train, *self.val]],
         }
-        told = self.about | {"settings": asdict(self.settings)}
-        self.key = hashlib.sha256(json.dumps(plain(told), sort_keys=True).encode()).hexdigest()
+        depends = self.about | {"settings": asdict(self.settings)}
+        self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
         self.notes: list[str] = []
         self.found: dict[str, dict] = {}
         self.seconds: dict[str, float] = {}
@@ -113,15 +113,15 @@ class FitPipeline:
 
     def run(self) -> HydroModel:
         """All stages; returns the model."""
-        return self._model(self.through(STAGES))
+        return self._model(self.run_stages(STAGES))
 
-    def through(
+    def run_stages(
         self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter, state: dict[str, Any] | None = None
     ) -> dict[str, Any]:
         """What the stages leave, each read where it is kept and else done; `clock` times them, they begin with `state`."""
         state = dict(state or {})
         for stage in stages:
-            self.enter(stage)
+            self.begin_stage(stage)
             kept = self._read(stage)
             if kept is None:
                 self.report(stage, self._share(stage, 0.0), {})
@@ -136,7 +136,7 @@ class FitPipeline:
             self.report(stage, self._share(stage, 1.0), {"seconds": self.seconds.get(stage, 0.0)})
         return state
 
-    def words(self) -> str:
+    def kept_so_far(self) -> str:
         """Keep the stage that is under way as far as it has come; says what there is. For `interrupt.keeping`: another thread."""
         self.loop.save()
         if self.folder is None:
@@ -144,13 +144,13 @@ class FitPipeline:
         done = [stage for stage in STAGES if (path := self._path(stage)) is not None and path.is_file()]
         return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; {interrupt.again()}"
 
-    def enter(self, stage: str) -> None:
-        """Called before a stage; a fit whose stages have keys of their own sets `key`."""
+    def begin_stage(self, stage: str) -> None:
+        """Before each stage; a fit whose stages have keys of their own sets `key` here."""
 
     # stages: state -> what they add to it
 
     def _linear(self, state) -> dict:
-        rows = rows_of(self.chain, self.taught)
+        rows = rows_of(self.chain, self.force_records)
         done = linear_regression.fit_linear(self.robot, self.chain, rows, self.tick)
         self.found["linear"] = done.found.table()
         return {"water": flat(done.water), "noise": done.noise}
@@ -158,13 +158,13 @@ class FitPipeline:
     def _rollout(self, state) -> dict:
         if not self.settings.rollout:
             return self._unmoved(state)
-        return self._newton(state, None, "rollout")
+        return self._gauss_newton(state, None, "rollout")
 
-    def _newton(self, state, learnt, stage: str) -> dict:
+    def _gauss_newton(self, state, learnt, stage: str) -> dict:
         before = self.score(state["water"], learnt)
-        told = lambda k, n, cost: self._tell(stage, k / n, cost=cost)
+        report = lambda k, n, cost: self._report(stage, k / n, cost=cost)
         match, start = self._match(self.train, learnt), unflat(state["water"])
-        done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=told, loop=self.loop)
+        done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=report, loop=self.loop)
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
@@ -185,33 +185,34 @@ class FitPipeline:
         s = self.settings
         if not s.residual:
             return {}
-        told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)
+        report = lambda k, n, cost: self._report("residual", k / n, loss=cost)
         net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
-        taught = self._lessons(state["water"])
+        windows = self._training_windows(state["water"])
         net = force_training.learn(
-            self.chain, taught, net, steps=s.steps, seed=s.seed, left=self._left, report=told, loop=self.loop
+            self.chain, windows, net, steps=s.steps, seed=s.seed, ablated=self._ablated, report=report, loop=self.loop
         ).net
-        return packed(self._reached(net, state["water"]))
+        return packed(self._with_range(net, state["water"]))
 
     def _swims(self, state) -> dict:
         learnt, water = unpacked(state), state["water"]
         if learnt is None or not self.settings.swims:
             return {}
         s, c = self.settings, unflat(water.tolist())
-        taught, held = self._lessons(water), swims.held_of(self.chain, self.train, c)
+        windows = self._training_windows(water)
+        tethered = swims.tethered_of(self.chain, self.train, c)
         pieces = swims.windows_of(self.chain, self.robot, self.train, c)
-        told = lambda k, n, cost: self._tell("swims", k / n, loss=cost)
-        school = swims.RolloutTrainer(self.robot, self.swim, pieces, held, taught, water, left=self._left)
-        net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told, loop=self.loop)
-        return packed(self._reached(net, water))
+        report = lambda k, n, cost: self._report("swims", k / n, loss=cost)
+        trainer = swims.RolloutTrainer(self.robot, self.swim, pieces, tethered, windows, water, ablated=self._ablated)
+        net = trainer.learn(learnt.net, steps=s.swims, seed=s.seed, report=report, loop=self.loop)
+        return packed(self._with_range(net, water))
 
     @property
-    def _left(self) -> dict:
+    def _ablated(self) -> dict:
         return {"memory": self.settings.memory, "products": self.settings.products}
 
-    def _reached(self, net: residual.Net, water) -> residual_hooks.Residual:
-        """The net with the range that it was taught in, and a note on how it swims."""
-        rows = rows_of(self.chain, self.taught)
+    def _with_range(self, net: residual.Net, water) -> residual_hooks.Residual:
+        """The net with the range of its training data, and a note on how it swims."""
+        rows = rows_of(self.chain, self.force_records)
         reach = residual_hooks.fitted(*wake_warmup.features(self.chain, rows), 1e6)
         spread = wake_warmup.warm_up(
             self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
@@ -223,7 +224,7 @@ class FitPipeline:
 
     def _retune(self, state) -> dict:
         learnt = unpacked(state)
-        return {} if learnt is None or not self.settings.rollout else self._newton(state, learnt, "retune")
+        return {} if learnt is None or not self.settings.rollout else self._gauss_newton(state, learnt, "retune")
 
     def _finish(self, state) -> dict:
         learnt, water = unpacked(state), state["water"]
@@ -265,14 +266,14 @@ class FitPipeline:
         """The same of some of them."""
         match.learnt = learnt
         error = match.residuals(np.asarray(water)[None])[0]
-        return float(error @ error / len(error) * match.seen.surge.shape[1])
+        return float(error @ error / len(error) * match.recorded_windows.surge.shape[1])
 
     @cached_property
     def _validation(self) -> gauss_newton.Match:
         return self._match(self.val, None)
 
-    def _lessons(self, water: np.ndarray) -> training_windows.TrainingWindows:
-        return training_windows.training_windows_of(self.chain, self.taught, unflat(water.tolist()))
+    def _training_windows(self, water: np.ndarray) -> training_windows.TrainingWindows:
+        return training_windows.training_windows_of(self.chain, self.force_records, unflat(water.tolist()))
 
     def _match(self, records, learnt) -> gauss_newton.Match:
         fleet = rollout.fish_batch_of(self.chain, self.robot, records)
@@ -281,11 +282,11 @@ class FitPipeline:
             rng = np.random.default_rng([59, self.settings.seed])
             share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
-        held = [r for r in records if gauss_newton.flaps(r)]
-        rows: RegressionRows | None = rows_of(self.chain, held) if held else None
+        tethered = [r for r in records if gauss_newton.flaps(r)]
+        rows: RegressionRows | None = rows_of(self.chain, tethered) if tethered else None
         return gauss_newton.Match(self.swim, fleet, self.tick, rows, gauss_newton.tow_drag(self.chain, self.robot), learnt)
 
-    def _tell(self, stage: str, part: float, **figures) -> None:
+    def _report(self, stage: str, part: float, **figures) -> None:
         self.report(stage, self._share(stage, min(part, 1.0)), figures)
 
     def _share(self, stage: str, part: float) -> float:
