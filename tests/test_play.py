@@ -279,11 +279,11 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
     from argparse import Namespace
 
     from fishmj.mjcf.description import load_robot
-    from fishmj.play.__main__ import steersman
+    from fishmj.play.__main__ import controller_of
 
     asked = Namespace(controller=None, any_command_path=False)
-    assert steersman(asked, load_robot("fish")).name == "paper"
-    assert steersman(asked, load_robot("tendon_fish")).name == "drift"
+    assert controller_of(asked, load_robot("fish")).name == "paper"
+    assert controller_of(asked, load_robot("tendon_fish")).name == "drift"
     assert "made for another fish" in capsys.readouterr().err
 
 

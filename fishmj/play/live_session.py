@@ -64,7 +64,7 @@ class LiveSession:
         self.controller = controllers.make(controller, self.robot) if isinstance(controller, str) else controller
         self.controller.reset(1)
 
-    def able(self, name: str) -> bool:
+    def can_steer(self, name: str) -> bool:
         """Whether a controller by name can steer this fish."""
         try:
             controllers.make(name, self.robot)

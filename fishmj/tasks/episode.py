@@ -126,7 +126,7 @@ class TaskSpec:
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:
-            if self.name == "angle_of_attack":  # the heading is given against the flow: it turns along
+            if getattr(self.course, "heads_by_flow", False):  # the heading is given against the flow: it turns along
                 turned = (direction - start.direction)[:, None] * np.array([0.0, 0.0, 1.0])
                 start = start._replace(pose=start.pose + turned)
             start = start._replace(direction=direction + 0.0 * start.direction)
@@ -230,12 +230,12 @@ class Episodes(ControlLoop):
             diverged[np.asarray(error.states)] = True
             after, trace = super().advance(_at_rest(fish, diverged), commands)
         after = FishState(*(np.asarray(a, float) for a in after))
-        lost = ~(np.isfinite(after.q).all(-1) & np.isfinite(after.v).all(-1))
-        if lost.any():
-            after = FishState(*(_pick(lost, b, a) for a, b in zip(after, _at_rest(fish, lost), strict=True)))
-            still = {name: _pick(lost, 0.0, value) for name, value in trace._asdict().items() if name != "pose"}
-            trace = engines.Trace(pose=_pick(lost, self.window.pose[:, -1:], trace.pose), **still)
-        self.diverged = diverged | lost
+        nonfinite = ~(np.isfinite(after.q).all(-1) & np.isfinite(after.v).all(-1))
+        if nonfinite.any():
+            after = FishState(*(_pick(nonfinite, b, a) for a, b in zip(after, _at_rest(fish, nonfinite), strict=True)))
+            still = {name: _pick(nonfinite, 0.0, value) for name, value in trace._asdict().items() if name != "pose"}
+            trace = engines.Trace(pose=_pick(nonfinite, self.window.pose[:, -1:], trace.pose), **still)
+        self.diverged = diverged | nonfinite
         return after, trace
 
     def _running(self) -> tuple:

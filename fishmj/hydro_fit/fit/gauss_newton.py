@@ -178,6 +178,7 @@ def fit_rollout(
     jacobian, loop = np.zeros((0, size)), loop or Loop()
     at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])
     cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)
+    # ten factors cost eleven swims, forwards only, in one batch: no gradient has to be kept through thousands of steps
     with_differences = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
     begun, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
     x, damping, best, first = kept
@@ -187,14 +188,17 @@ def fit_rollout(
     done = begun
     for done in range(begun + 1, rounds + 1):
         jacobian = ((residuals[1:] - residuals[0]) / STEP).T
+        # the prior is one more residual a factor, x / SPREAD: what the swims do not tell stays where the forces put it
         normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
         gradient = jacobian.T @ residuals[0] + x / SPREAD**2
+        # all dampings in one batch: no round is lost to a step that fails
         dampings = [damping * share for share in DAMPING]
         steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), gradient) for d in dampings]
         tried = match.residuals(at(steps))
         costs = [cost(r, s) for r, s in zip(tried, steps, strict=True)]
         pick = int(np.argmin(costs))
         decrease = best - costs[pick]
+        # even the most damped step was no better, so `x` stays: the fit never ends worse than it began
         if decrease <= 0:
             break
         x, best, damping = steps[pick], costs[pick], dampings[pick]
@@ -206,5 +210,6 @@ def fit_rollout(
         residuals = with_differences(x)
     prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
     result = scaled(start, x, ch.n, limits)
+    # the Jacobian of the last round, one step before `x`: near the optimum it is the same to the accuracy of an error bar
     judged = identify(prior, np.exp(x), jacobian.T @ jacobian)
     return Scaled(unflat(result.tolist()), judged, float(first), float(best), jacobian, done)

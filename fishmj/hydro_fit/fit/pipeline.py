@@ -104,6 +104,7 @@ class FitPipeline:
             "water": flat(planar_chain.nominal(robot).water).tolist(),
             "records": [r.id for r in [*self.train, *self.val]],
         }
+        # everything that decides the result: a stage that was kept is read again only where all of it is the same
         depends = self.about | {"settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
         self.notes: list[str] = []
@@ -165,6 +166,7 @@ class FitPipeline:
         report = lambda k, n, cost: self._report(stage, k / n, cost=cost)
         match, start = self._match(self.train, learnt), unflat(state["water"])
         done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=report, loop=self.loop)
+        # on swims that Gauss-Newton has not seen: it may fit the noise of the training swims, or leave its valley
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
@@ -172,6 +174,7 @@ class FitPipeline:
         self.found[stage] = done.found.table()
         names = len(done.found.parameters)
         normal = done.jacobian.T @ done.jacobian + np.eye(names) / gauss_newton.SPREAD**2
+        # members of the error bar: draws from the Laplace approximation N(x, (J^T J + prior)^-1) of the factors
         draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
         factors = np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
         new = {"water": flat(done.water), "factors": factors}
@@ -217,6 +220,7 @@ class FitPipeline:
         spread = wake_warmup.warm_up(
             self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
         ).spread
+        # three times the typical disagreement of the members halves the force: beyond the data members disagree first
         learnt = residual_hooks.Residual(net, reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6)))
         before, after = self.score(water, None), self.score(water, learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
@@ -231,6 +235,7 @@ class FitPipeline:
         if learnt is not None:
             alone, both = self.score(state["alone"], None), self.score(water, learnt)
             self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
+            # the strips alone were fitted for this case; the residual must earn its place on swims
             if alone < both:
                 self.notes.append("the residual is not taken")
                 learnt, water = None, state["alone"]
@@ -280,6 +285,7 @@ class FitPipeline:
         most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
         if len(fleet.q) > most:
             rng = np.random.default_rng([59, self.settings.seed])
+            # drawn by block: the blocks with most swims would leave none of the rare manoeuvres
             share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
         tethered = [r for r in records if gauss_newton.flaps(r)]

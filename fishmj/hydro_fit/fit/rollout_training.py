@@ -159,8 +159,10 @@ class RolloutTrainer:
     def swim_loss(self, net: residual_network.Net, part: Windows):
         """What the swims are off by."""
         fleet, count = part.fleet, len(part.attached)
+        # the wake at the start hangs on the weights, too: filled within the gradient, else training would forget what fills it
         _, wake = force_training.wakes(net, part.x, part.speed, self.tick)
         memory = jnp.concatenate([wake.T, jnp.zeros((count, 2))], 1)
+        # no range while it learns: a force that fades outside would have no gradient where it is most wrong
         learnt = residual_hooks.Residual(net, None)
         water = jnp.tile(self.water, (count, 1))
         start = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient)
@@ -178,6 +180,7 @@ class RolloutTrainer:
 
         got, recorded = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
         (part, least), spent, wanted = TOLERANCE["power"], mean(power), mean(fleet.power)
+        # nan where no power was recorded: such windows count nothing
         off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
         return (got - recorded) / _tolerated(recorded, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
 
@@ -228,7 +231,7 @@ class RolloutTrainer:
             at = np.split(rng.choice(len(self.share), swim_count, replace=False, p=self.share), len(shards))
             rows = np.split(rng.choice(count, force_count, replace=False), len(shards))
             fish = [self.draw_tethered(rng, TETHERED // len(shards)) for _ in shards]
-            if k < since:  # drawn and done before
+            if k < since:  # done before; drawn all the same, so that the generator stands where it stood
                 continue
             batches = [
                 (some(self.pieces, a), subset(self.force_windows, r), drawn[:, r], h)
