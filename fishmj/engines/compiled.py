@@ -21,16 +21,7 @@ import numpy as np
 
 from fishmj.cores import usable_cores
 from fishmj.dynamics import strip_forces
-from fishmj.engines import (
-    FishParams,
-    FishState,
-    Trace,
-    check_commands,
-    fast_math,
-    numba_build,
-    rows_of,
-    ticks_per,
-)
+from fishmj.engines import FishParams, FishState, Trace, check_commands, fast_math, numba_build, rows_of, ticks_per
 from fishmj.engines.extensions import Extensions
 from fishmj.errors import ConfigError
 from fishmj.flow import Current

@@ -143,11 +143,7 @@ def main(argv: list[str] | None = None) -> int:
     controller = controller_of(args, robot)
     session = LiveSession(controller, robot, flow, args.engine)
     alone = args.headless_seconds is not None
-    with (
-        interrupt.raising(),
-        LiveView(session.robot, args.host) as view,
-        Keyboard() if alone else Keyboard.of_terminal() as keys,
-    ):
+    with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
         reach = "this machine only" if args.host in (LOCAL, "localhost", "::1") else "whoever can reach this machine"
         console.say(f"open {view.url} in a browser (served on {args.host}: {reach})", "" if alone else KEYS)
         try:

@@ -142,13 +142,7 @@ class StationHold:
         terminated = (self.outside or task.outside)(jnp, trace.pose[:, -1]) & ~bad
         truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
         moved = state._replace(
-            fish=fish,
-            history=history,
-            command=commands[:, -1],
-            tick=tick,
-            target=target,
-            count=state.count + 1,
-            key=key,
+            fish=fish, history=history, command=commands[:, -1], tick=tick, target=target, count=state.count + 1, key=key
         )
         recent = jnp.concatenate([state.joints, readings(jnp, trace.joint, trace.rate)], 1)[:, -self.sensors.behind - 1 :]
         moved = moved._replace(joints=jnp.where(bad[:, None, None], 0.0, recent[:, 1:]))

@@ -9,7 +9,7 @@
 advance the fish themselves.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,17 +51,6 @@ class Scenario(NamedTuple):
     current: Current
 
 
-class Settled(Protocol):
-    """Anything with the fields of `Scenario`, such as `episode.EpisodeDraw`."""
-
-    @property
-    def params(self) -> FishParams: ...
-    @property
-    def camera(self) -> np.ndarray: ...
-    @property
-    def current(self) -> Current: ...
-
-
 class ControlLoop:
     """B fish on an engine.
 
@@ -80,8 +69,8 @@ class ControlLoop:
         self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
         self.ticks = engines.ticks_per(robot)[1]
 
-    def start(self, pose, scenario: Settled) -> None:
-        """Begin at rest over ground at poses (B, 3) [m, rad], every encoder at zero."""
+    def start(self, pose, scenario) -> None:
+        """Begin at rest over ground at poses (B, 3) [m, rad], encoders at zero; scenario: a `Scenario` or more."""
         self.scenario, self.fish = scenario, engines.at_rest(self.robot, pose)
         self.fish.q[:, 3:] = scenario.params.zero
         self.window = SensorWindow.at_rest(self.robot, self.sensors, pose)

@@ -30,9 +30,7 @@ from fishmj.hydro_fit.fit import (
     transient_tolerance,
     wake_warmup,
 )
-from fishmj.hydro_fit.fit import (
-    rollout_training as swims,
-)
+from fishmj.hydro_fit.fit import rollout_training as swims
 from fishmj.hydro_fit.fit.code_hash import code
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
