@@ -110,7 +110,7 @@ def test_the_vector_environment_equals_the_functional_one(reference, engine):
     envs = FishVectorEnv(4, engine=engine, noise=0.0, intensity=0.05)
     envs.reset(seed=0)
     envs.episodes.begin(envs.rules.scenario(draws))
-    np.testing.assert_allclose(envs.episodes.look(np.zeros((4, 11))), looks[0], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(envs.episodes.observation(np.zeros((4, 11))), looks[0], rtol=0, atol=1e-5)
     for k, action in enumerate(actions):
         seen, reward, terminated, truncated, _ = envs.step(action)
         np.testing.assert_allclose(seen, looks[k + 1], rtol=0, atol=TOLERANCE)

@@ -23,16 +23,7 @@ import numpy as np
 
 from fishmj.cores import usable_cores
 from fishmj.dynamics import strip_forces
-from fishmj.engines import (
-    FishParams,
-    FishState,
-    Trace,
-    check_commands,
-    fast_math,
-    numba_build,
-    rows_of,
-    ticks_per,
-)
+from fishmj.engines import FishParams, FishState, Trace, check_commands, fast_math, numba_build, rows_of, ticks_per
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.host_call import host_call
 from fishmj.errors import ConfigError

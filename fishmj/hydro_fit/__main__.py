@@ -160,7 +160,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
         taught = {} if args.swims is None else {"swims": args.swims}
         settings = FitSettings(seed=args.seed, residual=not args.base, **taught)
         done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
-        with interrupt.keeping(done.words):
+        with interrupt.keeping(done.kept_so_far):
             model = replace(done.run(), name=args.name or robot.name)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
     for row in doubtful:

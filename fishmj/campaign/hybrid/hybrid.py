@@ -18,13 +18,14 @@ The surrogate's own state is never moved, so a corrected swim has no jumps. A so
 import time
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from fishmj import console
 from fishmj.campaign.hybrid.correction_segment import CorrectionSegment, Oracle, Path
 from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.engines.single import SingleFish
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
@@ -33,7 +34,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
 
 
-class Surrogate:
+class Surrogate(SingleFish):
     """One fish in the strip water with or without a residual, by bus ticks in NumPy.
 
     Args:
@@ -50,14 +51,13 @@ class Surrogate:
         stream=(0.0, 0.0),
         pose=(0.0, 0.0, 0.0),
     ):
-        self.robot, self.chain, self.water, self.learnt = robot, ch, water, learnt
+        hooks = None if learnt is None else (lambda memory: residual_hooks.LearnedResidual(np, ch, learnt, memory))
+        super().__init__(ch, planar_chain.nominal(robot), hooks, residual_hooks.at_rest())
+        self.robot, self.water = robot, water
         self.stream = [tuple(float(u) for u in stream)] * ch.n
         self.steps = round(robot.timing.bus_dt / ch.dt)
         self.delay = round(robot.timing.command_latency / ch.dt)
-        self.swimmer = planar_chain.nominal(robot)
         self.q, self.v = np.array([*pose, *np.zeros(ch.n - 1)], float), np.zeros(ch.n + 2)
-        self.attached: Any = 0.5
-        self.memory = residual_hooks.at_rest()
         self.commands, self.ticks = [np.zeros(ch.n - 1)], 0
         self.trail: list | None = None  # states after every physics step, while someone wants them
 
@@ -65,14 +65,12 @@ class Surrogate:
         """20 ms on, after sending `command`, (J,) rad; `flow` (N, 2) m/s at the links in place of the uniform stream."""
         stream = self.stream if flow is None else [tuple(u) for u in np.asarray(flow).tolist()]
         self.commands.append(on_the_bus(self.robot.servo, np.asarray(command, float)))
-        ramp, sw = self.robot.timing.command_path == "move_time", self.swimmer._replace(water=self.water)
+        ramp = self.robot.timing.command_path == "move_time"
+        self.swimmer = self.swimmer._replace(water=self.water)
         for i in range(self.steps):
             target = arrived(self.commands, self.ticks * self.steps + i, self.delay, self.steps, ramp)
-            hooks = None if self.learnt is None else residual_hooks.LearnedResidual(np, self.chain, self.learnt, self.memory)
-            given = (list(self.q), list(self.v), self.attached, list(target), stream, (0.0, 0.0), hooks)
-            s = planar_chain.step(np, self.chain, sw, *given)
-            self.q, self.v, self.attached = np.array(s.q), np.array(s.v), s.attached
-            self.memory = list(s.memory) if hooks else self.memory
+            s = self.advance(list(self.q), list(self.v), list(target), stream, (0.0, 0.0))
+            self.q, self.v = np.array(s.q), np.array(s.v)
             if self.trail is not None:
                 self.trail.append((self.q, self.v))
         self.ticks += 1
