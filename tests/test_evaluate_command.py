@@ -8,7 +8,7 @@ import shlex
 import numpy as np
 import pytest
 
-from fishmj import console, engines, evaluate, pages
+from fishmj import console, engines, evaluate
 from fishmj.evaluate import __main__ as command
 from fishmj.evaluate import metrics, report, trial_logs
 from fishmj.log import read_trial, stacked
@@ -95,16 +95,6 @@ def test_pictures_show_something(tmp_path, engine):
         pixels = image.imread(path)[..., :3]
         assert pixels.shape[0] > 300 and caption
         assert 0.01 < np.mean(pixels.min(-1) < 0.9) < 0.9, path.name
-
-
-def test_rows_become_a_table_that_scrolls_in_itself():
-    table = pages.table([{"a": "x<y", "b": 1.23456}, {"a": "z", "b": float("nan")}, {"a": 41 * "w", "b": None}])
-    assert table.startswith('<div class="scroll"><table class="left1">') and pages.table([]) == ""
-    cells = ["x&lt;y", "1.235", "z", "-", 41 * "w", "-"]
-    assert (
-        re.findall("<t[hd](?: class=.long.)?>(.*?)</t[hd]>", table) == ["a", "b", *cells]
-        and table.count('<td class="long">') == 1
-    )
 
 
 SHORT = ("--speeds", "0.2", "--los", "180", "--repeats", "1", "--engine", "compiled", "--duration", "2")

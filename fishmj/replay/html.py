@@ -95,22 +95,10 @@ def _track_data(t: Track, colour: str) -> dict:
         "links": t.q.shape[1] - 2,
         "meanFlow": t.mean_flow,
         "source": t.pose_from if t.pose_from == t.joints_from else f"{t.pose_from} and {t.joints_from}",
-        "q": _pack(t.q, "<f4"),
-        "target": _pack(t.target, "<f4"),
-        "flow": _pack(t.flow, "<f4"),
-        "power": _pack(t.power, "<f4"),
-        "speed": _pack(t.speed, "<f4"),
-        "distance": _pack(t.distance, "<f4"),
+        **{key: _pack(getattr(t, key), "<f4") for key in ("q", "target", "flow", "power", "speed", "distance")},
     }
 
 
 def _skin_data(s: Skin) -> dict:
-    return {
-        "vertices": _pack(s.vertices, "<f4"),
-        "normals": _pack(s.normals, "<f4"),
-        "faces": _pack(s.faces, "<u4"),
-        "hinge": _pack(s.hinge, "<u4"),
-        "share": _pack(s.share, "<f4"),
-        "colour": _pack(s.colour, "<f4"),
-        "hingeX": s.hinge_x,
-    }
+    kinds = {"vertices": "<f4", "normals": "<f4", "faces": "<u4", "hinge": "<u4", "share": "<f4", "colour": "<f4"}
+    return {key: _pack(getattr(s, key), kind) for key, kind in kinds.items()} | {"hingeX": s.hinge_x}
