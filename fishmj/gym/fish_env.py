@@ -61,12 +61,6 @@ class FishEnv(gymnasium.Env):
             self._picture = Picture(self.rules.robot)
         return self._picture.draw(self.episodes.fish.q[0], self.episodes.target[0])
 
-    def close(self) -> None:
-        """Free the renderer."""
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
-
     def _observe(self) -> np.ndarray:
         obs = self.episodes.observation(self.np_random.standard_normal((1, self.rules.n_obs)))[0]
         return spaces.clipped(obs, self._bounds)

@@ -96,11 +96,6 @@ class FishVectorEnv(vector.VectorEnv):
         self._picture = self._picture or Picture(self.rules.robot)
         return tuple(self._picture.draw(q, target) for q, target in zip(self.episodes.fish.q, self.episodes.target, strict=True))
 
-    def close_extras(self, **kwargs) -> None:
-        """Free the renderer."""
-        if self._picture is not None:
-            self._picture.close()
-
     def _restart(self, rows, over, obs, info):
         """Begin new episodes at once; their last observations and infos go into `info`."""
         final = np.full(self.num_envs, None, object)
