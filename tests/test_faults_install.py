@@ -5,10 +5,13 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import fishmj
+from fishmj.train.run import Run
+from fishmj.train.settings import change, preset
 
 ROOT = Path(__file__).resolve().parent.parent
 WITHOUT = """
@@ -33,6 +36,19 @@ def test_fault_12_a_missing_extra_is_one_line_with_its_install_line():
     done = fishmj_without({"numba"}, "bench", "engine_compiled", "--quick", "--json")
     (found,) = json.loads(done.stdout.strip().splitlines()[-1])["benchmarks"]
     assert done.returncode == 0 and 'pip install "fishmj[fast]"' in found["skipped"]
+
+
+def test_fault_12_training_without_the_compiled_engine_says_so_and_trains(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    settings = change(preset("quick"), steps=64, assess_every=64)
+    shared = SimpleNamespace(init=lambda key: None)
+    Run(settings, tmp_path / "auto", learner=(None, shared, None))
+    assert (
+        capsys.readouterr().err.count('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
+        == 1
+    )
+    Run(change(settings, engine="planar"), tmp_path / "planar", learner=(None, shared, None))
+    assert "numba" not in capsys.readouterr().err, "who asked for it needs no advice"
 
 
 @pytest.mark.slow
