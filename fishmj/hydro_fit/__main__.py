@@ -12,7 +12,7 @@ from fishmj.hydro_fit.dataset import Dataset, open_dataset
 from fishmj.hydro_fit.record import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
-from fishmj.store.shipped import SOURCES
+from fishmj.store.package_data import SOURCES
 from fishmj.water.model import FOLDERS, HydroModel, robot_hash
 
 DATA = OWN / "hydro"

@@ -20,7 +20,7 @@ from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit.record import SCHEMA, UNITS, Record, described, read_record
 from fishmj.store import Manifest, left_out, read_json
 from fishmj.store.manifest import MANIFEST
-from fishmj.store.shipped import SOURCES
+from fishmj.store.package_data import SOURCES
 
 SEGMENTS, SPLIT = "segments", "split.json"
 SPLITS = ("train", "val", "test")
