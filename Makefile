@@ -3,6 +3,7 @@
 # make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, wheel
 # make bench        one JSON line a benchmark
 # make lint         style and types only
+# make release      dist/: wheel, sdist and their sha256, built, compared and used; uploads nothing
 # make manifest     state the sha256 of data/calib after a change there
 # VENV=path         another environment than .venv
 SHELL := /bin/bash
@@ -15,7 +16,7 @@ INSTALLED := $(VENV)/.fishmj-installed
 EXTRAS := $(VENV)/.fishmj-extras
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test verify bench lint install manifest wheel clean
+.PHONY: demo test verify bench lint install manifest wheel release clean
 .DEFAULT_GOAL := test
 
 install: $(INSTALLED)
@@ -53,6 +54,9 @@ verify: $(EXTRAS)
 
 wheel: $(INSTALLED)
 	@$(STEP) "wheel" $(PY) .ci/wheel.py
+
+release: $(INSTALLED)
+	@$(STEP) "release" $(PY) .ci/release.py
 
 manifest: $(INSTALLED)
 	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"

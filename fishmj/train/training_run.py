@@ -86,6 +86,8 @@ class TrainingRun:
         self._looked = False
         self.bar = console.Progress(settings.steps, "train", "steps")
         if not quiet:
+            if settings.engine == "auto" and pick_engine("auto") == "planar":
+                console.warn('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
             self.bar.stage("compiling the fish and the networks")
         self.training = self.algorithm.init(jax.random.key(settings.seed))
         if resume:

@@ -22,7 +22,7 @@ from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import write_json
+from fishmj.store import shipped, write_json
 
 
 def main(argv: list[str]) -> int:
@@ -47,7 +47,8 @@ def main(argv: list[str]) -> int:
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
-    gap_options.there(args.null)
+    args.null = args.null and shipped(args.null)
+    gap_options.there(args.data, args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)
