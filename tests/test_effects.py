@@ -26,7 +26,7 @@ from fishmj.mjcf.description import load_robot
 CATALOGUE = effects.catalogue()
 EVERY = list(CATALOGUE.values())
 LASTING = [e for e in EVERY if not e.stochastic]
-DOCS = calib_folder().parent.parent / "docs" / "effects.md"
+DOCS = calib_folder().parent.parent / "docs" / "methods" / "effects.md"
 
 
 def states(robot, size: int, seed: int):
