@@ -92,7 +92,7 @@ class LinkBlock(Block):
         list[Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]],
         Field(min_length=2, max_length=500),
     ] = _field(
-        "ellipses; the first station is 0, the last is `length`, each above the one before",
+        "ellipses; stations rise from 0 to `length`",
         "m",
         "2 to 500 rows [from the front, height, width] in m, the last two from 0.0001 to 10",
         REQUIRED,
