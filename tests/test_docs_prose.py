@@ -1,4 +1,4 @@
-"""The pages of docs/ and the README: short lines, short cells, history in one place, and no file of the code that is not there."""
+"""The pages of docs/ and the README: short lines, short cells, history in one place, no module named that is not there."""
 
 import re
 from pathlib import Path
