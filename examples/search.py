@@ -2,7 +2,7 @@
 
     python examples/search.py
 
-The logs come from an independently written robot (synthetic), so that the model that is questioned has not made them. Here eight
+The logs come from an independently written robot (synthetic), so that the model that is questioned has not made them. Here seven
 effects of the catalogue are in question and 64 null runs are made; `fishmj gap find` asks for all, with 96.
 """
 
