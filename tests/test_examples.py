@@ -11,7 +11,13 @@ import pytest
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
 QUICK = ("own_controller", "own_effect", "own_importer", "own_reward", "read_trial", "side_by_side")
 DEAR = ("flow_solver", "gymnasium_policy", "mjx_batch", "search")  # more than 5 s of CPU
-LONGER = ("five_links", "gait_map", "gap_answers", "lab_csv", "own_code")  # stories that pages of the docs quote; tests of their own
+LONGER = (
+    "five_links",
+    "gait_map",
+    "gap_answers",
+    "lab_csv",
+    "own_code",
+)  # stories that pages of the docs quote; tests of their own
 LINES = 60
 
 

@@ -64,6 +64,15 @@ def test_lines_and_cells_are_short(page):
             assert max(map(len, line.split("|"))) <= CELL, f"{page.name}:{number}"
 
 
+def test_the_recipes_name_files_that_are_there():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = {name for name in re.findall(r"(?:fishmj|tests|docs|data)/[\w./]+\.(?:py|toml|md)", text) if "NAME" not in name}
+    assert len(named) > 25
+    assert [name for name in sorted(named) if not (ROOT / name).is_file() and "test_x" not in name] == []
+    recipes = re.split(r"^## ", text.partition("## An effect")[2], flags=re.M)
+    assert len(recipes) == 6 and max(len(recipe.splitlines()) for recipe in recipes) <= 21
+
+
 def test_the_moving_picture_is_small_and_of_the_policy_that_it_names():
     picture = ROOT / "docs" / "figures" / "station.webp"
     assert picture.stat().st_size <= 1.5e6 and f"({picture.relative_to(ROOT)})" in README
