@@ -5,7 +5,7 @@
     commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
 
 A controller sees the 11 observations only, noisy and late: no flow, no pose. What they know of the fish is
-data/calib/controllers.toml; how their gains were found is docs/controllers.md.
+data/calib/controllers.toml; how their gains were found is docs/guide/controllers.md.
 
     drift      joints at zero
     pd         CPG + PD on the line of sight
@@ -13,7 +13,8 @@ data/calib/controllers.toml; how their gains were found is docs/controllers.md.
     dob        CPG + flow observer: the bar
     adrc-c1    proportional navigation + ADRC (also c2, c3)
 
-`chosen` also takes one's own, as `module:Name` (docs/your_own_code.md): for what a user typed, never for a name from a file.
+`chosen` also takes one's own, as `module:Name` (docs/guide/your_own_code.md): for what a user typed, never for a name
+from a file.
 """
 
 from pathlib import Path

@@ -53,5 +53,5 @@ def rest_allowed(checks: dict, gates: Gates) -> float:
 
 
 def frozen() -> Gates:
-    """The thresholds as shipped: how they were set stands in docs/gap.md, beside the figures."""
+    """The thresholds as shipped: docs/results/gap_benchmark.md says how they were set."""
     return Gates(**read_toml(resolve("gap"))["gates"])

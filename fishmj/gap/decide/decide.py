@@ -1,6 +1,6 @@
 """From what was found to one of the five answers: ten gates, each a reason that a reader can check.
 
-    G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
+    G1 adequacy     |z|^2 / m is beyond every null run, or an effect accepted   else AGREES
     G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
     G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
     G4 rest         what is left lies within the form error of what was found,  else UNEXPLAINED, the best shown as tentative
@@ -9,7 +9,7 @@
     G6 size         nor larger here and smaller there by more than it may be    else UNEXPLAINED, the best shown as tentative
     G7 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G9 sanity       no parameter on a bound, folds agree                        else CLASS with a warning
+    G9 sanity       no parameter on a bound, no size unusual or vague           else CLASS with a warning
     G10 force       no free force explains more, unseen (fallback/outdone.py)   else UNEXPLAINED
 
 The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A

@@ -3,7 +3,8 @@
     null -> gap -> [ screen -> refine -> judge -> accept -> settle -> prune ] x at most 4 -> decide
 
 Every record is predicted by parameters from the other folds (folds.py); candidates are ranked on all of them, each by the
-likelihood in the evidence around itself. The thresholds were frozen before the benchmark was scored (gates.py).
+likelihood in the evidence around itself. docs/guide/gap.md lists every threshold, those of
+data/calib/gap.toml and the constants of this package; all were set before the benchmark was scored.
 """
 
 from dataclasses import dataclass

@@ -7,7 +7,7 @@
     host:    mj_step to v+                     ->  the next place
 
 The solve is implicit in the velocity of the joints, so that a body as light as water, or a thin light tail, is stable; the
-explicit scheme diverges there (docs/oracle_coupling.md). `FluidStructure.step` is the main loop.
+explicit scheme diverges there (docs/methods/oracle_coupling.md). `FluidStructure.step` is the main loop.
 """
 
 from contextlib import nullcontext
