@@ -13,7 +13,6 @@ extensions = ["myst_parser"]
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3  # links to #headings, checked
 nitpicky = True
-suppress_warnings = ["toc.empty_glob"]
 
 html_theme = "furo"
 html_title = "fishmj"

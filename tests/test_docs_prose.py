@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "CHANGELOG.md"]
+PAGES = [*sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("*.md"))]
 LINE, CELL = 160, 120  # characters
 HISTORY = re.compile(r"what was wrong before|(^|[.(] ?)before that\b|by a recipe before|\bas before\b|the search before", re.I)
 MODULE = re.compile(r"(?<![\w./<>*-])((?:[\w-]+/)*[\w-]+\.py)\b")
