@@ -13,7 +13,7 @@ extensions = ["myst_parser"]
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3  # links to #headings, checked
 nitpicky = True
-suppress_warnings = ["toc.empty_glob"]
+highlight_language = "none"  # of blocks that name no language: commands and formulas
 
 html_theme = "furo"
 html_title = "fishmj"

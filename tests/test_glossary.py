@@ -9,8 +9,8 @@ ROWS = re.findall(r"^\| ([^|]+) \| [^|]+ \| `([\w.]+):(\w+)` \|[^|]*\|$", PAGE.r
 
 
 def test_the_names_of_the_glossary_exist():
-    tables = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ") and "in the code" not in line]
-    assert len(ROWS) == len(tables) >= 60, "every row names module:Name in backticks"
+    rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ") and "in the code" not in line]
+    assert len(ROWS) == len(rows) >= 60, "every row names module:Name in backticks"
     gone = [f"{word}: {module}:{name}" for word, module, name in ROWS if not hasattr(import_module(module), name)]
     assert not gone, "\n".join(["mend the third column", *gone])
 
