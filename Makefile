@@ -1,6 +1,7 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, and the tests of every run: all fast ones, and each part of the product once
-# make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, wheel
+# make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, docs, wheel
+# make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
 # make lint         style and types only
 # make release      dist/: wheel, sdist and their sha256, built, compared and used; uploads nothing
@@ -14,9 +15,10 @@ STEP := .ci/step
 WORKERS := -n $(JOBS) --dist worksteal
 INSTALLED := $(VENV)/.fishmj-installed
 EXTRAS := $(VENV)/.fishmj-extras
+SITE := $(VENV)/.fishmj-docs
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test verify bench lint install manifest wheel release clean
+.PHONY: demo test verify docs bench lint install manifest wheel release clean
 .DEFAULT_GOAL := test
 
 install: $(INSTALLED)
@@ -28,6 +30,10 @@ $(INSTALLED): pyproject.toml
 
 $(EXTRAS): $(INSTALLED)
 	@$(STEP) "install extras" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3,ray,bench]"
+	@touch $@
+
+$(SITE): $(INSTALLED)
+	@$(STEP) "install docs" $(PY) -m pip install --quiet --editable ".[docs]"
 	@touch $@
 
 demo: $(INSTALLED)
@@ -50,7 +56,11 @@ verify: $(EXTRAS)
 	@$(STEP) "ray" $(PY) -m pytest -q --durations 5 -m "ray and not gpu"
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick
 	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 10 --seed 1 --jobs $(JOBS)
+	@$(MAKE) --no-print-directory docs
 	@$(MAKE) --no-print-directory wheel
+
+docs: $(SITE)
+	@$(STEP) "docs" $(PY) -m sphinx --fail-on-warning --keep-going --nitpicky --quiet docs build/docs
 
 wheel: $(INSTALLED)
 	@$(STEP) "wheel" $(PY) .ci/wheel.py

@@ -116,7 +116,8 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
     shown = shown_path(path)
     if path.suffix == ".xml":
         raise ConfigError(
-            f"{shown}: a MuJoCo model does not say what the water needs; describe the fish in a .toml (docs/your_own_fish.md)"
+            f"{shown}: a MuJoCo model does not say what the water needs;"
+            " describe the fish in a .toml (docs/guide/your_own_fish.md)"
         )
     if path.suffix == ".toml":
         wrong = trouble(path, "a TOML file")

@@ -119,7 +119,7 @@ def takes(what: str, function: Any, shape: str, count: int) -> None:
         OwnCodeError: it cannot, or is no function.
     """
     if not callable(function):
-        raise OwnCodeError(f"{what}: has no {shape}; add it (docs/your_own_code.md)")
+        raise OwnCodeError(f"{what}: has no {shape}; add it (docs/guide/your_own_code.md)")
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # written in C: nothing to look at

@@ -39,7 +39,7 @@ def explained(text: str, error: ValueError) -> str:
 
 def _another_format(text: str) -> str:
     start = text.lstrip()[:200]
-    toml = "expected TOML; docs/your_own_fish.md shows a description"
+    toml = "expected TOML; docs/guide/your_own_fish.md shows a description"
     if start.startswith("<") and not start.startswith("<<"):
         return f"this is XML, such as a MuJoCo model; {toml}"
     if start.startswith("{") or re.match(r"\[\s*[{\[\"]", start) and not re.match(r"\[\[\s*[A-Za-z_]", start):

@@ -19,8 +19,8 @@ UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal
 
 
 def levels() -> dict[str, int]:
-    """Room -> level, read from the table in docs/architecture.md."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    """Room -> level, read from the table in docs/decisions/architecture.md."""
+    text = (ROOT / "docs" / "decisions" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| L(\d) \| ([^|]*) \|", text, flags=re.MULTILINE)
     return {room.rstrip("/"): int(level) for level, rooms in rows for room in re.findall(r"`([\w/]+)`", rooms)}
 
@@ -83,7 +83,7 @@ def unsafe(text: str, name: str = "") -> list[str]:
 
 def test_every_room_has_a_level():
     rooms = {room(path) for path in SOURCES} - {""}
-    assert rooms <= set(LEVELS), f"add {sorted(rooms - set(LEVELS))} to the table in docs/architecture.md"
+    assert rooms <= set(LEVELS), f"add {sorted(rooms - set(LEVELS))} to the table in docs/decisions/architecture.md"
 
 
 def test_imports_go_down_the_table():

@@ -128,10 +128,10 @@ def test_a_new_folder_becomes_a_verb(monkeypatch, tmp_path):
     assert "more" in cli.usage() and "A pump." in cli.usage()
 
 
-def test_the_help_names_every_exit_code_and_the_readme_has_the_same_table():
+def test_the_help_names_every_exit_code_and_the_page_of_commands_has_the_same_table():
     rows = [f"| {code} | {meaning} |" for code, meaning in console.EXITS.items()]
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert [row for row in rows if row not in readme] == []
+    page = (ROOT / "docs" / "start" / "commands.md").read_text(encoding="utf-8")
+    assert [row for row in rows if row not in page] == []
     assert all(f"{code:>3}  {meaning}" in cli.usage() for code, meaning in console.EXITS.items())
     assert {value for name, value in vars(console).items() if name.isupper() and type(value) is int and name in CODES} == set(
         console.EXITS

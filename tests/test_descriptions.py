@@ -254,7 +254,7 @@ UNLIKELY = [
     (("servo",), GONE, r"\[servo\]: not given.*kp = 8.*torque = 1.667"),
     (("servo", "torque"), GONE, r"\[servo\]: not given.*: torque = 1.667 \("),
     (("timing",), GONE, r"\[timing\]: not given.*physics_dt = 0.004"),
-    (("water",), GONE, r"\[water\]: not given.*k = \[.*ke = .*docs/water.md"),
+    (("water",), GONE, r"\[water\]: not given.*k = \[.*ke = .*docs/methods/water.md"),
     (("water", "cf"), GONE, r"\[water\]: not given, estimated from the shape: cf = "),
 ]
 

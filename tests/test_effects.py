@@ -27,7 +27,7 @@ from fishmj.mjcf.description import load_robot
 CATALOGUE = effects.catalogue()
 EVERY = list(CATALOGUE.values())
 LASTING = [e for e in EVERY if not e.stochastic]
-DOCS = calib_folder().parent.parent / "docs" / "effects.md"
+DOCS = calib_folder().parent.parent / "docs" / "methods" / "effects.md"
 
 
 def states(robot, size: int, seed: int):
@@ -293,8 +293,15 @@ def test_a_wrong_calibration_block_is_refused_with_the_nearest_name(tmp_path, bl
         calibration.read(path)
 
 
-def test_the_documented_table_is_the_catalogue():
-    assert console.table(effect_text.rows(EVERY)) in DOCS.read_text(encoding="utf-8"), "python -m fishmj.effects prints the table"
+@pytest.mark.parametrize("columns", [("effect", "formula", "shows in"), ("effect", "stage", "parameters", "typical", "null")])
+def test_the_documented_tables_are_the_catalogue(columns):
+    table = console.table(effect_text.rows(EVERY), columns)
+    assert table in DOCS.read_text(encoding="utf-8"), f"write this there:\n{table}"
+
+
+def test_the_page_of_the_search_states_the_size_of_the_catalogue():
+    page = DOCS.parent.parent / "guide" / "gap.md"
+    assert f"[catalogue of {len(CATALOGUE)}]" in page.read_text(encoding="utf-8")
 
 
 def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():

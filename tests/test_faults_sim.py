@@ -1,4 +1,4 @@
-"""Faults 1 to 7 and 12 of docs/reliability.md: what goes wrong in a simulation says so, once and clearly, and loses nothing."""
+"""Faults 1 to 7 and 12 of docs/decisions/reliability.md: what goes wrong in a simulation says so, and loses nothing."""
 
 import threading
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The workflow on real recordings, found through FISHMJ_MEASURED; the full figures stand in docs/gap_measured.md."""
+"""The workflow on real recordings, found through FISHMJ_MEASURED; the full figures stand in docs/results/gap_measured.md."""
 
 import os
 

@@ -416,6 +416,6 @@ def test_the_map_in_the_docs_is_valid():
     import tomllib
     from pathlib import Path
 
-    text = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parent.parent / "docs" / "guide" / "logs.md").read_text(encoding="utf-8")
     shown = text.partition("### MAP.toml")[2].split("```toml")[1].split("```")[0]
-    assert set(of_dict(tomllib.loads(shown), "docs/logs.md").tables) == {"cmd", "pose"}
+    assert set(of_dict(tomllib.loads(shown), "docs/guide/logs.md").tables) == {"cmd", "pose"}

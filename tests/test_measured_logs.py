@@ -1,4 +1,4 @@
-"""The importers and audits on real recordings, found through FISHMJ_MEASURED; figures checked here stand in docs/logs.md."""
+"""The importers and audits on real recordings, found through FISHMJ_MEASURED; figures checked stand in docs/guide/logs.md."""
 
 import os
 from pathlib import Path

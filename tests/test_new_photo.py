@@ -122,7 +122,7 @@ LEAST = {
     "tail": 0.06,
     "volume": 0.015,
     "height": 0.07,
-}  # docs/your_own_fish.md has what was measured
+}  # docs/guide/your_own_fish.md has what was measured
 
 
 @pytest.mark.parametrize("view", ["plain", "-4 deg, nose right", "all"])

@@ -483,7 +483,7 @@ def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, needed, cap
 
 def test_the_page_quotes_the_examples_word_for_word():
     text = (ROOT / "examples" / "own_code.py").read_text(encoding="utf-8")
-    page = (ROOT / "docs" / "your_own_code.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "guide" / "your_own_code.md").read_text(encoding="utf-8")
     parts = re.split(rf"^# ({'|'.join(PARTS)})$", text, flags=re.MULTILINE)[1:]
     assert tuple(parts[::2]) == PARTS
     for part in parts[1::2]:

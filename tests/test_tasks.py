@@ -234,10 +234,10 @@ def test_the_camera_shows_a_jump_only_after_its_latency_and_the_filter_spreads_i
 # ---- the manual ----
 
 MANUAL = re.findall(
-    r"```python\n(.*?)```", (Path(__file__).parent.parent / "docs" / "tasks.md").read_text(encoding="utf-8"), re.DOTALL
+    r"```python\n(.*?)```", (Path(__file__).parent.parent / "docs" / "guide" / "tasks.md").read_text(encoding="utf-8"), re.DOTALL
 )
 
 
 @pytest.mark.parametrize("example", MANUAL, ids=["dm_control", "gymnasium", "vector", "jax"])
 def test_the_examples_of_the_manual_run(example):
-    exec(compile(example, "docs/tasks.md", "exec"), {})  # noqa: S102  our own text
+    exec(compile(example, "docs/guide/tasks.md", "exec"), {})  # noqa: S102  our own text

@@ -33,7 +33,7 @@ def swim(made, commands, start=STILL, push=STILL, seconds=None):
 
 
 def test_it_swims_forward_about_as_fast_as_the_first_robot(made):
-    assert 0.8 * 0.274 < steady(made, 1.0, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.274  # docs/water.md
+    assert 0.8 * 0.274 < steady(made, 1.0, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.274  # docs/methods/water.md
     assert 0.8 * 0.125 < steady(made, 0.5, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.125
 
 

@@ -52,7 +52,7 @@ def test_the_path_is_similar_and_far_outside_the_noise(both):
     assert 5 * 0.002 < worst < 0.25 * path, name
 
 
-if __name__ == "__main__":  # the figures of docs/virtual_robot.md
+if __name__ == "__main__":  # the figures of docs/methods/virtual_robot.md
     for name in (*excitation.DESIGNED, "gait_slow", "tow_ahead", "twirl", "spin"):
         if "north" in name:
             continue  # a fish that rests does so in both

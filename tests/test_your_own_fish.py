@@ -1,4 +1,4 @@
-"""The second fish went the whole way of docs/your_own_fish.md: its data set, its fitted water, what the page says of them."""
+"""The second fish went the whole way of docs/guide/your_own_fish.md: data set, fitted water, what the page says of them."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ from fishmj.water.hydro_model import HydroModel
 
 ROOT = Path(__file__).parent.parent
 FISH = load_robot("tendon_fish")
-PAGE = (ROOT / "docs" / "your_own_fish.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "guide" / "your_own_fish.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

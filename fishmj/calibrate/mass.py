@@ -42,7 +42,8 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
     path = Path(folder) / measurements.FILE
     if not path.is_file():
         raise ConfigError(
-            f"{path}: no such file; write there what was weighed: [scales] with every link, [balance], [pendulum] (docs/logs.md)"
+            f"{path}: no such file; write there what was weighed:"
+            " [scales] with every link, [balance], [pendulum] (docs/guide/logs.md)"
         )
     page = read_toml(path)
     masses, mass_sd = measurements.masses(page, [link.name for link in robot.links], path)

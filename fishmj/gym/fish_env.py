@@ -16,10 +16,10 @@ from fishmj.tasks.episode import EpisodeDraw, Episodes
 
 
 class FishEnv(gymnasium.Env):
-    """See `docs/tasks.md`.
+    """See `docs/guide/tasks.md`.
 
     Args:
-        task: station_hold, figure_eight, angle_of_attack, or one's own (docs/your_own_code.md).
+        task: station_hold, figure_eight, angle_of_attack, or one's own (docs/guide/your_own_code.md).
         engine: "batch" (MuJoCo C), "compiled" or "planar" (closed form, ten times faster), or an engine.
         render_mode: None or "rgb_array".
         options: fields of `tasks.episode.Setting` and of the task's course.

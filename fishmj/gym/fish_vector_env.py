@@ -22,7 +22,7 @@ from fishmj.tasks.episode import Draws, Episodes
 
 
 class FishVectorEnv(vector.VectorEnv):
-    """See `docs/tasks.md`. Arguments as `single.FishEnv`, and num_envs, autoreset_mode."""
+    """See `docs/guide/tasks.md`. Arguments as `single.FishEnv`, and num_envs, autoreset_mode."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5, "autoreset_mode": AutoresetMode.NEXT_STEP}
 

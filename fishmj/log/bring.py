@@ -71,7 +71,7 @@ def options() -> console.Parser:
     )
     sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
     sub.add_argument(
-        "--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/logs.md); default: guessed"
+        "--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/guide/logs.md); default: guessed"
     )
     sub.add_argument(
         "--write-map",

@@ -251,7 +251,8 @@ def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], w
         return []
     values = ", ".join(f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in left.items())
     return [
-        f"{where} [{block}]: not given, taken from the default fish: {values} (SI, rad); state your own (docs/your_own_fish.md)"
+        f"{where} [{block}]: not given, taken from the default fish: {values} (SI, rad);"
+        " state your own (docs/guide/your_own_fish.md)"
     ]
 
 
@@ -267,7 +268,9 @@ def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tup
     prior = water_prior(links)
     taken = {key: value for key, value in prior.items() if key.removesuffix("_deg") in missing}
     values = ", ".join(f"{key} = {value}" for key, value in taken.items())
-    return {**water, **taken}, [f"{where} [water]: not given, estimated from the shape: {values}; not fitted (docs/water.md)"]
+    return {**water, **taken}, [
+        f"{where} [water]: not given, estimated from the shape: {values}; not fitted (docs/methods/water.md)"
+    ]
 
 
 def check_timing(timing: Timing, where: str) -> None:

@@ -2,7 +2,7 @@
 
 pydantic checks a description against these models; `validation.py` turns what it finds into lines for a reader, and
 `relations.py` adds what no single key can know (masses that add up, steps that nest). The table of keys in
-docs/your_own_fish.md is made from here.
+docs/guide/your_own_fish.md is made from here.
 
 Lengths in m from the front of each link backwards, angles in rad or in keys that end in `_deg`.
 """
@@ -92,7 +92,7 @@ class LinkBlock(TomlTable):
         list[Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]],
         Field(min_length=2, max_length=500),
     ] = _field(
-        "ellipses; the first station is 0, the last is `length`, each above the one before",
+        "ellipses; stations rise from 0 to `length`",
         "m",
         "2 to 500 rows [from the front, height, width] in m, the last two from 0.0001 to 10",
         REQUIRED,
@@ -162,7 +162,7 @@ Each = Annotated[list[Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=Fals
 
 
 class WaterBlock(TomlTable):
-    """Start values of the strip model (docs/water.md); what is left out comes from the shape of the sections."""
+    """Start values of the strip model (docs/methods/water.md); what is left out comes from the shape of the sections."""
 
     model: Text | None = text(
         "'structured': strips alone; or a fitted water: 'surrogate', a name or a .toml file",
@@ -188,7 +188,7 @@ class WaterBlock(TomlTable):
 
 
 class EffectBlock(TomlTable):
-    """What calibration or the gap search adds; leave it out at first (docs/effects.md)."""
+    """What calibration or the gap search adds; leave it out at first (docs/methods/effects.md)."""
 
     name: str = _field("of the catalogue", "", "the name of an effect", REQUIRED, max_length=64)
     parameters: dict[str, Any] = _field("by name", "", "a table of name = { value, low, high }", {})

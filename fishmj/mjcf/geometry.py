@@ -2,7 +2,7 @@
 
 Elliptical section of height h(s) and width w(s) at station s:  A = pi/4 h w,
 displaced volume V = integral A ds, lateral added mass per length mu = k rho pi/4 h^2 (slender body, Lighthill 1960).
-Widths are scaled by one factor so that rho V = total mass: the fish is neutrally buoyant (docs/decisions.md).
+Widths are scaled by one factor so that rho V = total mass: the fish is neutrally buoyant (docs/decisions/decisions.md).
 Link frame: x towards the nose, y left, z up, origin at the link's front joint; for the head the origin is the
 reference point, the centre of mass of the straight fish projected on the long axis.
 """

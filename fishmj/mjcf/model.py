@@ -7,7 +7,7 @@ its front hinge, axis z. Inertias are stated, shapes are only looked at: nothing
     root = "free"     a free joint in gravity; buoyancy comes with the water
 
 Servo, natively:  torque = clip(kp (command - q) - kv w, +-T) - kb w.  The clipped part is a position actuator, kb w is joint
-damping, integrated implicitly by the Euler integrator: the torque-speed line of a DC motor (docs/decisions.md).
+damping, integrated implicitly by the Euler integrator: the torque-speed line of a DC motor (docs/decisions/decisions.md).
 """
 
 import mujoco
@@ -108,7 +108,7 @@ def _add_root(body, root: str) -> None:
 def _add_servo(spec, body, robot: Robot, name: str) -> None:
     s = robot.servo
     joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], damping=[s.kb, 0, 0])
-    joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE  # the command is clamped, as on the robot; see docs/decisions.md
+    joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE  # the command is clamped, as on the robot; see docs/decisions/decisions.md
     actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp=s.kp, kv=s.kv)
     actuator.forcelimited = actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE

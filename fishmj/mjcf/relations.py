@@ -265,7 +265,7 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:
         yield wrong
     if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5:
         got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:g}"
-        yield Fault("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/water.md)")
+        yield Fault("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/methods/water.md)")
 
 
 def _no_water(model: str) -> Fault | None:
@@ -298,7 +298,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
         if block["name"] not in catalogue():
             near = get_close_matches(block["name"], catalogue(), 1, 0.5)
             expected = f"an effect of the catalogue{f', such as {near[0]!r}' if near else ''}"
-            yield Fault("effect", i, "name", shown(block["name"]), expected, "docs/effects.md lists them all")
+            yield Fault("effect", i, "name", shown(block["name"]), expected, "docs/methods/effects.md lists them all")
             continue
         try:
             calibration.block_of(dict(block), "")

@@ -19,7 +19,7 @@ EXAMPLES = """examples:
   fishmj replay runs/trial_07 --out a.html --speed 0.25
   fishmj replay runs/a --fields runs/a_fields       a flow-solver run with its vorticity
 
-A LOG is a trial folder (meta.toml and tables) or a flat samples.csv, of an hour at most; see docs/logs.md. Add
+A LOG is a trial folder (meta.toml and tables) or a flat samples.csv, of an hour at most; see docs/guide/logs.md. Add
 #t=3.5&play=0&view=top to the address of a page to start it at 3.5 s, paused, seen from above. Keys in the page: space plays
 and pauses, the arrows step, f follows the fish, v shows and hides the vorticity."""
 

@@ -86,7 +86,7 @@ class OwnReference:
         if theirs := [name for name in UNASKED if hasattr(task, name)]:
             raise OwnCodeError(
                 f"{self.what}: has {theirs[0]}, which nothing would call: the policy sees the 5 + 2 J observations of fishmj;"
-                " put what matters into launch, target and reward, and take it out (docs/your_own_code.md)"
+                " put what matters into launch, target and reward, and take it out (docs/guide/your_own_code.md)"
             )
         self.seconds: Any = getattr(task, "seconds", None)
         if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float) or not 0 < self.seconds <= LONGEST:

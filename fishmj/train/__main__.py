@@ -34,7 +34,7 @@ def options() -> console.Parser:
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
     about = "Learn to hold station in a current that the fish cannot sense; leaves a policy file, best.safetensors, in --out."
-    about += " The paper is the one on zero-shot sim-to-real station holding (docs/paper_errata.md)."
+    about += " The paper is the one on zero-shot sim-to-real station holding (docs/decisions/paper_errata.md)."
     p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
     of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())
@@ -43,7 +43,7 @@ def options() -> console.Parser:
     add("--preset", choices=tuple(PRESETS), help=preset)
     algo = f"learning algorithm: {', '.join(ALGORITHMS)}, or your own as module:Name (default: the preset's)"
     add("--algo", type=console.text, metavar="NAME", help=algo)
-    task = f"{', '.join(COURSES)}, or your own as module:Name, docs/your_own_code.md (default station_hold)"
+    task = f"{', '.join(COURSES)}, or your own as module:Name, docs/guide/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
     engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)

@@ -16,7 +16,7 @@ ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench
     CPU: {"compiled": 395e3, "planar": 5e3, "batch": 4e3, "mjx": 650.0},
     GPU: {"compiled": 395e3, "planar": 46e6, "batch": 4e3, "mjx": 1e6},
 }
-ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/training.md
+ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/guide/training.md
 FLOAT = 4  # bytes
 STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
 ADAM = 4  # copies of a network: weights, its gradient, two moments

@@ -1,6 +1,6 @@
 """A second robotic fish, written independently of the strip model that is fitted to data: the generator of blind tests.
 
-It shares the drawn outline, masses and servo numbers with the first one and nothing else; see docs/virtual_robot.md.
+It shares the drawn outline, masses and servo numbers with the first one and nothing else; see docs/methods/virtual_robot.md.
 
     generate(effects, excitations, seed) -> [Trial]     trials in which effects are hidden
     plant(effects, seed) -> Plant                       the numbers of such a robot

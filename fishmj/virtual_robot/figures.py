@@ -1,4 +1,4 @@
-"""What the second robot swims like: the figures of docs/virtual_robot.md.
+"""What the second robot swims like: the figures of docs/methods/virtual_robot.md.
 
 python -m fishmj.virtual_robot.figures
 """

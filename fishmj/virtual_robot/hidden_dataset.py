@@ -26,8 +26,8 @@ WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its nu
 Limits = Callable[[str, EntryParameter], tuple[float, float]]
 OWN = re.compile(r"([^:=]+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)+):[A-Za-z_][\w.]*")  # an effect's name has no dot
 INSTEAD = (
-    "list it in a fish (docs/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects, or, if it"
-    " acts on what sensors report alone, put it on logs that are there: fishmj gap plant --generator log --from DATA"
+    "list it in a fish (docs/guide/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects, or,"
+    " if it acts on what sensors report alone, put it on logs that are there: fishmj gap plant --generator log --from DATA"
 )
 LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
 

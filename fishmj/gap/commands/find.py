@@ -29,7 +29,11 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    add("data", type=console.path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
+    add(
+        "data",
+        type=console.path,
+        help=f"data set: {forms}; measurements.toml in the folder (docs/guide/logs.md) is what was weighed",
+    )
     gap_options.of_model(add)
     add(
         "--water",

@@ -5,7 +5,8 @@
 
 One or two effects of the catalogue, at up to one and a half times their typical size, reach a gap of 1000 in nine of 1440 blind
 sets of the benchmark (tethers, stiff skins, up to 18,946: docs/figures/gap/bench_2010.json, bench_2011.json). So a search stops
-where a cause is recognised, from FAR on in one channel, and in any case from BEYOND on; docs/gap.md says how often that is wrong.
+where a cause is recognised, from FAR on in one channel, and in any case from BEYOND on; docs/results/gap_benchmark.md says
+how often that is wrong.
 """
 
 from typing import NamedTuple

@@ -8,9 +8,9 @@ A case is one small file in this folder:
         ...
         yield about("profile error, H = 32", error, 0.0, 1e-3, absolute=True)
 
-`rung` is its number on the validation ladder of docs/oracle.md; `quick` puts it into `cases --quick`, three minutes in all on
-two cores. `cost` is the time expected on two cores; a case marked `gpu` is left out of `--all` on the CPU and runs there by name.
-A check without a reference that was read is `reported`, not gated.
+`rung` is its number on the validation ladder of docs/methods/oracle.md; `quick` puts it into `cases --quick`, three minutes in
+all on two cores. `cost` is the time expected on two cores; a case marked `gpu` is left out of `--all` on the CPU and runs there
+by name. A check without a reference that was read is `reported`, not gated.
 """
 
 import time

@@ -8,7 +8,7 @@ displaced water of link l has when it moves with the link across it, and along i
 the velocity of its centre: the immersed boundary accelerates that water too, which a real hull does not contain. Taken as a
 difference in the world frame it holds the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that
 momentum is conserved. I lags by one step, along the links by two: the implicit solve stays stable with it down to a density
-ratio of 0.01 (docs/oracle_coupling.md).
+ratio of 0.01 (docs/methods/oracle_coupling.md).
 
 The velocity goes back as   qfrc_applied = (M + dt D) (v+ - v) / dt - (passive + actuators - bias),
 so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off in fishmj's models.

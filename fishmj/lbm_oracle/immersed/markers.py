@@ -5,7 +5,7 @@ retraction below `SHEET` cells, or behind `fin_from`) it becomes one row of a sh
 
 The kernel spreads a marker's force over 1.5 (3-point) or 2 (4-point) cells each way, so the body acts fatter than its
 markers: they are drawn in along the normal by `hydro_offset` cells, at most `CLAMP` of the local half-thickness, and
-sheets are shortened by it on their free edges (docs/oracle_coupling.md has the measurement).
+sheets are shortened by it on their free edges (docs/methods/oracle_coupling.md has the measurement).
 
 Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link
 before and with weight share to the link behind (`mjcf.skin`), so the hull bends without gaps.

@@ -4,7 +4,7 @@
 
 grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l of the links; displaced = sum of the displaced
 water moving with its links: the grid has it inside the hull, a real fish does not. A coupling that loses the inside term, its
-Coriolis part or a sign drifts by the whole momentum of the fish within a few beats (docs/oracle_coupling.md).
+Coriolis part or a sign drifts by the whole momentum of the fish within a few beats (docs/methods/oracle_coupling.md).
 """
 
 from typing import NamedTuple

@@ -9,7 +9,7 @@ from fishmj.lbm_oracle.fluid.device import accelerator
 from fishmj.lbm_oracle.fluid.thread_slabs import MOST
 from fishmj.lbm_oracle.run.domain import Domain
 
-RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/oracle.md, Speed)
+RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/methods/oracle.md, Speed)
 UNASKED = 3600.0  # s of a CPU that `--device auto` begins without being asked
 
 Work = Iterable[tuple[Domain, float]]  # boxes, and s of water in each

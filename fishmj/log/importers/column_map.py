@@ -212,7 +212,7 @@ def of_dict(raw: dict, where: str) -> ColumnMap:
 def written(made: ColumnMap) -> str:
     """The map as TOML."""
     head = (
-        "# Which column of the files is which of fishmj.log/1, in what unit (docs/logs.md). Read it, mend it, and "
+        "# Which column of the files is which of fishmj.log/1, in what unit (docs/guide/logs.md). Read it, mend it, and "
         "import with it.\n"
     )
     plain = made.model_dump(exclude_defaults=True)

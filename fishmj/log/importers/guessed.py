@@ -59,7 +59,7 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
             f'{{ column = "frame", scale = 0.01 }}'
         )
     told = "; ".join(f"{quoted(g.column)[1:-1]}: {g.why}" for g in guesses if g.place != "t")[:300]
-    return f"{where}: no column was recognised ({told}); write a map (docs/logs.md) and import with --columns MAP.toml"
+    return f"{where}: no column was recognised ({told}); write a map (docs/guide/logs.md) and import with --columns MAP.toml"
 
 
 def choices(g: Guess) -> str:

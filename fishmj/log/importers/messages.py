@@ -322,7 +322,7 @@ def _converted(encoding: str) -> str:
     if encoding == "protobuf":
         return (
             "convert the recording to JSON messages: pip install mcap-protobuf-support and run the lines under "
-            '"Protobuf" in docs/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
+            '"Protobuf" in docs/guide/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
         )
     return "convert the recording to JSON messages"
 

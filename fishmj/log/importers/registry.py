@@ -100,7 +100,7 @@ def read(path: str | Path, format: Format = None, *, topics: str | Path | None =
 
     Args:
         format: one of `FORMATS`; one's own reader, `function(path)` or, as the user typed it, module:function, file.py:function
-            or an entry point of fishmj.importers (docs/your_own_code.md); found out when None.
+            or an entry point of fishmj.importers (docs/guide/your_own_code.md); found out when None.
         topics: for "mcap" and "rosbag2": the TOML that says which topic is which table.
 
     Raises:

@@ -27,7 +27,7 @@ from fishmj.studies.gap_benchmark.workers import answered
 GENERATORS = ("second", "lbm", "log")
 GENERATED = "second: the second robot; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a term deleted"
 MOST, MOST_JOBS = 100_000, 1024
-A_LOG = 3.3  # s of a core: 720 cases of 9 logs on average take one 30 s each (docs/gap.md)
+A_LOG = 3.3  # s of a core: 720 cases of 9 logs on average take one 30 s each (docs/results/gap_benchmark.md)
 ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
 
 

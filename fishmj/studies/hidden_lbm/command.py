@@ -24,8 +24,8 @@ from fishmj.store import Manifest, read_json, write_json
 from fishmj.virtual_robot.hidden_dataset import parse
 
 SCHEMA = "fishmj.hidden/1"
-TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (docs/oracle.md)
-AGAIN = 0.1  # of the ticks are done again with finer steps, at three times the cost (docs/campaign.md)
+TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (docs/methods/oracle.md)
+AGAIN = 0.1  # of the ticks are done again with finer steps, at three times the cost (docs/guide/campaign.md)
 ON_GPU = 12
 
 

@@ -1,0 +1,39 @@
+"""Every example of one page runs as its own docstring says, and its own assertions hold."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parent.parent / "examples"
+QUICK = ("own_controller", "own_effect", "own_importer", "own_reward", "read_trial", "side_by_side")
+DEAR = ("flow_solver", "gymnasium_policy", "mjx_batch", "search")  # more than 5 s of CPU
+LONGER = (
+    "five_links",
+    "gait_map",
+    "gap_answers",
+    "lab_csv",
+    "own_code",
+)  # stories that pages of the docs quote; tests of their own
+LINES = 60
+
+
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in DEAR)])
+def test_an_example_runs(name, tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(FOLDER.parent)}
+    done = subprocess.run(
+        [sys.executable, FOLDER / f"{name}.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) >= 1
+
+
+def test_examples_have_one_page_and_say_how_they_are_run():
+    found = {path.stem: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.py")}
+    assert set(found) == {*QUICK, *DEAR, *LONGER}
+    for name in (*QUICK, *DEAR):
+        assert len(found[name].splitlines()) <= LINES, name
+        assert f"python examples/{name}.py" in (ast.get_docstring(ast.parse(found[name])) or ""), name

@@ -1,0 +1,20 @@
+"""Every name in docs/glossary.md can be imported, and no word stands there twice."""
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "glossary.md"
+ROWS = re.findall(r"^\| ([^|]+) \| [^|]+ \| `([\w.]+):(\w+)` \|[^|]*\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_names_of_the_glossary_exist():
+    rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ") and "in the code" not in line]
+    assert len(ROWS) == len(rows) >= 60, "every row names module:Name in backticks"
+    gone = [f"{word}: {module}:{name}" for word, module, name in ROWS if not hasattr(import_module(module), name)]
+    assert not gone, "\n".join(["mend the third column", *gone])
+
+
+def test_a_word_stands_in_the_glossary_once():
+    words = [word for word, _, _ in ROWS]
+    assert sorted(words) == sorted(set(words))
