@@ -7,7 +7,8 @@
     advance            MuJoCo's own step to v+                                              host
 
 Strong coupling without sub-iterations: K is exact, since the direct forcing is linear in v. A body as light as water, or a thin
-light tail, is stable so; the explicit scheme takes the water's answer to the old velocity and diverges (docs/methods/oracle_coupling.md).
+light tail, is stable so; the explicit scheme takes the water's answer to the old velocity and diverges
+(docs/methods/oracle_coupling.md).
 Host and device work side by side: the device makes up K while the host makes up M, and moves the water while MuJoCo steps.
 """
 
