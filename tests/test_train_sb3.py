@@ -163,7 +163,7 @@ def test_a_stopped_run_exports_what_sb3_predicts_keeps_tensors_only_and_goes_on_
     monkeypatch.setattr(sb3, "Run", watch)
     capfd.readouterr()
     assert sb3.train_sb3(run, tmp_path, resume=True)["steps"] == 2048
-    assert "the replay memory was not kept: 512 steps of the policy refill it" in capfd.readouterr().err
+    assert "the replay buffer was not kept: 512 steps of the policy refill it" in capfd.readouterr().err
     assert seen["memory"] == 0 and seen["tensors"].keys() == before.tensors.keys()
     for name, value in before.tensors.items():  # networks, moments and temperature, to the bit
         np.testing.assert_array_equal(value, seen["tensors"][name], err_msg=name)

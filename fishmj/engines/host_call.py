@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-DTYPES = {11: np.dtype(np.float32), 12: np.dtype(np.float64)}  # XLA_FFI_DataType
+DTYPES: dict[int, np.dtype] = {11: np.dtype(np.float32), 12: np.dtype(np.float64)}  # XLA_FFI_DataType
 METADATA = 1  # XLA_FFI_Extension_Type: asked once, when the name is bound
 INTERNAL = 13  # XLA_FFI_Error_Code
 _BOUND: dict[str, Any] = {}  # name -> its C function, which must outlive every program
@@ -77,4 +77,4 @@ def _array(buffer) -> np.ndarray:
     size = int(np.prod(dims)) * dtype.itemsize
     if not size:  # no address then
         return np.empty(dims, dtype)
-    return np.frombuffer((ctypes.c_char * size).from_address(buffer.data), dtype).reshape(dims)
+    return np.frombuffer(memoryview((ctypes.c_char * size).from_address(buffer.data)), dtype).reshape(dims)
