@@ -82,7 +82,7 @@ def warnings(m: ReportData) -> list[str]:
         notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
     if m.comparison.changed and not m.inquiry.verdict.shrinks:
         notes.append(f"What was found {m.inquiry.verdict.told()}")
-    shown = [part("told", told(n.rstrip(".") + "."), "warn") for n in notes]
+    shown: list[str] = [part("told", told(n.rstrip(".") + "."), "warn") for n in notes]
     shown += m.inquiry.notes  # file names: nothing of them is marked up
     if not m.inquiry.unseen.any():
         shown.append("No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw.")
@@ -145,7 +145,7 @@ def forces(m: ReportData) -> Section:
     rows = []
     for t in m.inquiry.verdict.terms:
         alike = [part("small", f"or {', '.join(t['alike'][:3])}")] if t["alike"] else []
-        row = {"term": part("lines", [part("strong", t["name"]), *alike])}
+        row: dict[str, str] = {"term": part("lines", [part("strong", t["name"]), *alike])}
         row |= {"coefficient": f"{number(t['coefficient'])} {t['unit']}", "takes off": percent(t["closure"])}
         rows.append(row | {"chosen in": percent(t["stability"]), "": part("tag", "firm" if t["firm"] else "weak")})
     about = (
