@@ -13,7 +13,7 @@ from fishmj import console
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.new.__main__ import main as new
-from fishmj.new.check import swim_of
+from fishmj.new.swim_check import swim_of
 from fishmj.replay.__main__ import main as replay
 from fishmj.store import read_json
 from fishmj.train.__main__ import main as train

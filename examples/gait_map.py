@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.water import planar
+from fishmj.water import planar_water
 
 CHAIN, FISH, DEG = planar_chain.chain_of(mjcf.load_robot("fish")), planar_chain.nominal(mjcf.load_robot("fish")), np.pi / 180
 STILL = [(0.0, 0.0)] * CHAIN.n
@@ -47,7 +47,7 @@ towed = planar_chain.kinematics(np, CHAIN, [0.0] * 6, [0.3, 0.0, 0.0, 0.0, 0.0, 
 drag = -sum(f[0] for f in planar_chain.water_forces(np, CHAIN, FISH, towed, 0.0, (0.0, 0.0), 0.5))
 heave = [k * mu[0] for k, mu in zip(FISH.water.k, CHAIN.strips.mu, strict=True)]
 own, added = (planar_chain.mass_matrix(CHAIN, FISH, towed, rigid=r, water=not r) for r in (True, False))
-ratio = np.linalg.eigvals(np.linalg.solve(*(planar.world_matrix(CHAIN, 0.0, m) for m in (own, added)))).real
+ratio = np.linalg.eigvals(np.linalg.solve(*(planar_water.world_matrix(CHAIN, 0.0, m) for m in (own, added)))).real
 print(f"tow drag at 0.3 m/s: {drag:.3f} N; added mass sideways {sum(heave):.2f} kg, links {np.round(heave, 2).tolist()}")
 print(f"added over own inertia, straight fish: {np.round(np.sort(ratio)[::-1], 2).tolist()}")
 assert (np.diff(wave[:6]) > 0).all() and 0.1 < phase[3] < wave[3] < 0.5, "faster beats swim faster; a wave beats in phase"

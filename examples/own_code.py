@@ -33,7 +33,7 @@ class Chase:
 # task
 from dataclasses import dataclass
 
-from fishmj.tasks.course import Launch
+from fishmj.tasks.reference import EpisodeStart
 from fishmj.tasks.station_hold import draw_start
 
 
@@ -47,7 +47,7 @@ class LineFollow:
     def launch(self, xp, uniforms):
         start, zero = draw_start(xp, uniforms), 0.0 * uniforms[:, 0]
         pose = xp.stack([zero - 0.8, 0.4 * uniforms[:, 1] - 0.2, zero], -1)  # beside the line's beginning, facing along it
-        return Launch(start._replace(pose=pose, target=xp.stack([zero - 0.8, zero], -1), speed=0.5 * start.speed), zero)
+        return EpisodeStart(start._replace(pose=pose, target=xp.stack([zero - 0.8, zero], -1), speed=0.5 * start.speed), zero)
 
     def target(self, xp, launch, t):
         return xp.stack([self.speed * t - 0.8, 0.0 * t], -1)

@@ -173,7 +173,7 @@ _DASHED = re.compile(r"[\u2010-\u2015\u2212\ufe58\uff0d][\u2010-\u2015\u2212\ufe
 class Parser(argparse.ArgumentParser):
     """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text.
 
-    The help shows every default, and below it the example that the parser or its `Group` gives.
+    The help shows every default, and below it the example that the parser or its `CommandGroup` gives.
     """
 
     def __init__(self, *args, **options):
@@ -253,7 +253,7 @@ class Command(NamedTuple):
 _EXAMPLES: dict[str, str] = {}  # program -> its example, for the help of a command that a group offers
 
 
-class Group:
+class CommandGroup:
     """The commands of a verb, as its `main`: `--help` lists them, an unknown one gets the nearest name, none is bad input.
 
     A name may be two words (`converge fish`). Nothing is imported but the command that is called. `bare` names the command that

@@ -35,8 +35,8 @@ def learn(args) -> dict:
     import shutil
 
     from fishmj import store
-    from fishmj.train.run import Run
     from fishmj.train.settings import as_dict, change, preset
+    from fishmj.train.training_run import TrainingRun
 
     folder, settings = args.out / "training", change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
     kept = None if (args.out / FINISHED).exists() else store.Checkpoints(folder / "checkpoints").latest()
@@ -46,7 +46,7 @@ def learn(args) -> dict:
         (args.out / FINISHED).unlink(missing_ok=True)
     else:
         console.say(f"going on with the training in {folder}")
-    return Run(settings, folder, resume=same).go()
+    return TrainingRun(settings, folder, resume=same).go()
 
 
 def judge(args, policy: str):
@@ -70,9 +70,9 @@ def judge(args, policy: str):
 def show(args, result) -> dict:
     """Report with pictures, and the replay of one trial against the stream."""
     from fishmj.evaluate import summary
-    from fishmj.evaluate.logs import trial_of
     from fishmj.evaluate.report import write
     from fishmj.evaluate.tables import condition
+    from fishmj.evaluate.trial_logs import trial_of
     from fishmj.log import write_trial
     from fishmj.replay import write_html
 

@@ -26,8 +26,8 @@ def register() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 id=name,
-                entry_point="fishmj.gym.single:FishEnv",
-                vector_entry_point="fishmj.gym.vector:FishVectorEnv",
+                entry_point="fishmj.gym.fish_env:FishEnv",
+                vector_entry_point="fishmj.gym.fish_vector_env:FishVectorEnv",
                 kwargs={"task": task},
             )
 

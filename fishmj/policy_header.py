@@ -23,7 +23,7 @@ MOST = 1000  # links, observations: beyond them it is no fish
 KEYS = {"links": str, "lengths": float, "joints": str, "servo_range": float}
 
 
-class Fit(NamedTuple):
+class PolicyFit(NamedTuple):
     """Whether a policy may steer a robot: reasons to refuse it, and what is worth a line."""
 
     refused: tuple[str, ...]
@@ -69,7 +69,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= 80 else text[:76] + "..."
 
 
-class Body(NamedTuple):
+class PolicyBody(NamedTuple):
     """What a policy must find again on a robot (mjcf.structure)."""
 
     name: str
@@ -79,7 +79,7 @@ class Body(NamedTuple):
     control_dt: float  # s
 
 
-def fit(meta: dict, robot: Body, *, any_path: bool, known: dict) -> Fit:
+def fit(meta: dict, robot: PolicyBody, *, any_path: bool, known: dict) -> PolicyFit:
     """Whether the policy with this header may steer a robot.
 
     Args:
@@ -110,7 +110,7 @@ def fit(meta: dict, robot: Body, *, any_path: bool, known: dict) -> Fit:
         refused.append(f"trained on command path {wanted}, the robot's is {path}: --command-path {wanted}, or --any-command-path")
     if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
         refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s")
-    return Fit(tuple(refused), tuple(notes))
+    return PolicyFit(tuple(refused), tuple(notes))
 
 
 def structure_in(meta: dict) -> dict:

@@ -19,9 +19,9 @@ import numpy as np
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.engines.extensions import SURROGATE, Added, in_water
-from fishmj.engines.record import Recorder, rescue
-from fishmj.engines.single import Solo
+from fishmj.engines.extensions import SURROGATE, Extensions, in_water
+from fishmj.engines.recorder import Recorder, rescue
+from fishmj.engines.single import SingleFish
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
 from fishmj.log import Trial
@@ -29,8 +29,8 @@ from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.water.injection import checked_step, inject
-from fishmj.water.planar import PlanarWater
-from fishmj.water.spatial import FreeWater
+from fishmj.water.planar_water import PlanarWater
+from fishmj.water.spatial_water import FreeWater
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)
@@ -80,7 +80,7 @@ class Sim:
         timing = self.robot.timing
         self.ticks_a_second = round(1 / timing.bus_dt)
         self.steps = round(timing.bus_dt / timing.physics_dt)
-        self.added = Added.of(self.robot)
+        self.added = Extensions.of(self.robot)
         late = float(self.added.late(np, self.added.row, "command"))
         self.delay = round(((timing.command_latency if latency is None else latency) + late) / timing.physics_dt)
         self.swimmer = swimmer or planar_chain.nominal(self.robot)
@@ -90,7 +90,7 @@ class Sim:
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
         make_water = {"planar": PlanarWater, "free": FreeWater}[root]
-        self.solo = Solo.of(self.robot, self.added, self.swimmer, root, water)
+        self.solo = SingleFish.of(self.robot, self.added, self.swimmer, root, water)
         self.water = make_water(self.robot, self.swimmer) if water == "structured" and self.solo is None else None
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fishmj.mjcf import schema
+from fishmj.mjcf import description_schema
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "your_own_fish.md"
 BEGIN, END = "<!-- keys: begin -->\n", "<!-- keys: end -->\n"
@@ -11,18 +11,18 @@ BEGIN, END = "<!-- keys: begin -->\n", "<!-- keys: end -->\n"
 def table() -> str:
     """Markdown: one row a key, in the order of the models."""
     rows = ["| key | expected | what it is |", "|---|---|---|"]
-    rows += [row("", key) for key in schema.keys() if key not in schema.BLOCKS]
-    for block, model in schema.BLOCKS.items():
-        header = f"[[{block}]]" if block in schema.LISTS else f"[{block}]"
-        many = f"{schema.said('', block)[2]}. " if block in schema.LISTS else ""
+    rows += [row("", key) for key in description_schema.keys() if key not in description_schema.BLOCKS]
+    for block, model in description_schema.BLOCKS.items():
+        header = f"[[{block}]]" if block in description_schema.LISTS else f"[{block}]"
+        many = f"{description_schema.said('', block)[2]}. " if block in description_schema.LISTS else ""
         rows.append(f"| **`{header}`** | | {many}{' '.join((model.__doc__ or '').split())} |")
-        rows += [row(block, key) for key in schema.keys(block)]
+        rows += [row(block, key) for key in description_schema.keys(block)]
     return "\n".join(rows) + "\n"
 
 
 def row(block: str, key: str) -> str:
-    what, _, expected = schema.said(block, key)
-    model = schema.BLOCKS[block] if block else schema.Description
+    what, _, expected = description_schema.said(block, key)
+    model = description_schema.BLOCKS[block] if block else description_schema.Description
     needed = next(info for name, info in model.model_fields.items() if key == (info.alias or name)).is_required()
     return f"| `{key}`{' *' if needed else ''} | {expected} | {what} |"
 

@@ -4,9 +4,9 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import Active
-from fishmj.effects.commands import delivered
-from fishmj.effects.sites import Seen
+from fishmj.effects import EffectStack
+from fishmj.effects.command_path import delivered
+from fishmj.effects.sites import Measured
 from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")
@@ -22,7 +22,7 @@ def gait(seconds: float, frequency: float, amplitude_deg: float, bias_deg: float
     return np.minimum(t / 0.5, 1.0) * np.radians(bias_deg + amplitude_deg * beat)
 
 
-def swim(active: Active, rows, sent, start=(0.0,) * 6, push=(0.0,) * 6, flow=(0.0, 0.0), wet=1.0, swimmer=SWIMMER, ch=CHAIN):
+def swim(active: EffectStack, rows, sent, start=(0.0,) * 6, push=(0.0,) * 6, flow=(0.0, 0.0), wet=1.0, swimmer=SWIMMER, ch=CHAIN):
     """q (B, T, 6), v (B, T, 6) after each step and power (B, T) of parameter rows (B, P) under commands sent (T, J)."""
     rows = np.asarray(rows, float)
     b = len(rows)
@@ -42,11 +42,11 @@ def swim(active: Active, rows, sent, start=(0.0,) * 6, push=(0.0,) * 6, flow=(0.
     return out[..., :6], out[..., 6:12], out[..., 12]
 
 
-def sense(active: Active, rows, q, power) -> Seen:
+def sense(active: EffectStack, rows, q, power) -> Measured:
     """What the sensors report of a swim, every physics step."""
     rows, t = np.asarray(rows, float), (1 + np.arange(q.shape[1])) * H
     late = lambda clock: np.asarray(active.delay(np, list(rows.T[:, :, None]), clock, t)) * np.ones((len(rows), len(t)))
     at = lambda values, delay: np.array([np.interp(t - d, t, x) for x, d in zip(values, delay, strict=True)])
     x, y, yaw = (at(q[..., i], late("pose")) for i in range(3))
     joint = np.stack([at(q[..., 3 + j], late("joint")) for j in range(JOINTS)], -1)
-    return active.measure(np, list(rows.T[:, :, None]), Seen(t, x, y, yaw, joint, at(power, late("power"))))
+    return active.measure(np, list(rows.T[:, :, None]), Measured(t, x, y, yaw, joint, at(power, late("power"))))

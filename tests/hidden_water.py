@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.hydro_fit import dataset, record
+from fishmj.hydro_fit import record, segment_dataset
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.command_bus import on_the_bus
 from fishmj.store import Manifest, write_json
@@ -230,7 +230,7 @@ def _records(out, commands, flow, start, block, split, noise, seed, prescribed):
         meta |= {"prescribed": {"joints": prescribed, "root": prescribed}, "latency": ROBOT.timing.command_latency}
         meta |= {"origin": "synthetic", "segment": {"flow": {"speed": float(np.hypot(*flow[b])), "turbulence": "none"}}}
         stream = np.broadcast_to(flow[b], (len(q[b]), N, 2)).copy()
-        made.append(record.Record(meta, q[b], v[b], commands[b], wrench[b], wrench[b], stream, power[b]))
+        made.append(record.SegmentRecord(meta, q[b], v[b], commands[b], wrench[b], wrench[b], stream, power[b]))
     return made
 
 
@@ -261,9 +261,9 @@ def write_dataset(folder, records):
     grid = {"domain": "synthetic", "dx": 0.0, "dt": CHAIN.dt, "slip": 1.0}
     for r in records:
         arrays = {key: getattr(r, key) for key in record.UNITS if key != "power" or np.isfinite(r.power).all()}
-        record.write_record(folder / dataset.SEGMENTS, {**r.meta, **about, "grid": grid}, arrays)
+        record.write_record(folder / segment_dataset.SEGMENTS, {**r.meta, **about, "grid": grid}, arrays)
     episodes = {r.meta["episode"]: r.meta["split"] for r in records}
-    write_json(folder / dataset.SPLIT, {"episodes": episodes, "sha256": dataset.split_hashes(episodes)})
+    write_json(folder / segment_dataset.SPLIT, {"episodes": episodes, "sha256": segment_dataset.split_hashes(episodes)})
     Manifest.of(folder).write(folder)
     return folder
 

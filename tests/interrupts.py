@@ -99,7 +99,7 @@ def verdict(folder: Path) -> dict:
 
 def water(folder: Path) -> list:
     """Of a fit: coefficients, members, net, to the bit."""
-    from fishmj.water.model import HydroModel
+    from fishmj.water.hydro_model import HydroModel
 
     model = HydroModel.load(folder / "water" / "swift.toml")
     net = [] if model.learnt is None else [np.asarray(a).tobytes() for a in model.learnt.net]

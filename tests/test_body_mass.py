@@ -10,15 +10,15 @@ from effect_swim import CHAIN, JOINTS, SWIMMER
 from fishmj import effects
 from fishmj.dynamics.hooks import Effects
 from fishmj.dynamics.planar_chain import chain_of
-from fishmj.effects import Active
-from fishmj.effects.calibration import Fitted, Interval
+from fishmj.effects import EffectStack
+from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.gap.commands.mjcf_patch import mjcf
 from fishmj.mjcf.description import load_robot
 
 
 def heavier(chain, swimmer, mass: float, spread: float):
     """Masses (N,), places of their centres (N,) and inertias (N,) of the links with the effect."""
-    active = Active([effects.get("body_mass")], JOINTS)
+    active = EffectStack([effects.get("body_mass")], JOINTS)
     row = active.flat({"body_mass": {"mass": mass, "spread": spread}})
     ch, sw = Effects(np, active, row, active.memory).fish(chain, swimmer)
     return np.array(sw.mass) * ch.mass, np.array(ch.com), np.array(sw.mass) * ch.inertia
@@ -38,7 +38,7 @@ def test_a_payload_sits_at_the_heads_origin_and_leaves_its_other_moments(spread)
 def test_mujoco_holds_the_same_masses(spread):
     parent = load_robot("fish")
     values = {k: Interval(v, v, v) for k, v in {"mass": 0.2, "spread": spread}.items()}
-    model = mujoco.MjModel.from_xml_string(mjcf(replace(parent, effects=(Fitted("body_mass", values),))))
+    model = mujoco.MjModel.from_xml_string(mjcf(replace(parent, effects=(FittedEffect("body_mass", values),))))
     mass, com, inertia = heavier(chain_of(parent), SWIMMER._replace(mass=[1.0] * 4), 0.2, spread)
     np.testing.assert_allclose(model.body_mass[1:], mass, rtol=1e-5)
     np.testing.assert_allclose(model.body_ipos[1:, 0], com, rtol=1e-5)

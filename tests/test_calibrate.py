@@ -14,20 +14,20 @@ pytest.importorskip("numba")
 from fishmj import console, interrupt
 from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import check, latency, mass, model, servo
+from fishmj.calibrate import calibrated_model, fit_check, latency, mass, servo_fit
 from fishmj.calibrate.bias import widened
-from fishmj.calibrate.least_squares import Block, Estimate, Fit, Parameter, correlation_length, fit
-from fishmj.calibrate.logs import Logs
+from fishmj.calibrate.calibration_logs import Logs
+from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, correlation_length, fit
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
-from fishmj.gap.models.test_stand import Bench
+from fishmj.gap.models.test_stand import TestStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json, write_text
 from fishmj.studies.hidden_lbm import calibration_trials, score
-from fishmj.virtual_robot import draws
+from fishmj.virtual_robot import random_streams
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "data" / "calib" / "trials"
@@ -55,7 +55,7 @@ def test_intervals_hold_under_autocorrelated_residuals():
     rng, t, inside, naive = np.random.default_rng(1), np.linspace(0, 1, 300), 0, 0
     blocks = [Block(f"t{i}", f"g{i % 3}", slice(300 * i, 300 * (i + 1))) for i in range(6)]
     line = lambda thetas: (thetas[:, :1] + thetas[:, 1:] * np.tile(t, 6)[None]) * 1.0
-    start = [Parameter("a", "1", 0.5, 0.1), Parameter("b", "1", 0.0, 0.1)]
+    start = [FreeParameter("a", "1", 0.5, 0.1), FreeParameter("b", "1", 0.0, 0.1)]
     for _ in range(60):
         data = 1.0 + 2.0 * np.tile(t, 6) + 0.3 * np.concatenate([red_noise(rng, 300, 0.95) for _ in blocks])
         found = fit(start, lambda thetas, data=data: data - line(thetas), blocks)
@@ -70,9 +70,9 @@ def test_intervals_hold_under_autocorrelated_residuals():
 def test_a_bound_and_a_prior_are_kept():
     blocks = [Block("t", "g", slice(0, 50))]
     target = np.full(50, -1.0)
-    bounded = fit([Parameter("a", "1", 0.5, 0.1, low=0.0)], lambda thetas: target - thetas, blocks)
+    bounded = fit([FreeParameter("a", "1", 0.5, 0.1, low=0.0)], lambda thetas: target - thetas, blocks)
     assert bounded.theta[0] == 0.0 and bounded.estimates["a"].low == 0.0
-    held = fit([Parameter("a", "1", 0.5, 0.1, sigma=1e-6)], lambda thetas: target - thetas, blocks)
+    held = fit([FreeParameter("a", "1", 0.5, 0.1, sigma=1e-6)], lambda thetas: target - thetas, blocks)
     assert held.theta[0] == pytest.approx(0.5, abs=1e-3)
 
 
@@ -85,8 +85,8 @@ def robot() -> tuple[dict, Logs]:
 
 
 @pytest.fixture(scope="module")
-def fitted(robot) -> servo.Found:
-    return servo.calibrate(robot[1], Bench(), alone=False)
+def fitted(robot) -> servo_fit.ServoFit:
+    return servo_fit.calibrate(robot[1], TestStand(), alone=False)
 
 
 def test_servo_numbers_come_back_within_their_intervals(robot, fitted):
@@ -109,7 +109,7 @@ def test_latencies_come_back(robot, fitted):
 
 def test_without_bench_trials_it_says_what_to_record():
     with pytest.raises(LogError, match="at least two"):
-        servo.calibrate(Logs(Path("empty"), {}), Bench())
+        servo_fit.calibrate(Logs(Path("empty"), {}), TestStand())
 
 
 def some_trials(folder: Path, names: str, change=lambda table, column, values: values) -> Path:
@@ -148,7 +148,7 @@ def test_a_page_of_weighings_that_is_absent_says_what_to_write(tmp_path: Path):
 
 def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
     """One plant for both media: with `wet` 1 the row of the described robot moves as the chain of `hydro_fit` does."""
-    plant, logs = Bench(), robot[1]
+    plant, logs = TestStand(), robot[1]
     record = logs.records(plant.dt, logs.of("water", ("square",)))[0]._replace(pose=None, power=None)
     late, n = round(plant.latency / plant.dt), 300
     q, v, attached = [*map(float, record.start), 0.0, 0.0, 0.0], [0.0] * 6, 0.5
@@ -168,16 +168,18 @@ def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
 
 def test_a_hull_pushed_beyond_its_tolerance_is_told():
     """Constants of the water that the fit needs far from what is described mean another water."""
-    at = {c.name: Estimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo.CONSTANTS[2:]}
-    fit_with = lambda mass: Fit(np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1)
-    found = lambda mass: servo.Found(None, [], np.zeros(1), fit_with(mass), {})
+    at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo_fit.CONSTANTS[2:]}
+    fit_with = lambda mass: LeastSquaresFit(
+        np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1
+    )
+    found = lambda mass: servo_fit.ServoFit(None, [], np.zeros(1), fit_with(mass), {})
     assert found(1.05).words == "" and "mass 1.38" in found(1.38).words
 
 
 def test_masses_come_back_from_the_weighings(tmp_path: Path):
     made = calibration_trials.hidden(SEED)
     truth = calibration_trials.truth(made)
-    page = calibration_trials.weighings(made, draws.stream(SEED, "weighing"))
+    page = calibration_trials.weighings(made, random_streams.stream(SEED, "weighing"))
     write_text(tmp_path / measurements.FILE, dumps(page))
     found = mass.calibrate(tmp_path, load_robot()).estimates
     for name in ("mass", "com", "inertia"):
@@ -197,17 +199,17 @@ def test_the_nominal_robot_weighs_what_it_is_described_to():
 
 def test_a_calibrated_fish_is_a_fish_and_remembers_where_from(tmp_path: Path):
     out = tmp_path / "mine.toml"
-    e = Estimate("kp", "N m/rad", 9.25, 9.0, 9.5, 0.1, "trials")
-    friction = Estimate("friction", "N m", 0.05, 0.04, 0.06, 0.005, "trials")
+    e = ParameterEstimate("kp", "N m/rad", 9.25, 9.0, 9.5, 0.1, "trials")
+    friction = ParameterEstimate("friction", "N m", 0.05, 0.04, 0.06, 0.005, "trials")
     for _ in range(2):  # the second time replaces
-        text = model.put(model.start(out, "fish"), "servo", {"kp": 9.25})
-        model.write(out, text, "servo", {"kp": e}, {"coulomb_friction.torque": friction}, "here")
+        text = calibrated_model.put(calibrated_model.start(out, "fish"), "servo", {"kp": 9.25})
+        calibrated_model.write(out, text, "servo", {"kp": e}, {"coulomb_friction.torque": friction}, "here")
     read, table = load_robot(out), read_toml(out)
     assert read.servo.kp == 9.25 and [f.name for f in read.effects] == ["coulomb_friction"]
     assert table["calibration"]["servo"]["kp"] == {"value": 9.25, "low": 9.0, "high": 9.5, "unit": "N m/rad"}
     assert out.read_text().count("[calibration.servo]") == 1 and "# N m/rad" in out.read_text()
     with pytest.raises(ConfigError, match="no line for kq"):
-        model.put(text, "servo", {"kq": 1.0})
+        calibrated_model.put(text, "servo", {"kq": 1.0})
 
 
 def test_shipped_trials_are_whole_synthetic_and_sealed():
@@ -256,7 +258,7 @@ import json, sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
 from fishmj.calibrate.__main__ import main
-from fishmj.calibrate.logs import read
+from fishmj.calibrate.calibration_logs import read
 read(sys.argv[1])
 for verb in ("mass", "slip"):
     main([verb, "--data", sys.argv[1], "--report", sys.argv[2]])
@@ -277,8 +279,8 @@ def test_score_compares_fitted_with_sealed(tmp_path: Path):
     folder.mkdir()
     calibration_trials.seal(folder, SEED, {"kp": 8.0, "kd": 0.3}, {})
     out = tmp_path / "fish.toml"
-    e = Estimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
-    model.write(out, model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
+    e = ParameterEstimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
+    calibrated_model.write(out, calibrated_model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
     (row,) = score.score(folder, str(out))
     assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"
     assert read_json(folder / "sealed.json")["values"]["kp"] == 8.0
@@ -295,7 +297,7 @@ def test_robots_that_were_checked_are_not_checked_again(tmp_path, monkeypatch, c
         return {"kp": [0.1 * len(done), 10.0, True]}
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(check, "one", one)
+    monkeypatch.setattr(fit_check, "one", one)
     monkeypatch.setattr(calibration_trials, "trials", lambda seed: {})
     with pytest.raises(KeyboardInterrupt):
         command.drawn(["--robots", "3"])

@@ -10,7 +10,7 @@ import pytest
 from fishmj import console, interrupt
 from fishmj.calibrate import __main__ as command
 from fishmj.calibrate import slip
-from fishmj.calibrate.logs import read
+from fishmj.calibrate.calibration_logs import read
 from fishmj.campaign.hidden_lbm import hidden
 from fishmj.errors import LogError
 from fishmj.log import read_trial, write_trial

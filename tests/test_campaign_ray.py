@@ -15,7 +15,7 @@ from fishmj.campaign.data.ray_pool import ATTEMPTS, RayPool
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.campaign.data.segment import Segment
 from fishmj.errors import ConfigError, MissingExtra
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from fishmj.campaign.data import plan, run_segments
-from fishmj.campaign.data.export import trial_of
 from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.segment_trial import trial_of
 from fishmj.errors import SimDiverged
 from fishmj.flow import Flow
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import build, load_robot
@@ -36,7 +36,7 @@ def water():
     gusty = Flow(speed=0.2, direction=np.pi, turbulence="default", intensity=0.1, seed=3)
     steered = Segment(id="steered", episode="steered", seconds=0.2, drive=steer, flow=gusty, **plain)
     done = run_segments.side_by_side(deque([swim, held, steered]), SMALL, tanks=2)
-    return {item.segment.id: (item, Record(item.meta, **{"power": np.nan, **item.arrays})) for item in done}
+    return {item.segment.id: (item, SegmentRecord(item.meta, **{"power": np.nan, **item.arrays})) for item in done}
 
 
 @pytest.mark.oracle
@@ -141,7 +141,7 @@ def test_a_fish_at_the_edge_keeps_all_and_an_insane_one_nothing_after():
 def test_a_segment_may_begin_in_any_state():
     gait = {"kind": "gait", "frequency": 1.0, "amplitude": 0.1, "lag": 1.0, "bias": 0.0}
     state = {"pose": (0.0, 0.1, 0.4), "joints": (0.1, 0.2, -0.1), "velocity": (0.2, 0.0, 0.3, 1.0, -1.0, 0.5)}
-    started = run_segments.Tank(
+    started = run_segments.SegmentRunner(
         Segment(id="a", episode="a", block="gait", split="train", seconds=1.0, drive=gait, **state), SMALL
     ).start
     np.testing.assert_allclose(started["q"], [*state["pose"], *state["joints"]])

@@ -16,8 +16,8 @@ from bad_logs import ANGLES, BAD, CHECK, IMPORT, LAB, YAW, T, X, Y, jumped, line
 from hostile_logs import HOSTILE, NEEDS_LOGS, SCRIPTS, SECRETS
 
 from fishmj import cli, console
-from fishmj.calibrate import model
-from fishmj.calibrate.least_squares import Estimate
+from fishmj.calibrate import calibrated_model
+from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.errors import ConfigError, StoreError
 from fishmj.log.delay import lag_between
 from fishmj.store import read_npz, write_npz
@@ -193,10 +193,10 @@ def test_an_import_shows_twenty_notes_and_counts_the_rest(tmp_path, monkeypatch,
 def test_a_fish_that_is_refused_leaves_the_file_as_it_was(tmp_path):
     """The model is read back before it takes the place of the old one, with the effects in it."""
     out = tmp_path / "fish.toml"
-    out.write_text(model.start(Path("nowhere"), "fish"), encoding="utf-8")
+    out.write_text(calibrated_model.start(Path("nowhere"), "fish"), encoding="utf-8")
     before = out.read_bytes()
-    far = Estimate("yaw_inertia", "kg m2", -1e5, -1e5, -1e5, 1.0, "repeats")
+    far = ParameterEstimate("yaw_inertia", "kg m2", -1e5, -1e5, -1e5, 1.0, "repeats")
     with pytest.raises(ConfigError, match="fish.toml .*outside the bounds") as caught:
-        model.write(out, model.start(out, "fish"), "mass", {}, {"yaw_inertia.inertia": far}, tmp_path)
+        calibrated_model.write(out, calibrated_model.start(out, "fish"), "mass", {}, {"yaw_inertia.inertia": far}, tmp_path)
     assert out.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["fish.toml"]
     assert f"{out}" in str(caught.value)

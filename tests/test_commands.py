@@ -17,7 +17,7 @@ from fishmj import cli, console
 from fishmj.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parent.parent
-GROUPS = {verb: main for verb in cli.present() if isinstance(main := cli.load(verb), console.Group)}
+GROUPS = {verb: main for verb in cli.present() if isinstance(main := cli.load(verb), console.CommandGroup)}
 NUMBERS = (console.Number, console.Listed)
 ELSEWHERE: tuple[str, ...] = ()
 
@@ -162,7 +162,7 @@ def test_a_group_lists_its_commands_with_an_example_each(verb):
 def test_a_group_with_a_bare_command_runs_it_where_none_is_given_and_no_other():
     called = []
     commands = {name: console.Command(lambda argv, name=name: called.append((name, argv)), name, name) for name in ("all", "fit")}
-    group = console.Group("x", "x", commands, bare="all")
+    group = console.CommandGroup("x", "x", commands, bare="all")
     for argv in ([], ["--out", "y"], ["fit", "--out", "y"], ["all", "z"]):
         group(argv)
     assert called == [("all", []), ("all", ["--out", "y"]), ("fit", ["--out", "y"]), ("all", ["z"])]

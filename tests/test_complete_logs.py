@@ -8,10 +8,10 @@ import pytest
 
 from fishmj import console, engines, evaluate, log
 from fishmj.calib import constant
-from fishmj.calibrate import logs as calibrate_logs
+from fishmj.calibrate import calibration_logs as calibrate_logs
 from fishmj.engines.extensions import with_effects
 from fishmj.errors import LogError
-from fishmj.evaluate import logs
+from fishmj.evaluate import trial_logs
 from fishmj.flow import Flow
 from fishmj.gap.commands import find
 from fishmj.gap.records.datasets import taken
@@ -20,10 +20,10 @@ from fishmj.log import stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.centres import link_centres
 from fishmj.mjcf.identity import robot_sha256
-from fishmj.play import Pond
+from fishmj.play import LiveSession
 from fishmj.play import __main__ as play
 from fishmj.sim import Sim
-from fishmj.tasks.recorded import sensed, sigmas
+from fishmj.tasks.recorded_sensors import sensed, sigmas
 
 ROBOT = load_robot("fish")
 TABLES = {"cmd", "joint", "pose", "power", "truth", "flow", "target", "obs"}
@@ -123,7 +123,7 @@ def test_a_fish_at_rest_is_averaged_for_0_3_s():
 
 
 def test_what_a_log_states_of_its_sensors_is_what_they_did(body):
-    pond = Pond("dob", flow=Flow(speed=0.1, direction=math.pi, seed=3), engine=body)
+    pond = LiveSession("dob", flow=Flow(speed=0.1, direction=math.pi, seed=3), engine=body)
     for _ in range(100):
         pond.step()
     trial = pond.trial()
@@ -139,7 +139,7 @@ def test_what_a_log_states_of_its_sensors_is_what_they_did(body):
 
 
 def test_without_noise_the_tracker_shows_the_truth_late(body):
-    pond = Pond("dob", flow=Flow(speed=0.1), engine=body, noise=0.0)
+    pond = LiveSession("dob", flow=Flow(speed=0.1), engine=body, noise=0.0)
     for _ in range(5):
         pond.step()
     trial, k = pond.trial(), int(pond._camera[0])
@@ -161,7 +161,7 @@ def test_the_sensors_of_the_description_are_in_the_log():
 
 
 def test_changing_the_current_and_the_controller_is_told(body):
-    pond = Pond("drift", flow=Flow(speed=0.1), engine=body)
+    pond = LiveSession("drift", flow=Flow(speed=0.1), engine=body)
     pond.step()
     pond.set_flow(0.2, 0.0)
     pond.choose("dob")
@@ -172,7 +172,7 @@ def test_changing_the_current_and_the_controller_is_told(body):
 
 
 def test_a_policy_leaves_its_actions_and_its_sum(body):
-    pond = Pond("paper", engine=body)
+    pond = LiveSession("paper", engine=body)
     pond.step()
     pond.step()
     trial = pond.trial()
@@ -184,7 +184,7 @@ def test_a_policy_leaves_its_actions_and_its_sum(body):
 def test_a_folder_that_is_no_trial_is_refused_before_the_swim(tmp_path, monkeypatch, capsys):
     (tmp_path / "home").mkdir()
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(play, "Pond", lambda *a: pytest.fail("it swims"))
+    monkeypatch.setattr(play, "LiveSession", lambda *a: pytest.fail("it swims"))
     for place, said in (("home", "is there already"), ("file", "is a file"), ("file/x", "nothing can be written below it")):
         assert console.run(play.main, ["--save", str(tmp_path / place), "--headless-seconds", "1"]) == console.BAD_INPUT
         error = capsys.readouterr().err
@@ -199,7 +199,7 @@ def result(body):
 
 
 def test_a_judged_trial_is_complete(result, tmp_path):
-    logs.write_logs(result, tmp_path)
+    trial_logs.write_logs(result, tmp_path)
     assert find.missing(taken(tmp_path), load_robot("fish")) is None, "gap find takes the folder as it is"
     for trial in log.read_dataset(tmp_path):
         assert set(trial.tables) == TABLES | {"action"} and missing(trial) <= UNTOLD
@@ -214,10 +214,10 @@ def test_a_judged_trial_is_complete(result, tmp_path):
 
 
 def test_every_fish_has_its_own_latency_and_the_same_log_twice(result):
-    one, two = logs.trial_of(result, 0), logs.trial_of(result, 1)
+    one, two = trial_logs.trial_of(result, 0), trial_logs.trial_of(result, 1)
     _, camera = result.trials.fish(ROBOT)
     assert [t.value("latency.pose") for t in (one, two)] == pytest.approx(list(camera * 0.02))
-    again = logs.trial_of(result, 0)
+    again = trial_logs.trial_of(result, 0)
     assert np.array_equal(one.tables["pose"]["x"], again.tables["pose"]["x"])
 
 
@@ -228,7 +228,7 @@ def test_a_tank_that_stopped_is_logged_up_to_there(result):
         values[0, stop:] = values[0, stop] if name in ("pose", "joint") else 0.0
     left = np.array([stop + 1, len(result.t)])
     tank = result._replace(engine="tanks, window, slip 1", left=left, **held)
-    short, whole = logs.trial_of(tank, 0), logs.trial_of(tank, 1)
+    short, whole = trial_logs.trial_of(tank, 0), trial_logs.trial_of(tank, 1)
     assert {len(short.tables[n]["t"]) for n in ("cmd", "joint", "pose", "truth", "power", "flow")} == {stop}
     assert len(short.tables["obs"]["t"]) == stop // 10 and "stopped after 2.40 s" in short.value("notes")
     assert len(whole.tables["truth"]["t"]) == 200 and whole.value("water") == "lbm"

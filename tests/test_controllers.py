@@ -10,7 +10,7 @@ from fishmj import controllers, engines, evaluate
 from fishmj.controllers import gait_table
 from fishmj.controllers.adrc import Observer
 from fishmj.controllers.cpg import Cpg, Rates
-from fishmj.controllers.estimator import Navigator, hermite, turned
+from fishmj.controllers.estimator import StateEstimator, hermite, turned
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.description import load_robot
@@ -102,7 +102,7 @@ def test_cubic_interpolation_is_exact_for_a_cubic():
 
 def test_the_beat_does_not_show_in_the_heading():
     """A fish swimming straight yaws its head by tens of degrees; the navigator's heading hardly moves."""
-    navigator, n = Navigator(ROBOT, gains_of("gait")["wobble"], gains_of("gait")["sway"]), 3
+    navigator, n = StateEstimator(ROBOT, gains_of("gait")["wobble"], gains_of("gait")["sway"]), 3
     pose, joint, _ = gait_table.swim(
         ROBOT, LAG, np.full(n, 1.0), np.radians([15.0, 20.0, 25.0]), np.zeros(n), seconds=12.0, engine="compiled"
     )
@@ -138,7 +138,7 @@ def test_the_gait_map_is_what_the_water_gives():
 def test_the_throttle_gives_the_speed_that_was_asked():
     k = gains_of("dob")
     low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
-    throttle = gait_table.Throttle(gains_of("gait"), low, high)
+    throttle = gait_table.SpeedToGait(gains_of("gait"), low, high)
     wanted = np.linspace(throttle.speeds[0], 0.98 * throttle.top, 20)
     assert throttle.speed(*throttle(wanted)) == pytest.approx(wanted, abs=0.004)
 

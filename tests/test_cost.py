@@ -11,10 +11,10 @@ from bad_commands import HOPELESS, prepare
 
 from fishmj import cli, console, cost
 from fishmj.errors import TooMuch
-from fishmj.lbm_oracle.run import cost as solver
+from fishmj.lbm_oracle.run import solver_cost as solver
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.studies.gap_benchmark import command as bench
-from fishmj.train import cost as training
+from fishmj.train import training_cost as training
 from fishmj.train.settings import PRESETS, change
 
 CPU = 60.0  # s of processor that a refusal may take at most, imports and the load of a shared machine included
@@ -109,7 +109,7 @@ def test_a_preset_goes_on_without_a_question(name):
 
 def test_the_memory_of_a_training_is_that_of_its_arrays():
     """What the program allocates for one iteration, as its compiler counts."""
-    from fishmj.train.run import learner_of
+    from fishmj.train.training_run import learner_of
 
     small = change(PRESETS["quick"], engine="planar", task={"memory": 40}, algorithm={"envs": 1024})
     import jax

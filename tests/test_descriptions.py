@@ -19,10 +19,10 @@ from fishmj import console, mjcf
 from fishmj.calib import read_toml, resolve
 from fishmj.errors import DescriptionError
 from fishmj.log.toml import dumps
-from fishmj.mjcf import description, load_robot, schema
+from fishmj.mjcf import description, description_schema, load_robot
 from fishmj.mjcf.description import robot_from_dict
 from fishmj.sim import Sim
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 
 ROOT = Path(__file__).resolve().parent.parent
 NAN, INF = math.nan, math.inf
@@ -72,9 +72,9 @@ def refused(source) -> tuple[str, ...]:
 
 def bad_values(block: str, key: str) -> list:
     """What may never stand in a key, by what it is."""
-    model = schema.BLOCKS[block]
+    model = description_schema.BLOCKS[block]
     info = next(info for name, info in model.model_fields.items() if key == (info.alias or name))
-    what, expected = str(info.annotation), schema.said(block, key)[2]
+    what, expected = str(info.annotation), description_schema.said(block, key)[2]
     if key in ("sections", "com", "colour", "station", "k", "cn"):
         return ["text", 1.0, True, [], [NAN], [INF], ["a"], [[1.0]], [1.0] * 40, {"a": 1}]
     if "number" in expected:
@@ -87,19 +87,19 @@ def bad_values(block: str, key: str) -> list:
 def singles() -> list:
     """(place, value) for every key of every block, and every key misspelled or taken out where it must be there."""
     cases = []
-    for block in schema.BLOCKS:
+    for block in description_schema.BLOCKS:
         if block == "version":
             continue
-        at = (block, 0) if block in schema.LISTS else (block,)
-        for key in schema.keys(block):
+        at = (block, 0) if block in description_schema.LISTS else (block,)
+        for key in description_schema.keys(block):
             cases += [((*at, key), value) for value in bad_values(block, key)]
             cases.append(((*at, f"{key}x"), 1.0))
         cases.append(((*at, "zzz"), 1.0))
-        for name, info in schema.BLOCKS[block].model_fields.items():
+        for name, info in description_schema.BLOCKS[block].model_fields.items():
             if info.is_required():
                 cases.append(((*at, info.alias or name), GONE))
-    cases += [((block,), value) for block in schema.BLOCKS for value in (3, "text", True, [1, 2])]
-    cases += [((f"{block}{block[-1]}",), {"a": 1}) for block in schema.BLOCKS]
+    cases += [((block,), value) for block in description_schema.BLOCKS for value in (3, "text", True, [1, 2])]
+    cases += [((f"{block}{block[-1]}",), {"a": 1}) for block in description_schema.BLOCKS]
     cases += [(("schema",), v) for v in ("fish/9", "fishmj.fish/2", 1, True, "")] + [
         (("title",), v) for v in (1, "a\x00", "x" * 201)
     ]
@@ -359,11 +359,11 @@ def test_a_robot_in_a_fitted_water_is_sound(water):
 
 
 def test_what_calibrate_writes_reads(tmp_path):
-    from fishmj.calibrate import model
-    from fishmj.calibrate.least_squares import Estimate
+    from fishmj.calibrate import calibrated_model as model
+    from fishmj.calibrate.least_squares import ParameterEstimate
 
-    found = {"kp": Estimate("kp", "N m/rad", 8.1, 8.0, 8.2, 0.05, "repeats")}
-    friction = {"coulomb_friction.torque": Estimate("torque", "N m", 0.08, 0.07, 0.09, 0.005, "repeats")}
+    found = {"kp": ParameterEstimate("kp", "N m/rad", 8.1, 8.0, 8.2, 0.05, "repeats")}
+    friction = {"coulomb_friction.torque": ParameterEstimate("torque", "N m", 0.08, 0.07, 0.09, 0.005, "repeats")}
     out = tmp_path / "fish.calibrated.toml"
     text = model.put(model.start(out, "fish"), "servo", {"kp": 8.1})
     model.write(out, text, "servo", found, friction, tmp_path)
@@ -384,9 +384,9 @@ def test_the_table_of_keys_on_the_page_is_that_of_the_models():
 
 
 def test_every_key_says_what_it_is_and_what_is_expected():
-    for block in schema.BLOCKS:
-        for key in schema.keys(block):
-            what, _, expected = schema.said(block, key)
+    for block in description_schema.BLOCKS:
+        for key in description_schema.keys(block):
+            what, _, expected = description_schema.said(block, key)
             assert what and expected, (block, key)
 
 

@@ -13,13 +13,13 @@ from fishmj import console, effects, excitation
 from fishmj.calib import calib_folder
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import Active, calibration, classes, describe
-from fishmj.effects.calibration import Fitted, Interval
-from fishmj.effects.commands import delivered
-from fishmj.effects.draws import draw
+from fishmj.effects import EffectStack, ambiguity, calibration, effect_text
+from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import Effect, Parameter
-from fishmj.effects.scatter import arrivals, gusts, noise
-from fishmj.effects.sites import Body, Gear, Place, Seen, Servo, Water
+from fishmj.effects.randomise import draw
+from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.stochastic import arrivals, gusts, noise
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import load_robot
 
@@ -37,7 +37,7 @@ def states(robot, size: int, seed: int):
     return ch, sw, (list(q), list(v), rng.uniform(size=size), list(rng.normal(size=(ch.n - 1, size))), list(flow), ambient)
 
 
-def probe_row(active: Active, times: float = 1.0) -> np.ndarray:
+def probe_row(active: EffectStack, times: float = 1.0) -> np.ndarray:
     """Every parameter `times` as far from its null as its larger typical value."""
     each = [p for e in active.effects for p in e.parameters]
     return np.array([p.probe if p.shape else np.clip(p.null + times * (p.probe - p.null), p.low, p.high) for p in each])
@@ -47,7 +47,7 @@ def probe_row(active: Active, times: float = 1.0) -> np.ndarray:
 @pytest.mark.parametrize("robot", ["fish", "tendon_fish"])
 def test_an_effect_at_its_null_changes_no_bit_of_a_step(robot, name):
     ch, sw, given = states(load_robot(robot), 100, seed=1)
-    active = Active(EVERY if name == "all together" else [CATALOGUE[name]], ch.n - 1)
+    active = EffectStack(EVERY if name == "all together" else [CATALOGUE[name]], ch.n - 1)
     plain = planar_chain.step(np, ch, sw, *given)
     for wet in (1.0, 0.0):
         same = planar_chain.step(np, ch, sw, *given, Effects(np, active, active.null, active.memory, wet))
@@ -57,7 +57,7 @@ def test_an_effect_at_its_null_changes_no_bit_of_a_step(robot, name):
 
 def test_memory_of_effects_at_their_null_changes_no_bit_of_the_next_steps():
     ch, sw, given = states(load_robot("fish"), 50, seed=2)
-    active = Active(EVERY, ch.n - 1)
+    active = EffectStack(EVERY, ch.n - 1)
     memory, plain = active.memory, given
     for _ in range(20):
         step = planar_chain.step(np, ch, sw, *plain)
@@ -67,10 +67,10 @@ def test_memory_of_effects_at_their_null_changes_no_bit_of_the_next_steps():
 
 
 def test_commands_delays_sensors_and_draws_are_untouched_at_the_null():
-    rng, active = np.random.default_rng(3), Active(EVERY, 3)
+    rng, active = np.random.default_rng(3), EffectStack(EVERY, 3)
     sent = rng.normal(size=(40, 3))
     np.testing.assert_array_equal(delivered(np, active, active.null, sent, 0.004), sent)
-    seen = Seen(np.arange(40) * 0.02, *rng.normal(size=(3, 40)), rng.normal(size=(40, 3)), rng.normal(size=40))
+    seen = Measured(np.arange(40) * 0.02, *rng.normal(size=(3, 40)), rng.normal(size=(40, 3)), rng.normal(size=40))
     for a, b in zip(active.measure(np, active.null, seen), seen, strict=True):
         np.testing.assert_array_equal(a, b)
     assert all(np.all(active.delay(np, active.null, clock, seen.t) == 0.0) for clock in effects.effect.CLOCKS)
@@ -78,7 +78,7 @@ def test_commands_delays_sensors_and_draws_are_untouched_at_the_null():
     np.testing.assert_array_equal(t, seen.t)
     np.testing.assert_array_equal(commands, sent)
     assert not gusts(active, active.null, seen.t, rng).any()
-    sigma = Seen(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
+    sigma = Measured(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
     np.testing.assert_array_equal(noise(active, active.null, seen, sigma, rng).joint, seen.joint)
 
 
@@ -87,7 +87,7 @@ def test_commands_delays_sensors_and_draws_are_untouched_at_the_null():
 )
 def test_an_effect_of_typical_size_changes_a_step_and_keeps_it_finite(effect):
     ch, sw, given = states(load_robot("fish"), 100, seed=4)
-    active = Active([effect], ch.n - 1)
+    active = EffectStack([effect], ch.n - 1)
     row, memory = probe_row(active), list(active.memory)
     memory[:2] = 3.0, 600.0  # A that the servos draw; s, ten minutes into a session, for what takes its time
     plain = planar_chain.step(np, ch, sw, *given)
@@ -103,7 +103,7 @@ def test_the_code_generator_writes_a_step_with_the_whole_catalogue():
     from fishmj.engines import codegen
 
     ch, sw, given = states(load_robot("fish"), 30, seed=6)
-    active = Active(LASTING, ch.n - 1)
+    active = EffectStack(LASTING, ch.n - 1)
     row = probe_row(active)
 
     def take(xp, values):
@@ -133,7 +133,7 @@ def test_the_code_generator_writes_a_step_with_the_whole_catalogue():
         np.testing.assert_allclose(scope[name], expected, rtol=1e-9, atol=1e-9)
 
 
-FIELDS = {"servo": Servo, "gear": Gear, "body": Body, "water": Water, "flow": Place, "measure": Seen}
+FIELDS = {"servo": ServoDrive, "gear": Gear, "body": BodyMotion, "water": LocalWater, "flow": FlowAt, "measure": Measured}
 
 
 def at_site(xp, effect: Effect, site: str, parameters, given: dict):
@@ -171,7 +171,7 @@ def test_jax_and_numpy_agree_at_every_site(effect, site):
     jax = pytest.importorskip("jax")
     rng = np.random.default_rng(5)
     given = fields_of(site, lambda shape: np.abs(rng.normal(size=(40, *shape))) * rng.choice((1.0, -1.0)))
-    row = probe_row(Active([effect], 3))
+    row = probe_row(EffectStack([effect], 3))
     with jax.enable_x64(True):
         theirs = at_site(jax.numpy, effect, site, list(row), jax.tree_util.tree_map(jax.numpy.asarray, given))
         for a, b in zip(theirs, at_site(np, effect, site, list(row), given), strict=True):
@@ -196,10 +196,10 @@ def test_catalogue_is_whole_and_names_what_exists():
         for c in e.confusions:
             assert c.other in CATALOGUE and c.other != e.name and c.separates, (e.name, c.other)
             assert c.excitations and set(c.excitations) <= runs, (e.name, set(c.excitations) - runs)
-    for c in classes.CLASSES:
+    for c in ambiguity.CLASSES:
         assert set(c.effects) <= set(CATALOGUE) and set(c.excitations) <= runs and len(c.effects) + len(c.besides) > 1
-    assert classes.together("camera_latency", "clock_offset").name == "pose_clock"
-    assert classes.together("camera_latency", "tether") is None
+    assert ambiguity.together("camera_latency", "clock_offset").name == "pose_clock"
+    assert ambiguity.together("camera_latency", "tether") is None
 
 
 def test_typical_values_lie_inside_the_bounds_and_away_from_the_null():
@@ -227,7 +227,7 @@ def test_an_impossible_effect_is_refused():
 
 
 def test_draws_are_typical_signed_and_inside_the_bounds():
-    active, rng = Active(EVERY, 3), np.random.default_rng(7)
+    active, rng = EffectStack(EVERY, 3), np.random.default_rng(7)
     rows = draw(active, 400, rng)
     parameters = [p for e in EVERY for p in e.parameters]
     for column, p in zip(rows.T, parameters, strict=True):
@@ -246,8 +246,8 @@ def test_calibration_blocks_survive_a_round_trip_and_leave_the_rest_alone(tmp_pa
     path.write_text(text, encoding="utf-8")
     assert calibration.read(path) == ()
     listed = (
-        Fitted("coulomb_friction", {"torque": Interval(0.081, 0.074, 0.089)}, 'the "blue" pool', "ab12"),
-        Fitted("command_latency", {"delay": Interval(0.038, 0.035, 0.041)}),
+        FittedEffect("coulomb_friction", {"torque": Interval(0.081, 0.074, 0.089)}, 'the "blue" pool', "ab12"),
+        FittedEffect("command_latency", {"delay": Interval(0.038, 0.035, 0.041)}),
     )
     calibration.write(path, listed)
     assert calibration.read(path) == listed
@@ -280,7 +280,7 @@ def test_a_wrong_calibration_block_is_refused_with_the_nearest_name(tmp_path, bl
 
 
 def test_the_documented_table_is_the_catalogue():
-    assert console.table(describe.rows(EVERY)) in DOCS.read_text(encoding="utf-8"), "python -m fishmj.effects prints the table"
+    assert console.table(effect_text.rows(EVERY)) in DOCS.read_text(encoding="utf-8"), "python -m fishmj.effects prints the table"
 
 
 def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
@@ -291,6 +291,6 @@ def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
     assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
-    assert all(e.name in describe.text(e) and e.formula in describe.text(e) for e in EVERY)
+    assert all(e.name in effect_text.text(e) and e.formula in effect_text.text(e) for e in EVERY)
     with pytest.raises(UnknownName, match="tether"):
         effects.get("teather")

@@ -8,12 +8,12 @@ import pytest
 from test_effects_engines import PLAIN, robot_with, typical
 
 from fishmj import effects, engines
-from fishmj.effects import draws
+from fishmj.effects import randomise
 from fishmj.engines import planar
 from fishmj.errors import ConfigError
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.env import Options, StationHold
-from fishmj.tasks.episode import Episodes, Rules, Setting
+from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
 
 
 def test_drawn_effects_have_typical_sizes_on_both_sides_and_the_others_stay():
@@ -22,7 +22,7 @@ def test_drawn_effects_have_typical_sizes_on_both_sides_and_the_others_stay():
     names = ("coulomb_friction", "command_gain_error")
     u = np.random.default_rng(1).random((2000, task.n_fish(robot, names)))
     rows = task.draw_fish(np, robot, u, 1.0, names)[0].effects
-    active = engines.Added.of(robot).active
+    active = engines.Extensions.of(robot).active
     assert (rows[:, active.index("camera_scale", "scale")] == effects.get("camera_scale").parameter("scale").probe).all()
     for name, key in (("coulomb_friction", "torque"), ("command_gain_error", "gain")):
         p, value = effects.get(name).parameter(key), rows[:, active.index(name, key)]
@@ -30,7 +30,7 @@ def test_drawn_effects_have_typical_sizes_on_both_sides_and_the_others_stay():
         assert low <= np.abs(value).min() < low + 0.02 * (high - low) and high - 0.02 * (high - low) < np.abs(value).max() <= high
         assert (value < 0).any() == p.signed
     np.testing.assert_array_equal(
-        draws.drawn(np, active, rows, names, u[:, -4:], 0.0)[:, 1:], np.tile(active.null[1:], (2000, 1))
+        randomise.drawn(np, active, rows, names, u[:, -4:], 0.0)[:, 1:], np.tile(active.null[1:], (2000, 1))
     )
 
 
@@ -59,7 +59,7 @@ def test_both_environments_see_the_same_through_late_crooked_sensors(school):
     """NumPy's episodes and the functional ones: one scenario, one action, one sight."""
     robot, env, state = school
     drawn = ("command_latency", "servo_gain")
-    rules = Rules("station_hold", Setting(robot=robot, noise=0.0, turbulence="none", randomisation=0.0, effects=drawn))
+    rules = TaskSpec("station_hold", TaskOptions(robot=robot, noise=0.0, turbulence="none", randomisation=0.0, effects=drawn))
     episodes = Episodes(rules, env.engine, 4)
     now = episodes.scenario
     state = state._replace(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fishmj import effects, engines
-from fishmj.effects.calibration import Fitted, Interval, write
-from fishmj.effects.sites import Seen
+from fishmj.effects.calibration import FittedEffect, Interval, write
+from fishmj.effects.sites import Measured
 from fishmj.engines import batch, extensions, mjx, planar
 from fishmj.engines.single import cubic
 from fishmj.errors import ConfigError, UnknownName
@@ -31,9 +31,9 @@ EVERY_SITE = (  # command, servo, gear, fish, flow, body, water, measure; and th
 POSE, TICKS = np.array([0.1, -0.2, 0.5]), 40
 
 
-def typical(name: str) -> Fitted:
+def typical(name: str) -> FittedEffect:
     """An effect at its larger typical value."""
-    return Fitted(name, {p.name: Interval(p.probe, p.probe, p.probe) for p in effects.get(name).parameters})
+    return FittedEffect(name, {p.name: Interval(p.probe, p.probe, p.probe) for p in effects.get(name).parameters})
 
 
 def robot_with(*names: str) -> Robot:
@@ -116,7 +116,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
     at = truth["t"][20:] - late("joint_sensor_delay")
     np.testing.assert_allclose(joint["j2"][20:], np.interp(at, truth["t"], truth["j2"]) - offset, rtol=0, atol=5e-3)
     more = effects.get("power_offset").parameter("power").probe
-    sag, drawn = effects.get("voltage_sag"), Seen(*[0.0] * 5, power=trace.power[0] + robot.servo.idle_power)
+    sag, drawn = effects.get("voltage_sag"), Measured(*[0.0] * 5, power=trace.power[0] + robot.servo.idle_power)
     left = sag.measure(np, SimpleNamespace(resistance=sag.parameter("resistance").probe), drawn).power
     np.testing.assert_allclose(power["V"] * power["I"], left + more, rtol=0, atol=1e-6)
 
@@ -124,7 +124,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
 def test_a_fish_without_effects_has_no_columns_and_no_hooks():
     state, params = engines.at_rest(PLAIN, np.zeros((5, 3))), engines.nominal_params(PLAIN, 5)
     assert state.memory.shape == (5, 0) and params.effects.shape == (5, 0) and state.buffer.shape == (5, engines.BUFFER, 3)
-    assert extensions.Added.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN).solo is None
+    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN).solo is None
     sensors, history = Sensors(PLAIN), np.random.default_rng(0).normal(size=(2, 11, 3))
     assert sensors.poses(np, params.effects, history) is history and sensors.behind == sensors.frames == 0
 
@@ -180,7 +180,9 @@ def test_feedback_alone_feels_a_slow_velocity_filter():
     sensors, params = Sensors(robot), engines.nominal_params(robot, 1)
     t = 0.02 * np.arange(task.history_length(robot))
     history = np.stack([0.5 * t * t, 0 * t, 0 * t], -1)[None]  # m: the velocity is t
-    seen = task.look(np, robot, sensors, params, history, np.array([0]), np.zeros((1, 1, 6)), np.zeros((1, 2)), np.zeros((1, 11)))
+    seen = task.observe_with_sensors(
+        np, robot, sensors, params, history, np.array([0]), np.zeros((1, 1, 6)), np.zeros((1, 2)), np.zeros((1, 11))
+    )
     fast = task.observe(
         np, robot, history, np.array([0]), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 11))
     )
@@ -196,7 +198,7 @@ def test_what_no_simulator_holds_is_said():
         engines.with_effects(PLAIN, ["coulomb_frction"])
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        engines.Added.of(robot_with("packet_loss"))
+        engines.Extensions.of(robot_with("packet_loss"))
     assert "packet_loss" in str(said[0].message)
     robot = robot_with("coulomb_friction")
     for setting in (dict(root="free"), dict(water="ellipsoid")):
@@ -218,7 +220,7 @@ def fitted_water(tmp_path_factory):
     """File of a fitted water with a learnt residual of small random weights."""
     from fishmj.dynamics import planar_chain
     from fishmj.water import residual_hooks, residual_network
-    from fishmj.water.model import HydroModel, robot_hash
+    from fishmj.water.hydro_model import HydroModel, robot_hash
     from fishmj.water.prior import flat
 
     base, ch = planar_chain.nominal(PLAIN).water, planar_chain.chain_of(PLAIN)

@@ -6,14 +6,14 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H
 from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import Active
+from fishmj.effects import EffectStack
 
 STILL = [(0.0, 0.0)] * CHAIN.n
 
 
 def met(name: str, q, flow=STILL, **values):
     """(hooks of one effect, water at the links (N, 3)) of a fish at q."""
-    active = Active([effects.get(name)], JOINTS)
+    active = EffectStack([effects.get(name)], JOINTS)
     hooks = Effects(np, active, active.flat({name: values}), active.memory)
     return hooks, hooks.flow(CHAIN, q, flow)
 

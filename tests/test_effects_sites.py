@@ -8,18 +8,18 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 
 from fishmj import effects
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import Active
-from fishmj.effects.commands import delivered
+from fishmj.effects import EffectStack
+from fishmj.effects.command_path import delivered
 from fishmj.effects.dry_friction import AT_REST, GIVE
-from fishmj.effects.scatter import arrivals, gusts, noise
-from fishmj.effects.sites import Body, Gear, Place, Seen, Servo, Water
+from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.stochastic import arrivals, gusts, noise
 
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
 
 
 def one(name: str, **values):
     """(Active of one effect, its parameter row)."""
-    active = Active([effects.get(name)], JOINTS)
+    active = EffectStack([effects.get(name)], JOINTS)
     return active, active.flat({name: values})
 
 
@@ -55,12 +55,12 @@ def test_a_new_command_restarts_the_ramp_from_where_it_is():
 
 def test_dead_band_is_silent_inside_and_whole_outside():
     error = np.array([0.0, 0.01, -0.017, 0.0201, -0.2])
-    s, _ = effects.get("servo_deadband").servo(np, SimpleNamespace(deadband=0.02), fields(Servo, error=error), (), H)
+    s, _ = effects.get("servo_deadband").servo(np, SimpleNamespace(deadband=0.02), fields(ServoDrive, error=error), (), H)
     np.testing.assert_array_equal(s.error, [0.0, 0.0, 0.0, 0.0201, -0.2])
 
 
 def test_supply_and_heat_weaken_the_servo_in_proportion():
-    given = fields(Servo, limit=1.667, kp=8.0, kv=0.1, current=3.7, time=100.0)
+    given = fields(ServoDrive, limit=1.667, kp=8.0, kv=0.1, current=3.7, time=100.0)
     s, _ = effects.get("voltage_sag").servo(np, SimpleNamespace(resistance=0.4), given, (), H)
     left = (7.4 - 0.4 * (3.7 + 1.5 / 7.4)) / 7.4
     assert np.isclose(s.limit, 1.667 * left) and np.isclose(s.kp, 8.0 * left)
@@ -128,7 +128,7 @@ def test_skin_branch_relaxes_with_its_time_and_the_spring_does_not():
 
 
 def test_a_skin_costs_power_to_hold_an_angle():
-    active = Active([effects.get("skin_stiffness")], JOINTS)
+    active = EffectStack([effects.get("skin_stiffness")], JOINTS)
     q, _, power = swim(active, [active.null, [0.8]], np.full((400, JOINTS), 0.5), swimmer=AIR, wet=0.0)
     slack = 0.5 - q[:, -1, 4]
     assert abs(slack[0]) < 1e-3 and np.isclose(8.0 * slack[1], 0.8 * q[1, -1, 4], rtol=1e-2)
@@ -145,7 +145,7 @@ def test_a_zero_offset_bends_the_fish_and_its_encoders_do_not_tell():
 
 def test_wake_reaches_63_per_cent_of_a_new_force_after_its_time():
     water, memory, felt = effects.get("wake_memory").water, (0.0, 0.0, 0.0), []
-    given = fields(Water, forces=[(0.0, 0.0, 0.0), (1.0, 5.0, 0.2)], instant=[(0.0, 0.0, 0.0), (0.0, 3.0, 0.0)])
+    given = fields(LocalWater, forces=[(0.0, 0.0, 0.0), (1.0, 5.0, 0.2)], instant=[(0.0, 0.0, 0.0), (0.0, 3.0, 0.0)])
     for _ in range(50):
         w, memory = water(np, SimpleNamespace(time=0.2), given, memory, H)
         felt.append(w.forces[1][1])
@@ -154,7 +154,7 @@ def test_wake_reaches_63_per_cent_of_a_new_force_after_its_time():
 
 def test_walls_raise_drag_by_their_gain_at_the_wall_and_hardly_in_the_middle():
     water, p = effects.get("wall_effect").water, SimpleNamespace(gain=0.4)
-    given = fields(Water, x=np.array([1.8, 0.0, 0.3]), y=np.array([0.2, 0.0, -1.8]))
+    given = fields(LocalWater, x=np.array([1.8, 0.0, 0.3]), y=np.array([0.2, 0.0, -1.8]))
     given = given._replace(forces=[(2.0, 0.0, 0.0)], instant=[(1.0, 0.0, 0.0)])
     near, _ = water(np, p, given, (), H)
     np.testing.assert_allclose(near.forces[0][0], [2.4, 2.0 + 0.4 * np.exp(-1.8 / 0.535), 2.4])
@@ -162,7 +162,7 @@ def test_walls_raise_drag_by_their_gain_at_the_wall_and_hardly_in_the_middle():
 
 def test_walls_raise_the_added_mass_too():
     """A fish let go sideways at the wall gains, in the first step, what its own added mass times the share would give."""
-    active = Active([effects.get("wall_effect")], JOINTS)
+    active = EffectStack([effects.get("wall_effect")], JOINTS)
     row, k = 0.5, SWIMMER.water.k
     heavy = SWIMMER._replace(water=SWIMMER.water._replace(k=[1.5 * x for x in k], cn=[1.5 * c for c in SWIMMER.water.cn]))
     heavy = heavy._replace(water=heavy.water._replace(**{f: 1.5 * getattr(heavy.water, f) for f in ("cf", "ca_forward", "ke")}))
@@ -174,13 +174,15 @@ def test_walls_raise_the_added_mass_too():
 
 
 def test_moments_and_forces_of_the_hull_have_their_signs():
-    given = fields(Body, u=0.3, w=0.1, sway_mass=2.0, wet=1.0)
+    given = fields(BodyMotion, u=0.3, w=0.1, sway_mass=2.0, wet=1.0)
     munk, _ = effects.get("munk_moment").body(np, SimpleNamespace(gain=0.2), given, (), H)
     assert np.isclose(munk.n, -0.2 * 2.0 * 0.3 * 0.1)  # drifting left, the nose is turned right: further askew
     for u in (0.3, -0.3):
         lift, _ = effects.get("body_lift").body(np, SimpleNamespace(coefficient=10.0), given._replace(u=u), (), H)
         assert np.isclose(lift.fy, -0.3)
-    pull, _ = effects.get("tether").body(np, SimpleNamespace(stiffness=0.5, x=1.0, y=0.0), fields(Body, heading=np.pi / 2), (), H)
+    pull, _ = effects.get("tether").body(
+        np, SimpleNamespace(stiffness=0.5, x=1.0, y=0.0), fields(BodyMotion, heading=np.pi / 2), (), H
+    )
     assert np.allclose((pull.fx, pull.fy), (0.0, -0.5))  # facing north, the anchor in the east lies to the right
     wave = [effects.get("free_surface").body(np, SimpleNamespace(gain=8.0), given._replace(u=u), (), H)[0].fx for u in (0.2, 0.4)]
     assert np.isclose(wave[1] / wave[0], 16.0)
@@ -188,7 +190,7 @@ def test_moments_and_forces_of_the_hull_have_their_signs():
 
 
 def test_in_air_no_water_acts_on_body_or_joints():
-    given = fields(Body, u=0.3, w=0.1, r=1.0)
+    given = fields(BodyMotion, u=0.3, w=0.1, r=1.0)
     for name in ("linear_surge_drag", "quadratic_drag", "yaw_drag", "body_lift", "free_surface", "munk_moment") + tuple(
         f"{way}_added_mass" for way in ("surge", "sway", "yaw")
     ):
@@ -200,7 +202,7 @@ def test_in_air_no_water_acts_on_body_or_joints():
 
 
 def test_water_turns_shears_and_drifts():
-    at = fields(Place, x=1.0, y=-0.5)
+    at = fields(FlowAt, x=1.0, y=-0.5)
     place = effects.get("swirl").flow(np, SimpleNamespace(rate=0.04), at)
     assert np.allclose((place.u, place.v), (0.02, 0.04))
     place = effects.get("current_shear").flow(np, SimpleNamespace(rate=0.1), at)
@@ -222,7 +224,7 @@ def test_mass_is_spread_by_weight_and_only_its_sum_with_added_mass_shows_in_a_st
 
 
 def test_sensors_turn_stretch_and_shift_what_they_see():
-    seen = Seen(np.zeros(1), *(np.array([v]) for v in (1.0, 0.5, 0.2)), np.zeros((1, 3)), np.array([4.0]))
+    seen = Measured(np.zeros(1), *(np.array([v]) for v in (1.0, 0.5, 0.2)), np.zeros((1, 3)), np.array([4.0]))
     look = lambda name, **values: effects.get(name).measure(np, SimpleNamespace(**values), seen)
     turned = look("camera_yaw", angle=np.pi / 2)
     assert np.allclose((turned.x, turned.y, turned.yaw), ([-0.5], [1.0], [0.2 + np.pi / 2]))
@@ -233,7 +235,7 @@ def test_sensors_turn_stretch_and_shift_what_they_see():
 
 
 def test_clocks_add_their_delays_and_drift():
-    active = Active([effects.get(name) for name in ("camera_latency", "clock_offset", "joint_sensor_delay")], JOINTS)
+    active = EffectStack([effects.get(name) for name in ("camera_latency", "clock_offset", "joint_sensor_delay")], JOINTS)
     row = active.flat({"camera_latency": {"delay": 0.05}, "clock_offset": {"offset": -0.02, "drift": 1.0001}})
     np.testing.assert_allclose(active.delay(np, row, "pose", np.array([0.0, 100.0])), [0.03, 0.04])
     assert active.delay(np, row, "joint") == 0.0
@@ -241,7 +243,7 @@ def test_clocks_add_their_delays_and_drift():
 
 def test_stochastic_effects_have_the_scatter_that_they_claim():
     names = ("latency_jitter", "packet_loss", "turbulence", "noise_level")
-    active = Active([effects.get(name) for name in names], JOINTS)
+    active = EffectStack([effects.get(name) for name in names], JOINTS)
     t, sent = np.arange(20_000) * 0.02, gait(400, 1.0, 20)[::5]
     rng = np.random.default_rng(11)
     late, same = arrivals(active, active.flat({"latency_jitter": {"sigma": 0.004}}), t, sent, rng)
@@ -252,8 +254,8 @@ def test_stochastic_effects_have_the_scatter_that_they_claim():
     wind = gusts(active, active.flat({"turbulence": {"sigma": 0.02, "time": 0.5}}), t, rng)
     assert np.allclose(wind.std(0), 0.02, rtol=0.15)
     assert np.isclose(np.corrcoef(wind[:-25, 0], wind[25:, 0])[0, 1], np.exp(-1.0), atol=0.06)  # half a second apart
-    still = Seen(t, *np.zeros((3, len(t))), np.zeros((len(t), 3)), np.zeros(len(t)))
-    sigma = Seen(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
+    still = Measured(t, *np.zeros((3, len(t))), np.zeros((len(t), 3)), np.zeros(len(t)))
+    sigma = Measured(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
     extra = noise(active, active.flat({"noise_level": {"factor": 2.0}}), still, sigma, rng)
     assert np.isclose(extra.x.std(), 0.002 * np.sqrt(3), rtol=0.05) and np.isclose(
         extra.joint.std(), 0.004 * np.sqrt(3), rtol=0.05
@@ -290,6 +292,6 @@ def test_the_motors_ask_for_a_duty_and_the_supply_gives_what_is_left():
     stalled = count * CHAIN.torque / CHAIN.motor  # A at 7.4 V and full duty
     volts = (7.4 - resistance * boards) / (1.0 + resistance * stalled / 7.4)
     assert np.isclose(memory[0], stalled * volts / 7.4) and np.isclose(drive[0], CHAIN.torque * volts / 7.4)
-    seen = fields(Seen, power=volts * memory[0] + 7.4 * boards)
+    seen = fields(Measured, power=volts * memory[0] + 7.4 * boards)
     metered = effects.get("voltage_sag").measure(np, SimpleNamespace(resistance=resistance), seen).power
     assert np.isclose(metered, volts * (memory[0] + boards))

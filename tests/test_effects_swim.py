@@ -9,13 +9,13 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import Active
-from fishmj.effects.commands import delivered
+from fishmj.effects import EffectStack
+from fishmj.effects.command_path import delivered
 from fishmj.effects.dry_friction import GIVE
-from fishmj.effects.sites import Body, Gear, Seen
+from fishmj.effects.sites import BodyMotion, Gear, Measured
 
 LASTING = [e for e in effects.catalogue().values() if not e.stochastic]
-ACTIVE = Active(LASTING, JOINTS)
+ACTIVE = EffectStack(LASTING, JOINTS)
 SIGNED = [e for e in LASTING if e.parameters[0].signed]
 TIMES = {"typical": 1.0, "three": 3.0, "minus three": -3.0}
 FLOOR = {"joint": 1e-3, "position": 2e-4, "heading": 5e-4, "power": 0.01}  # rad, m, rad, W: rms that counts as a change
@@ -47,7 +47,7 @@ def swims():
     rows = [row(name or "nothing", TIMES.get(times, 1.0)) for name, times in keys]
     q, v, power = swim(ACTIVE, rows, gait(10, 2.0, 30, 5), start=(1.0, 0.5, 2.5, 0, 0, 0), push=(-0.2, 0.1, 0, 0, 0, 0))
     seen = sense(ACTIVE, rows, q, power)
-    one = lambda i: Seen(seen.t, *(part[i] for part in seen[1:]))
+    one = lambda i: Measured(seen.t, *(part[i] for part in seen[1:]))
     return {key: (one(i), q[i], v[i]) for i, key in enumerate(keys)}
 
 
@@ -76,7 +76,7 @@ def test_swimming_stays_bounded_at_three_times_the_typical_size(swims, times):
 
 
 def test_velocity_filter_delays_nothing_but_velocities():
-    only = Active([effects.get("velocity_filter")], JOINTS)
+    only = EffectStack([effects.get("velocity_filter")], JOINTS)
     late = {clock: only.delay(np, [0.1], clock) for clock in effects.effect.CLOCKS}
     assert late == dict.fromkeys(late, 0.0) | {"velocity": 0.1}
 
@@ -109,7 +109,7 @@ def kinetic(q, v):
 
 @pytest.mark.parametrize("name", ["coulomb_friction", "viscous_friction", "stribeck", "joint_hydro_damping"])
 def test_friction_takes_energy_in_every_step_at_any_speed(name):
-    rng, active = np.random.default_rng(1), Active([effects.get(name)], JOINTS)
+    rng, active = np.random.default_rng(1), EffectStack([effects.get(name)], JOINTS)
     speeds = np.array([0.3, 0.3, 3, 10, 10, 10])[:, None] * 10 ** rng.uniform(-3, 0, 400)
     q, v = rng.normal(size=(6, 400)), rng.normal(size=(6, 400)) * speeds
     first = effects.get(name).parameters[0]
@@ -138,16 +138,16 @@ def test_brakes_of_gears_and_water_never_push():
         g, _ = effect.gear(np, probes(effect), Gear(*rng.normal(size=(3, 500)), 0.0, 0.0, 1.0, 0.3, 1.667), (), H)
         assert np.all(g.resist * g.rate**2 - g.torque * g.rate > -1e-12), effect.name
     for name in ("linear_surge_drag", "quadratic_drag", "yaw_drag", "body_lift", "free_surface"):
-        still = dict.fromkeys(Body._fields, 0.0) | {"wet": 1.0}
+        still = dict.fromkeys(BodyMotion._fields, 0.0) | {"wet": 1.0}
         moving = still | dict(zip("uwr", rng.normal(size=(3, 500)), strict=True))
-        b, _ = effects.get(name).body(np, probes(effects.get(name)), Body(**moving), (), H)
+        b, _ = effects.get(name).body(np, probes(effects.get(name)), BodyMotion(**moving), (), H)
         power = b.fx * b.u + b.fy * b.w + b.n * b.r
         assert np.all(power <= 0.0) and power.min() < 0.0, name
 
 
 def test_added_mass_keeps_energy_and_impulse():
     names, h = ("surge_added_mass", "sway_added_mass", "yaw_added_mass"), 2e-4
-    active, added = Active([effects.get(name) for name in names], JOINTS), np.diag([0.4, 2.0, 0.05])
+    active, added = EffectStack([effects.get(name) for name in names], JOINTS), np.diag([0.4, 2.0, 0.05])
     q = [np.full(3, x) for x in (0.0, 0.0, 0.3, 0.2, -0.1, 0.3)]
     v = [np.full(3, x) for x in (0.4, 0.3, 2.0, 1.0, -2.0, 1.5)]
     ch, still = CHAIN._replace(dt=h), [(0.0, 0.0)] * 4

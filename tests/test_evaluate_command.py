@@ -7,7 +7,7 @@ import pytest
 
 from fishmj import console, engines, evaluate, pages
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import logs, metrics, report
+from fishmj.evaluate import metrics, report, trial_logs
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.description import load_robot
 
@@ -22,7 +22,7 @@ def engine():
 def test_a_judged_trial_can_be_read_back(tmp_path, engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[45], repeats=1, duration=4)
     r = evaluate.run("dob", ROBOT, trials, engine)
-    (folder,) = logs.write_logs(r, tmp_path)
+    (folder,) = trial_logs.write_logs(r, tmp_path)
     trial = read_trial(folder)
     assert folder.name == "dob_u0.2_los045_r0"
     assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"
@@ -164,8 +164,8 @@ def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_pa
 
 
 def test_hours_of_the_solver_on_a_cpu_that_nobody_asked_for_are_not_begun(capsys, monkeypatch):
-    from fishmj.lbm_oracle.run import cost
+    from fishmj.lbm_oracle.run import solver_cost
 
-    monkeypatch.setattr(cost, "accelerator", lambda need: False)
+    monkeypatch.setattr(solver_cost, "accelerator", lambda need: False)
     code, _, err = run_command(capsys, "drift", "--water", "lbm")
     assert code == 2 and "4320 s of water" in err and "--device cpu begins all the same" in err

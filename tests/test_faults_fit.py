@@ -10,7 +10,7 @@ from fishmj.campaign.data import plan
 from fishmj.campaign.data.collect import collect
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit.dataset import SEGMENTS, open_dataset
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, open_dataset
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 from fishmj.store import Manifest

@@ -7,11 +7,11 @@ import pytest
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.identifiability import identify
 from fishmj.hydro_fit.fit.linear_regression import bounded
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import Prior, flat
 
 ROBOT = mjcf.load_robot("fish")
@@ -40,7 +40,7 @@ def swimming(rng, count, speed=0.2, side=0.05):
 
 def pushed(model, k, count):
     """(sum of |force|, steps counted as outside) for motions k."""
-    hooks = residual_hooks.Learned(np, CHAIN, model, [np.zeros(count)] * len(residual_hooks.at_rest()))
+    hooks = residual_hooks.LearnedResidual(np, CHAIN, model, [np.zeros(count)] * len(residual_hooks.at_rest()))
     forces = hooks.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
     return sum(np.abs(f[c]) for f in forces for c in range(3)), hooks.guarded
 
@@ -59,7 +59,7 @@ def test_fault_18_outside_its_range_the_base_swims_alone_and_it_is_counted():
 def test_fault_18_in_the_physics_it_is_the_base_to_the_bit():
     q, v = [np.zeros(2) for _ in range(6)], [np.full(2, 3.0), np.full(2, 0.3), *(np.zeros(2) for _ in range(4))]
     still, given = [(0.0, 0.0)] * N, (np.full(2, 0.5), [0.1] * (N - 1))
-    hooks = residual_hooks.Learned(np, CHAIN, learnt(), [np.zeros(2)] * len(residual_hooks.at_rest()))
+    hooks = residual_hooks.LearnedResidual(np, CHAIN, learnt(), [np.zeros(2)] * len(residual_hooks.at_rest()))
     with_it = planar_chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0), hooks)
     base = planar_chain.step(np, CHAIN, NOMINAL, q, v, *given, still, (0.0, 0.0))
     np.testing.assert_array_equal(np.array(with_it.v), np.array(base.v))
@@ -79,10 +79,10 @@ def test_fault_18_more_than_5_percent_outside_fails_the_check(monkeypatch, share
     )  # fmt: skip
 
     def perfect(self, fleet, water, learnt=None, attached=None, memory=None):
-        return check.recorded(fleet)._replace(outside=np.full(len(fleet.q), share))
+        return free_swims.recorded(fleet)._replace(outside=np.full(len(fleet.q), share))
 
-    monkeypatch.setattr(check.Swim, "run", perfect)
-    found = check.judge(model, ROBOT, records)
+    monkeypatch.setattr(free_swims.SwimWindow, "run", perfect)
+    found = free_swims.judge(model, ROBOT, records)
     assert found["figures"]["guard_rate"] == share and found["tolerances"]["guard_rate"] == 0.05
     assert found["passed"]["guard_rate"] is passes
     assert found["figures"]["speed_error_mean"] == 0.0

@@ -9,13 +9,13 @@ wp = pytest.importorskip("warp")
 
 from fishmj import console, controllers
 from fishmj.engines import lbm
-from fishmj.evaluate import tank, trials
+from fishmj.evaluate import lbm_trials, trials
 from fishmj.evaluate.metrics import figures
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.run import stability, swim
 from fishmj.lbm_oracle.run.domain import Domain, margin
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import read_trial
 from fishmj.mjcf import load_robot
 
@@ -37,7 +37,7 @@ def test_fault_8_the_command_refuses_an_unstable_set_up_before_step_one(tmp_path
     assert not list(tmp_path.iterdir())
 
 
-class Spoiled(Stage):
+class Spoiled(SwimSetup):
     """Water in which an instability grows by half a step, from a step on."""
 
     step, growth = 260, 1.5
@@ -66,7 +66,7 @@ def test_fault_9_a_run_whose_water_blows_up_stops_keeps_its_rows_and_its_last_go
     assert Spoiled.step * 0.004 - 0.021 <= t[-1] <= (Spoiled.step + stability.EVERY) * 0.004 + 1e-9  # found within 50 steps
     assert kept.value("oracle.stopped") == found["stopped"]
     assert all(np.isfinite(column).all() for table in kept.tables.values() for column in table.values())
-    again = Stage(domain=TINY, device="cpu").run()
+    again = SwimSetup(domain=TINY, device="cpu").run()
     notes = snapshot.load(found["last_good"], again.coupled)
     assert notes["last_good"] and notes["stopped"] == found["stopped"]
     assert Spoiled.step - 2 * stability.EVERY - 5 <= again.coupled.steps < Spoiled.step  # before the fault, two looks at most
@@ -96,7 +96,7 @@ def test_fault_10_a_fish_that_reaches_the_edge_ends_its_run_which_is_kept_and_fl
     assert found["stopped"] == kept.value("oracle.stopped") and found["stopped"].startswith("left_domain at t = ")
     truth = kept.table("truth")
     assert 0.2 < truth["t"][-1] < 3.9 and np.isfinite(truth["x"]).all() and truth["x"][-1] < -0.02
-    end = Stage(domain=TINY, device="cpu").run()
+    end = SwimSetup(domain=TINY, device="cpu").run()
     snapshot.load(tmp_path / "end.safetensors", end.coupled)
     room = margin(end.coupled.fluid, *end.coupled.body.bounds(end.coupled.boundary.corners))
     assert stability.CLEARANCE - 1 < room < stability.CLEARANCE  # it stopped there, not at the wall and not before
@@ -110,7 +110,7 @@ def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_w
     plan = trials(speeds=[0.4], los_deg=[0], repeats=1, duration=1.0)
     box = Domain(name="narrow", shape=(116, 28, 16), dx=0.02, dt=0.004, sponge=4)  # half a length of room behind the fish
     monkeypatch.setattr(lbm, "preset", lambda name: box)
-    judge = lambda folder: tank.judge(controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu")
+    judge = lambda folder: lbm_trials.judge(controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu")
     left = judge(tmp_path)
     tick = int(left.left[0])
     assert 5 < tick < 51 and np.ptp(left.pose[0, tick:], axis=0).max() == 0, "the fish stays where it was"
@@ -120,5 +120,5 @@ def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_w
     assert figures(left)["power"] > 0
 
     row = {"left": np.array(51), "distance": np.full(51, 0.02)}
-    failed = tank.ended(row, "water: 1.9 m/s is Mach 0.66", 30)
+    failed = lbm_trials.ended(row, "water: 1.9 m/s is Mach 0.66", 30)
     assert failed["left"] == 31 and np.isnan(failed["distance"][31:]).all() and (failed["distance"][:31] == 0.02).all()

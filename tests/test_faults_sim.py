@@ -15,8 +15,8 @@ from fishmj.log import read_trial
 from fishmj.mjcf.description import Timing, check_timing
 from fishmj.sim import Sim
 from fishmj.water.injection import inject
-from fishmj.water.planar import PlanarWater
-from fishmj.water.spatial import FreeWater
+from fishmj.water.planar_water import PlanarWater
+from fishmj.water.spatial_water import FreeWater
 
 
 def gait(t):

@@ -23,9 +23,9 @@ from fishmj.policy import Policy
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train import interruptions
 from fishmj.train.__main__ import main
-from fishmj.train.metrics_log import Board
-from fishmj.train.ppo import PPO, Config
-from fishmj.train.run import Run, learner_of
+from fishmj.train.metrics_log import MetricsLog
+from fishmj.train.ppo import PPO, PPOConfig
+from fishmj.train.training_run import TrainingRun, learner_of
 
 STEP = 8192  # control steps an iteration of `calm_run`
 
@@ -88,7 +88,7 @@ def test_fault_02_above_one_in_a_thousand_the_run_stops_and_its_checkpoint_is_in
     run.go()
     kept = run.checkpoints.latest()
     assert (kept.meta["done"], kept.meta["dropped"]) == (2 * STEP, 0) and kept.meta["episodes"] > 50
-    again = Run(settings, tmp_path, learner=learner, resume=True, quiet=True)
+    again = TrainingRun(settings, tmp_path, learner=learner, resume=True, quiet=True)
     sound = learner[1].iterate
 
     def spoiled(training):
@@ -99,14 +99,14 @@ def test_fault_02_above_one_in_a_thousand_the_run_stops_and_its_checkpoint_is_in
     with pytest.raises(SimDiverged, match=r"3 of \d+ episodes at step 24,576 diverged and were dropped, above 0.1%") as caught:
         again.go()
     assert caught.value.term == "physics"
-    after = Run(settings, tmp_path, learner=learner, resume=True, quiet=True)
+    after = TrainingRun(settings, tmp_path, learner=learner, resume=True, quiet=True)
     assert after.done == 2 * STEP and [line["step"] for line in figures_of(again) if "reward" in line][-1] == 2 * STEP
 
 
 @pytest.mark.slow
 def test_fault_02_the_learner_counts_what_the_physics_lost():
     env = poisoned([1, 3], tick=0)  # two of eight diverge in the first step of each of their episodes
-    ppo = PPO(env, Config(envs=8, horizon=4, minibatches=2, epochs=1, hidden=(8,)), 100)
+    ppo = PPO(env, PPOConfig(envs=8, horizon=4, minibatches=2, epochs=1, hidden=(8,)), 100)
     training, figures = ppo.iterate(ppo.init(jax.random.key(0)))
     assert figures["diverged"] == 8 and figures["episodes"] >= 8
     leaves = [leaf for leaf in jax.tree.leaves(training) if jnp.issubdtype(leaf.dtype, jnp.floating)]
@@ -129,7 +129,7 @@ def test_weights_that_are_not_finite_are_never_saved(learner, tmp_path):
 TRAIN = """
 import sys
 from training import calm_run
-from fishmj.train.run import Run
+from fishmj.train.training_run import Run
 Run(calm_run(checkpoint_every=0.0, assess_every=10**9), sys.argv[1]).go()
 """
 
@@ -242,11 +242,11 @@ def test_fault_14_asked_to_stop_on_a_full_disk_it_stops_with_the_old_checkpoint_
     assert {p.name: p.read_bytes() for p in run.checkpoints.paths()} == before
     assert Path(made["policy"]).is_file() and "not saved:" in capfd.readouterr().err
     monkeypatch.undo()
-    assert Run(settings, tmp_path, learner=learner, resume=True).done == STEP
+    assert TrainingRun(settings, tmp_path, learner=learner, resume=True).done == STEP
 
 
 def test_fault_14_figures_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    board = Board(tmp_path)
+    board = MetricsLog(tmp_path)
     board.write(1, {"reward": 0.5})
     before = board.path.read_bytes()
 

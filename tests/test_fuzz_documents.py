@@ -18,11 +18,11 @@ from test_descriptions import whole
 
 from fishmj import mjcf
 from fishmj.errors import FishmjError
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.log import measurements, toml
 from fishmj.store import write_json, write_text
 from fishmj.store.manifest import Manifest
-from fishmj.water.model import FOLDERS, HydroModel
+from fishmj.water.hydro_model import FOLDERS, HydroModel
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -123,7 +123,7 @@ def test_a_segment_of_a_campaign_with_anything_in_it(tmp_path):
         shutil.copy(path, tmp_path / "segments")
         shutil.copy(path.with_suffix(".npz"), tmp_path / "segments")
     about = [json.loads(p.read_text()) for p in some]
-    from fishmj.hydro_fit.dataset import split_hashes
+    from fishmj.hydro_fit.segment_dataset import split_hashes
 
     episodes = {a["episode"]: a["split"] for a in about}
     write_json(tmp_path / "split.json", {"episodes": episodes, "sha256": split_hashes(episodes)})

@@ -6,16 +6,16 @@ import pytest
 pytest.importorskip("numba")
 
 from fishmj import effects
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.cross_validation import Fitted, split
-from fishmj.gap.search.refit import settled
+from fishmj.gap.search.cross_validation import CrossValidated, split
+from fishmj.gap.search.refit import converge
 from fishmj.gap.search.stepwise import pruned
-from fishmj.gap.search.stepwise_rounds import telling
+from fishmj.gap.search.stepwise_rounds import informative_records
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate, unrepeatable
 from fishmj.sim import Sim
@@ -23,12 +23,12 @@ from fishmj.sim import Sim
 SHORT = ("gait_fast", "drift_north", "turn_left", "tow_oblique")
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
 SOME += ("speed_limit", "command_quantisation")
-NULL = Null(runs=64)
+NULL = SimulatedNull(runs=64)
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return Fish(catalogue=[effects.get(name) for name in SOME])
+    return SwimmingFish(catalogue=[effects.get(name) for name in SOME])
 
 
 def hidden(planted: dict, seed: int, runs=SHORT):
@@ -121,7 +121,7 @@ def test_what_others_explain_is_left_out():
 
 def test_leftover_never_falls_below_half_the_noise(plant):
     records = [record_of(t, plant.dt) for t in hidden({}, 3, ("drift_north",))]
-    layout = Layout(records)
+    layout = ResidualLayout(records)
     d = leftover(np.zeros((8, layout.size)), layout)
     noise = layout.noise()
     known = np.isfinite(noise)
@@ -182,7 +182,7 @@ def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
     names = ("camera_scale", "command_latency")
     places = tuple(plant.index(n, p.name) for n in names for p in effects.get(n).parameters)
     c = e.part(e.everything).at(row, names, places)
-    found = pruned(e, folds, settled(e, folds, c, (c, c)), frozen())
+    found = pruned(e, folds, converge(e, folds, c, (c, c)), frozen())
     assert {found.best.names, *(fit.names for fit in found.fits)} == {("command_latency",)}
     assert found.best.row[plant.index("command_latency", "delay")] == pytest.approx(0.04, abs=0.004)
 
@@ -220,7 +220,7 @@ def test_an_effect_of_another_size_in_each_record_is_wrong_in_its_size_and_not_i
 
 def test_the_step_that_commands_are_counted_in_is_found_among_hundreds(plant):
     e = evidence_on(plant, {"command_quantisation": {"step": 0.0231}}, 60)
-    one = e.part(telling(e.part(e.everything).base(), e.layout, 1))
+    one = e.part(informative_records(e.part(e.everything).base(), e.layout, 1))
     (values,) = one.scan(one.base(), plant.active.effects).values()
     assert values[0] == pytest.approx(0.0231, rel=0.004)
     first = one.screen(one.base(), plant.active.effects, {"command_quantisation": values})[0]
@@ -234,7 +234,7 @@ def test_a_limit_that_only_one_record_reaches_is_left_open_by_the_others(plant):
     search = e.part(e.everything)
     places = (plant.index("speed_limit", "slowness"),)
     best, unlearnt = (search.at(r, ("speed_limit",), places) for r in (row, plant.null))
-    found = Fitted(e.trusted(row), best, (unlearnt, best))
+    found = CrossValidated(e.trusted(row), best, (unlearnt, best))
     beat = np.array([False, True])
     (searched, predicted), _ = found.unseen(np.stack([beat, ~beat]))
     assert found.near.part(beat).at(plant.null).cost > 2.0 * searched.layout.size
@@ -247,7 +247,7 @@ def test_what_a_fold_leaves_open_counts_where_it_is_predicted(plant):
     row = row_of(plant, "command_latency", delay=0.04)
     folds = np.eye(2, dtype=bool)
     c = e.part(e.everything).at(row, ("command_latency",), (plant.index("command_latency", "delay"),))
-    found = settled(e, folds, c, (c, c))
+    found = converge(e, folds, c, (c, c))
     (beat, _), (drift, _) = found.unseen(folds)
     known = [found.near.part(f).whiten.logdet for f in folds]
     assert beat.whiten.logdet > known[0] + 2.0

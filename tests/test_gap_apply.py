@@ -11,13 +11,13 @@ pytest.importorskip("numba")
 
 from fishmj import console, effects, engines
 from fishmj.calib import read_toml, resolve
-from fishmj.effects.calibration import Fitted, Interval
+from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.errors import ConfigError
 from fishmj.gap import __main__ as gap
 from fishmj.gap.commands import apply, compare_models, model_version
 from fishmj.gap.commands.check import check
 from fishmj.gap.commands.mjcf_patch import difference, hooked, mjcf
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.datasets import named, null_of, trials_in
 from fishmj.gap.verdict import Named, Value, Verdict
 from fishmj.log.compact import write_bundle
@@ -109,8 +109,8 @@ def test_a_version_goes_back_to_its_parent_bit_for_bit(patched, tmp_path):
 def test_versions_form_a_chain_and_a_known_effect_changes_in_place(patched, tmp_path):
     third = tmp_path / "fish.v3.toml"
     new = [
-        Fitted("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),
-        Fitted("tether", {"stiffness": Interval(0.2, 0.1, 0.3)}),
+        FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),
+        FittedEffect("tether", {"stiffness": Interval(0.2, 0.1, 0.3)}),
     ]
     model_version.write(patched.path, third, new, {"effects": ["coulomb_friction", "tether"]})
     robot = load_robot(third)
@@ -136,7 +136,7 @@ def test_the_check_passes_on_its_data_and_fails_when_the_effect_grows_wrong(patc
 
 def test_the_search_sees_the_patched_model_as_it_is(patched):
     chosen = [effects.get(name) for name in ("coulomb_friction", "servo_gain")]
-    plain, fish = Fish("fish", chosen), Fish(patched.path, chosen)
+    plain, fish = SwimmingFish("fish", chosen), SwimmingFish(patched.path, chosen)
     assert fish.null[fish.index("coulomb_friction", "torque")] == PLANTED
     assert (fish.nothing == plain.null).all() and fish.fingerprint == plain.fingerprint
 
@@ -173,7 +173,7 @@ def test_the_patched_model_swims_trains_and_is_judged(patched, tmp_path):
 )  # fmt: skip
 def test_what_mujoco_holds_itself_is_a_diff_of_its_model(name, values, attribute):
     parent = load_robot("fish")
-    robot = replace(parent, effects=(Fitted(name, {k: Interval(v, v, v) for k, v in values.items()}),))
+    robot = replace(parent, effects=(FittedEffect(name, {k: Interval(v, v, v) for k, v in values.items()}),))
     diff = difference(parent, robot)
     added = [line for line in diff.splitlines() if line.startswith("+") and not line.startswith("+++")]
     assert any(attribute in line for line in added), diff
@@ -182,7 +182,7 @@ def test_what_mujoco_holds_itself_is_a_diff_of_its_model(name, values, attribute
 
 def test_an_effect_that_needs_a_hook_is_no_diff():
     parent = load_robot("fish")
-    robot = replace(parent, effects=(Fitted("wake_memory", {}),))
+    robot = replace(parent, effects=(FittedEffect("wake_memory", {}),))
     assert difference(parent, robot) == "" and hooked(robot) == ["wake_memory"]
 
 

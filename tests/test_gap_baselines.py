@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from fishmj import effects
 from fishmj.errors import MissingExtra
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import record_of
 from fishmj.studies import gap_baselines
 from fishmj.studies.gap_baselines import (
@@ -25,7 +25,7 @@ SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain
 
 @pytest.fixture(scope="module")
 def plant():
-    return Fish(catalogue=[effects.get(name) for name in SOME])
+    return SwimmingFish(catalogue=[effects.get(name) for name in SOME])
 
 
 def records(plant, planted, runs=("gait_fast", "drift_north"), seed=11):

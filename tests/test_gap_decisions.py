@@ -12,13 +12,13 @@ from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F40
 
 from fishmj import effects
 from fishmj.gap.decide.decide import sanity
-from fishmj.gap.decide.secondary_effects import confused, shadowed
+from fishmj.gap.decide.secondary_effects import confused, masked_by
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import outlier_records
-from fishmj.gap.search.cross_validation import Fitted, split
-from fishmj.gap.search.refit import nearest
-from fishmj.gap.search.stepwise import Found
-from fishmj.gap.search.stepwise_rounds import Step, asked, round_of
+from fishmj.gap.search.cross_validation import CrossValidated, split
+from fishmj.gap.search.refit import relinearise
+from fishmj.gap.search.stepwise import Selection
+from fishmj.gap.search.stepwise_rounds import SelectionStep, required_gain, round_of
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
 from fishmj.gap.workflow import evidence_of
@@ -66,7 +66,7 @@ def test_the_error_on_some_samples_is_that_of_evidence_that_has_no_others(plant)
     near, row = late(plant, SIX[:4], (), CURRENT)
     every = near.error(row, 0.15)
     assert near.error(row, 0.15, np.ones(near.layout.size, bool)) == pytest.approx(every)
-    kept = outlier_records.but(near, [1])
+    kept = outlier_records.without_paths_of(near, [1])
     assert set(near.layout.channel[~kept]) == {"position", "heading"} and set(near.layout.record[~kept]) == {1}
     less = near.changed.on(kept)
     assert less.factors.shape == (len(near.factors), kept.sum())
@@ -78,13 +78,13 @@ def test_what_is_asked_of_a_further_effect_grows_with_the_first_ones_gain_but_no
     gates = frozen()
     alone = SimpleNamespace(best=SimpleNamespace(names=()))
     known = SimpleNamespace(best=SimpleNamespace(names=("tether",)), near=SimpleNamespace(layout=SimpleNamespace(size=5000)))
-    assert asked(gates, alone, 0.0, False) == gates.gain
+    assert required_gain(gates, alone, 0.0, False) == gates.gain
     least = gates.gain + gates.again * 5000
-    assert asked(gates, known, 1e3, False) == pytest.approx(least)
-    assert asked(gates, known, 1e3, True) == pytest.approx(gates.gain + gates.clear * gates.again * 5000)
-    assert asked(gates, known, 1.5e5, False) == pytest.approx(gates.beside * 1.5e5)
+    assert required_gain(gates, known, 1e3, False) == pytest.approx(least)
+    assert required_gain(gates, known, 1e3, True) == pytest.approx(gates.gain + gates.clear * gates.again * 5000)
+    assert required_gain(gates, known, 1.5e5, False) == pytest.approx(gates.beside * 1.5e5)
     assert least < gates.beside * 1.5e5 < gates.enough
-    assert asked(gates, known, 1e8, False) == asked(gates, known, 1e9, True) == gates.enough
+    assert required_gain(gates, known, 1e8, False) == required_gain(gates, known, 1e9, True) == gates.enough
 
 
 def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
@@ -92,7 +92,7 @@ def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
     e = evidence_on(plant, {}, 72)
     folds = split(e.records)
     base = e.part(e.everything).base()
-    known = Fitted(e, base, (base,) * len(folds))
+    known = CrossValidated(e, base, (base,) * len(folds))
     others = sum(e.part(~fold).loss(plant.null) for fold in folds)
     assert known.given(folds) == pytest.approx(len(folds) * e.part(e.everything).loss(plant.null) - others)
 
@@ -102,7 +102,7 @@ def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_o
     e = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73)
     folds, gates = split(e.records), frozen()
     base = e.part(e.everything).base()
-    known = Fitted(e, base, (base,) * len(folds))
+    known = CrossValidated(e, base, (base,) * len(folds))
     usual = round_of(known, folds, plant.active.effects, gates, 0.0)
     deaf = replace(gates, gain=1.1 * usual.gain)
     step = round_of(known, folds, plant.active.effects, deaf, 0.0)
@@ -111,9 +111,9 @@ def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_o
 
 
 def test_the_share_of_an_effect_is_that_of_the_round_that_added_it():
-    step = lambda gain, accepted, *names: Step((SimpleNamespace(names=names),), None, gain, accepted)
+    step = lambda gain, accepted, *names: SelectionStep((SimpleNamespace(names=names),), None, gain, accepted)
     steps = (step(900.0, True, "tether"), step(100.0, True, "tether", "swirl"), step(50.0, False, "tether", "swirl", "body_lift"))
-    found = Found(None, None, None, steps, 0.0)
+    found = Selection(None, None, None, steps, 0.0)
     assert found.share("tether", 0.0) == pytest.approx(0.9)
     assert found.share("swirl", 0.0) == pytest.approx(0.1)
     assert found.share("body_lift", 0.3) == 0.3  # in no round that was accepted
@@ -129,16 +129,16 @@ def test_a_little_friction_beside_play_is_not_named_and_much_of_it_is():
     both = ("gear_backlash", "coulomb_friction")
     known = [effects.get(name) for name in (*both, "wall_effect")]
     e = SimpleNamespace(plant=SimpleNamespace(active=SimpleNamespace(effects=known)))
-    assert shadowed(e, both, {"coulomb_friction"}) == {"coulomb_friction"}
-    assert shadowed(e, both, set()) == shadowed(e, both, set(both)) == set()
-    assert shadowed(e, ("wall_effect", "coulomb_friction"), {"coulomb_friction"}) == set()  # nothing alike
+    assert masked_by(e, both, {"coulomb_friction"}) == {"coulomb_friction"}
+    assert masked_by(e, both, set()) == masked_by(e, both, set(both)) == set()
+    assert masked_by(e, ("wall_effect", "coulomb_friction"), {"coulomb_friction"}) == set()  # nothing alike
 
 
 def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # noqa: F811
     e = evidence_on(plant, {"steady_current": {"x": 0.03, "y": 0.0}}, 74)
     row = row_of(plant, "steady_current", x=0.03, y=0.0)
     places = tuple(plant.index("steady_current", p) for p in ("x", "y"))
-    c = nearest(e, e.part(e.everything).at(row, ("steady_current",), places))[1]
+    c = relinearise(e, e.part(e.everything).at(row, ("steady_current",), places))[1]
     said = lambda x, half: Named(
         "steady_current", {"x": Value(x, "m/s", x - half, x + half), "y": Value(0.001, "m/s", -0.01, 0.012)}, 1.0, 1.0
     )

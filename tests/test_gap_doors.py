@@ -11,31 +11,31 @@ import pytest
 
 from fishmj import console, effects
 from fishmj.calib import resolve
-from fishmj.calibrate.logs import shipped as logs_of_calibration
+from fishmj.calibrate.calibration_logs import shipped as logs_of_calibration
 from fishmj.engines import in_water
 from fishmj.errors import ConfigError, DescriptionError, LogError
 from fishmj.gap import __main__ as gap
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, find, model_version, unlike
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null import simulated
-from fishmj.gap.null.recorded import Sets, trials_of
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null import simulated_null
+from fishmj.gap.null.recorded_null import RecordedNull, trials_of
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
-from fishmj.gap.records.sufficiency import Shortage
+from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.sufficiency import InsufficientData
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, write_dataset
 from fishmj.log.dataset import read_dataset, take
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark import solver
 from fishmj.virtual_robot import generate
-from fishmj.virtual_robot.machine import electrical
+from fishmj.virtual_robot.robot_constants import electrical
 from fishmj.virtual_robot.trials import plant as second_robot
 
 RUNS = ("gait_fast", "steps", "chirp")
-SMALL = Null(runs=48)
+SMALL = SimulatedNull(runs=48)
 
 
 def stiffer(factor: float = 1.05):
@@ -48,7 +48,7 @@ def stiffer(factor: float = 1.05):
 def questioned():
     """A model whose servo is 5 % stiffer than the shipped fish's."""
     pytest.importorskip("numba")
-    return Fish(stiffer(), [effects.get(n) for n in ("servo_gain", "command_latency", "viscous_friction")])
+    return SwimmingFish(stiffer(), [effects.get(n) for n in ("servo_gain", "command_latency", "viscous_friction")])
 
 
 def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
@@ -61,24 +61,26 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     trial = generate({}, ["idle"], 0)[0]
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
-    what = simulated.repeated(record_of(trial, robot.timing.physics_dt))
-    Null(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
+    what = simulated_null.repeated(record_of(trial, robot.timing.physics_dt))
+    SimulatedNull(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
     assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
 
 
 def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
     record = record_of(generate({}, ["idle"], 0)[0], questioned.dt)
-    what = simulated.repeated(record)
-    other = Fish(stiffer(1.06), questioned.active.effects)
+    what = simulated_null.repeated(record)
+    other = SwimmingFish(stiffer(1.06), questioned.active.effects)
     assert SMALL._key(questioned, record, what) != SMALL._key(other, record, what)
 
 
 def test_effects_that_a_model_lists_do_not_change_its_null_runs():
-    from fishmj.effects.calibration import Fitted, Interval
+    from fishmj.effects.calibration import FittedEffect, Interval
 
-    rusty = replace(load_robot("fish"), effects=(Fitted("coulomb_friction", {"torque": Interval(0.1, 0.05, 0.15)}, "", ""),))
-    plain, listed = Fish("fish"), Fish(rusty)
+    rusty = replace(
+        load_robot("fish"), effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.05, 0.15)}, "", ""),)
+    )
+    plain, listed = SwimmingFish("fish"), SwimmingFish(rusty)
     assert plain.fingerprint == listed.fingerprint and not np.array_equal(plain.null, listed.null)
     assert np.array_equal(plain.nothing, listed.nothing)
 
@@ -131,7 +133,7 @@ def forbidden(*_, **__):
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fishmj.gap.records.datasets.taken", forbidden)
-    monkeypatch.setattr("fishmj.gap.null.simulated.Null.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.simulated_null.Null.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -142,7 +144,7 @@ def test_logs_of_another_robot_need_a_word(logs, copied, capsys, monkeypatch):
     for meta in copied.glob("*/meta.toml"):
         meta.write_text(meta.read_text().replace('robot = "swift"', 'robot = "other"'))
     (copied / "manifest.json").unlink()
-    monkeypatch.setattr(find, "missing", lambda *_: Shortage("reached", (), ()))
+    monkeypatch.setattr(find, "missing", lambda *_: InsufficientData("reached", (), ()))
     assert run("find", logs) == console.CANNOT_TELL
     assert run("find", copied) == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -170,7 +172,7 @@ def test_generators_of_logs_name_the_robot_that_the_model_has():
 
 
 def test_null_sets_of_another_fish_are_refused_with_what_differs():
-    sets = Sets(folder=solver.folder() / "nulls")
+    sets = RecordedNull(folder=solver.folder() / "nulls")
     doors.null_fits(sets, in_water(load_robot("fish"), solver.WATER), "fish")
     with pytest.raises(ConfigError, match=r"differs from it in servo.kp \(8, 8.4\); leave --null out"):
         doors.null_fits(sets, stiffer(), "mine.toml")
@@ -268,7 +270,7 @@ def test_a_broken_trial_leaves_the_others(copied, signed, capsys, monkeypatch):
     (copied / "1_02_gait_fast" / "meta.toml").write_text("schema = ")
     taken = datasets.taken(copied, 0.004)
     assert list(taken.broken) == ["1_02_gait_fast"] and len(taken.trials) == 2
-    monkeypatch.setattr(find, "missing", lambda *_: Shortage("reached", (), ()))
+    monkeypatch.setattr(find, "missing", lambda *_: InsufficientData("reached", (), ()))
     assert run("find", copied, "--json") == console.CANNOT_TELL
     said = capsys.readouterr()
     assert "1_02_gait_fast left out" in said.err and "1_02_gait_fast" in json.loads(said.out.splitlines()[-1])["skipped"]
@@ -471,16 +473,13 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
         robot = load_robot("fish")
         links = tuple(replace(link, name=f"{name}{i}") for i, link in enumerate(robot.links))
         fins = tuple(replace(fin, link=links[0].name) for fin in robot.fins)
-        _ = Fish(replace(robot, name=name, title=name, links=links, fins=fins), [effects.get("servo_gain")]).kernel
+        _ = SwimmingFish(replace(robot, name=name, title=name, links=links, fins=fins), [effects.get("servo_gain")]).kernel
     assert texts[0] == texts[1] and "os.system" not in texts[1]
-    pytest.raises(DescriptionError, lambda: Fish(replace(load_robot("fish"), name='"""\nimport os  # ')))
-
-
-# Progress.
+    pytest.raises(DescriptionError, lambda: SwimmingFish(replace(load_robot("fish"), name='"""\nimport os  # ')))
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(simulated, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(simulated_null, "cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):
@@ -491,10 +490,9 @@ def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, mon
         sensors = ("joint", "pose", "power", "placed")
         return [{s: np.zeros((1, *getattr(r, s).values.shape)) for s in sensors if getattr(r, s) is not None} for r in records]
 
-    robot = load_robot("fish")
-    still = SimpleNamespace(robot=robot, dt=0.004, fingerprint="still", predict=predict, null=None)
+    still = SimpleNamespace(robot=load_robot("fish"), dt=0.004, fingerprint="still", predict=predict, null=None)
     records = [record_of(t, still.dt) for t in generate({}, ["idle", "idle"], 0)]
-    null = Null(runs=8)
-    null.residuals(still, records, Layout(records), lambda total, *_: told.append(f"of {total}") or Bar())
+    null = SimulatedNull(runs=8)
+    null.residuals(still, records, ResidualLayout(records), lambda total, *_: told.append(f"of {total}") or Bar())
     assert told == ["of 8", *range(1, 9)]  # two replicates are one experiment
-    null.residuals(still, records, Layout(records), forbidden)
+    null.residuals(still, records, ResidualLayout(records), forbidden)

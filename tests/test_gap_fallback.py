@@ -5,11 +5,11 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj.effects.sites import Body, Gear, Servo, Water
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null.simulated import Null
+from fishmj.effects.sites import BodyMotion, Gear, LocalWater, ServoDrive
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.terms import select, terms_of
 from fishmj.gap.terms.library import library, one_sided
 from fishmj.gap.terms.model_with_terms import termed
@@ -18,7 +18,7 @@ from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark.free_terms import RIGHT
 
 RUNS = ("gait_fast", "turn_left", "tow_oblique")
-STILL = dict.fromkeys(Body._fields, 0.0)
+STILL = dict.fromkeys(BodyMotion._fields, 0.0)
 
 
 class One:
@@ -38,8 +38,8 @@ def plant():
     return termed(load_robot("fish"))
 
 
-def body(u, w, r, bend, swing) -> Body:
-    return Body(**STILL | dict(u=u, w=w, r=r, bend=bend, swing=swing, time=3.0, wet=1.0))
+def body(u, w, r, bend, swing) -> BodyMotion:
+    return BodyMotion(**STILL | dict(u=u, w=w, r=r, bend=bend, swing=swing, time=3.0, wet=1.0))
 
 
 def forces(effect, sign: float) -> np.ndarray:
@@ -52,10 +52,10 @@ def forces(effect, sign: float) -> np.ndarray:
         g, _ = effect.gear(np, One, g, effect.memory, 0.004)
         return np.array([g.torque])
     if effect.servo:
-        s = Servo(0.1 * sign, 0.2 * sign, 1.5 * sign, 8.0, 0.3, 0.1, 1.6, 0.0, 3.0)
+        s = ServoDrive(0.1 * sign, 0.2 * sign, 1.5 * sign, 8.0, 0.3, 0.1, 1.6, 0.0, 3.0)
         read, _ = effect.servo(np, One, s, (), 0.004)
         return np.array([read.error - s.error])
-    k = Water([(0.0, 0.0, 0.0)], [0.2], [0.1 * sign], [2.0 * sign], 0.0, 0.0, 3.0, None)
+    k = LocalWater([(0.0, 0.0, 0.0)], [0.2], [0.1 * sign], [2.0 * sign], 0.0, 0.0, 3.0, None)
     return np.array(effect.water(np, One, k, (), 0.004)[0].forces[-1])
 
 
@@ -85,7 +85,7 @@ def test_a_servo_that_reads_too_much_turns_too_little_and_only_its_own_report_hi
     for name, row in rows.items():
         row[plant.index(of[name], "coefficient")] = 0.05
     there, hidden = rows.values()
-    fish = Fish()
+    fish = SwimmingFish()
     less = fish.null.copy()
     less[fish.index("command_gain_error", "gain")] = 1 / 1.05 - 1
     plain = joints(plant, plant.null)
@@ -104,14 +104,14 @@ def test_a_slope_is_what_the_reading_changes_by():
 
 def test_without_coefficients_it_is_the_plain_fish(plant):
     record = record_of(generated({}, 1, ("gait_fast",))[0], plant.dt)
-    plain = Fish()  # the whole catalogue at its null
+    plain = SwimmingFish()  # the whole catalogue at its null
     for sensor, values in plain.predict([record], plain.null)[0].items():
         assert np.abs(values - plant.predict([record], plant.null)[0][sensor]).max() < 1e-9, sensor
 
 
 def test_the_right_term_is_among_the_first_two(plant):
     records = [record_of(t, plant.dt) for t in generated({"cubic_joint_spring": {"stiffness": 2.0}}, 61, ("gait", "steps"))]
-    null = Null(runs=32).residuals(plant, records, Layout(records))
+    null = SimulatedNull(runs=32).residuals(plant, records, ResidualLayout(records))
     terms = terms_of(plant, records, null)
     place = [t.name for t in terms].index("joint torque ~ angle cubed")
     assert place < 2
@@ -121,7 +121,7 @@ def test_the_right_term_is_among_the_first_two(plant):
 
 def test_nothing_is_firm_where_nothing_is(plant):
     records = [record_of(t, plant.dt) for t in generated({}, 62)]
-    null = Null(runs=32).residuals(plant, records, Layout(records))
+    null = SimulatedNull(runs=32).residuals(plant, records, ResidualLayout(records))
     assert not any(t.firm for t in terms_of(plant, records, null))
 
 

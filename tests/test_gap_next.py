@@ -11,18 +11,26 @@ from fishmj import effects, excitation
 from fishmj.errors import UnknownName
 from fishmj.gap.commands import next_experiment
 from fishmj.gap.experiment import advice
-from fishmj.gap.experiment.discrimination import Prospect, Side, evenly, hinted, planned, prospect, prospects
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null.simulated import Null, repeated
+from fishmj.gap.experiment.discrimination import (
+    ExperimentScore,
+    Hypothesis,
+    experiment_scores,
+    hinted,
+    normalised,
+    planned,
+    prospect,
+)
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.simulated_null import SimulatedNull, repeated
 from fishmj.gap.records.records import record_of
 
-NULL = Null(runs=16)
+NULL = SimulatedNull(runs=16)
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return Fish(catalogue=[effects.get(name) for name in SOME])
+    return SwimmingFish(catalogue=[effects.get(name) for name in SOME])
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +46,7 @@ def side(plant, name, value, spread=0.0, weight=1.0):
     row[place] = value
     moves = row[None].copy()
     moves[0, place] += spread
-    return Side((name,), row, moves, weight)
+    return Hypothesis((name,), row, moves, weight)
 
 
 @pytest.mark.parametrize("name", ["gait", "tow_oblique"])
@@ -57,8 +65,8 @@ def test_alike_explanations_stay_together(plant, like):
 
 
 def test_what_moves_the_fish_sets_apart_what_a_resting_fish_does_not(plant, like):
-    sides = evenly([side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)])
-    found = prospects(plant, sides, like, ("drift_north", "gait_fast"), NULL)
+    sides = normalised([side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)])
+    found = experiment_scores(plant, sides, like, ("drift_north", "gait_fast"), NULL)
     assert [p.excitation for p in found] == ["gait_fast", "drift_north"]
     assert found[0].sigma > 5 > found[1].sigma
 
@@ -80,7 +88,7 @@ def test_hints_begin_with_what_the_catalogue_says(plant):
 def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
     sides = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
     sides = [s._replace(names=(n,)) for s, n in zip(sides, ("clock_offset", "camera_latency"), strict=True)]
-    said = advice.advice(plant, [Prospect("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
+    said = advice.advice(plant, [ExperimentScore("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
     assert "No experiment tried separates clock offset from camera latency" in said and "lamp" in said
 
 

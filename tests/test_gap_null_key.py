@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null import code_hash, simulated
-from fishmj.gap.null.recorded import FEWEST, Sets
-from fishmj.gap.null.simulated import Null, repeated
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null import simulated_null, source_digest
+from fishmj.gap.null.recorded_null import FEWEST, RecordedNull
+from fishmj.gap.null.simulated_null import SimulatedNull, repeated
 from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
@@ -26,11 +26,11 @@ NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.repor
 def code(tmp_path, monkeypatch):
     """A copy of the package's source, which keys are taken of."""
     there = tmp_path / "fishmj"
-    shutil.copytree(code_hash.ROOT, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
-    monkeypatch.setattr(code_hash, "ROOT", there)
-    code_hash.digest.cache_clear()
+    shutil.copytree(source_digest.ROOT, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
+    monkeypatch.setattr(source_digest, "ROOT", there)
+    source_digest.digest.cache_clear()
     yield there
-    code_hash.digest.cache_clear()
+    source_digest.digest.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -49,32 +49,35 @@ CHANGES = [
 def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made, elsewhere, code, record, tmp_path):
     for i in range(FEWEST):
         np.savez(tmp_path / f"{i}.npz", a=i)
-    plant, nulls = Fish("fish"), (Null(runs=8), Sets(folder=tmp_path))
+    plant, nulls = SwimmingFish("fish"), (SimulatedNull(runs=8), RecordedNull(folder=tmp_path))
     keys = lambda: [null._key(plant, record, repeated(record)) for null in nulls]
     before = keys()
     assert keys() == before
     (code / file).write_text((code / file).read_text() + "\n# another formula\n")
-    code_hash.digest.cache_clear()
+    source_digest.digest.cache_clear()
     assert [a != b for a, b in zip(keys(), before, strict=True)] == [made, elsewhere]
 
 
 def test_what_decides_the_runs_is_found_by_its_imports():
-    swims, predicts = code_hash.reached(simulated.SIMULATOR), code_hash.reached(Fish.__module__, "fishmj.gap.records.residual")
+    swims, predicts = (
+        source_digest.reached(simulated_null.SIMULATOR),
+        source_digest.reached(SwimmingFish.__module__, "fishmj.gap.records.residual"),
+    )
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)
     assert {f"fishmj.{name}" for name in MODEL} <= set(predicts)
     assert not {f"fishmj.{name}" for name in NEITHER} & {*swims, *predicts}
 
 
 def test_the_key_also_hangs_on_the_robot_the_draws_and_the_experiment(record):
-    plant, what = Fish("fish"), repeated(record)
+    plant, what = SwimmingFish("fish"), repeated(record)
     links = tuple(replace(link, mass=1.01 * link.mass) for link in plant.robot.links)
     other = SimpleNamespace(robot=replace(plant.robot, links=links), fingerprint=plant.fingerprint)
     keys = [
-        Null(runs=8)._key(plant, record, what),
-        Null(runs=9)._key(plant, record, what),
-        Null(runs=8, seed=1)._key(plant, record, what),
-        Null(runs=8)._key(other, record, what),
-        Null(runs=8)._key(plant, record, replace(what, commands=what.commands + 0.1)),
+        SimulatedNull(runs=8)._key(plant, record, what),
+        SimulatedNull(runs=9)._key(plant, record, what),
+        SimulatedNull(runs=8, seed=1)._key(plant, record, what),
+        SimulatedNull(runs=8)._key(other, record, what),
+        SimulatedNull(runs=8)._key(plant, record, replace(what, commands=what.commands + 0.1)),
     ]
     assert len(set(keys)) == len(keys)
 
@@ -85,7 +88,7 @@ def test_imports_are_followed_through_packages_and_into_functions(code):
     (code / "far" / "inner.py").write_text("def thing():\n    import fishmj.near\n")
     (code / "near.py").write_text("import numpy\n")
     (code / "start.py").write_text("from fishmj import far\nimport fishmj_elsewhere.near\n")
-    found = code_hash.reached("fishmj.start")
+    found = source_digest.reached("fishmj.start")
     assert {"fishmj", "fishmj.far", "fishmj.far.inner", "fishmj.near", "fishmj.start"} <= set(found)
     assert not [name for name in found if "numpy" in name or "elsewhere" in name]
-    assert code_hash.reached("fishmj.far.inner.thing", "types", "os.path") == {}
+    assert source_digest.reached("fishmj.far.inner.thing", "types", "os.path") == {}

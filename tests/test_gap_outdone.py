@@ -10,10 +10,10 @@ from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
 
 from fishmj import effects
 from fishmj.gap.decide.decide import _answer, pinned
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search.cross_validation import split
-from fishmj.gap.search.refit import polished, settled
-from fishmj.gap.search.stepwise import Found
+from fishmj.gap.search.refit import converge, refine
+from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.terms import stronger
 from fishmj.gap.terms.equivalence import own
 from fishmj.gap.terms.library import library
@@ -30,14 +30,14 @@ def free():
     return termed(load_robot("fish"))
 
 
-def best(e) -> tuple[Found, Verdict]:
+def best(e) -> tuple[Selection, Verdict]:
     """The best single effect of the plant, as a search that stops there and names it would leave it."""
     whole, folds = e.part(e.everything), split(e.records)
     base = whole.base()
     first = whole.refine(whole.screen(base, e.plant.active.effects)[:3], 4)[0]
-    fitted = settled(e, folds, first, tuple(polished(e.part(~f), first) for f in folds))
+    fitted = converge(e, folds, first, tuple(refine(e.part(~f), first) for f in folds))
     gain = sum(e.part(f).loss(base.row) for f in folds) - fitted.loss(folds)
-    return Found(base, fitted, folds, (), whole.whiten.logdet), Verdict("NAMED", gates={"gain": gain})
+    return Selection(base, fitted, folds, (), whole.whiten.logdet), Verdict("NAMED", gates={"gain": gain})
 
 
 @pytest.mark.slow
@@ -68,7 +68,7 @@ def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F8
     [({"command_gain_error": {"gain": 0.03}}, "NAMED"), ({"encoder_harmonic": {"angle": 0.015}}, "UNEXPLAINED")],
 )
 def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, planted, answer):
-    e = evidence_on(Fish(catalogue=[effects.get("command_gain_error")]), planted, 85)
+    e = evidence_on(SwimmingFish(catalogue=[effects.get("command_gain_error")]), planted, 85)
     found, verdict = best(e)
     assert found.fitted.best.cost < 0.15 * found.base.cost  # either way a gain closes the gap
     said = stronger.challenged(free, e, found, verdict)

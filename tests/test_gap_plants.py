@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from fishmj import effects
-from fishmj.effects.describe import enters
+from fishmj.effects.effect_text import enters
 from fishmj.gap.models import planar_body as bodies
-from fishmj.gap.models import servo as servos
+from fishmj.gap.models import servo_model as servos
 from fishmj.gap.models.decoy_terms import RIVALS
-from fishmj.gap.models.planar_body import Body, Hull, Swim, covered
-from fishmj.gap.models.servo import Bench, Motor, OneServo, Pendulum
+from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody, covered
+from fishmj.gap.models.servo_model import OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.studies.measured_robots.answer import answer
 from fishmj.studies.measured_robots.floor import Scatter
 from fishmj.studies.measured_robots.study import Fold, Study, investigate
@@ -21,14 +21,14 @@ HULL = Hull(0.7, 2.7e-3, 0.0, 0.0, 0.0, thrust=0.1, torque=0.005, drag=0.3, sway
 HEAVY = HULL._replace(surge_added=0.2, sway_added=0.6, yaw_added=1e-3)
 IN_WATER = ("surge_added_mass", "sway_added_mass", "yaw_added_mass", "body_lift", "munk_moment", "steady_current", "camera_scale")
 ON_BENCH = ("coulomb_friction", "load_friction", "voltage_sag", "command_latency", "joint_sensor_delay", "servo_deadband")
-MOTOR, RIG = Motor(stall=0.7, back_emf=0.02, viscous=0.02, armature=0.002), Pendulum(0.49, 0.1, 7.4)
+MOTOR, RIG = ServoMotor(stall=0.7, back_emf=0.02, viscous=0.02, armature=0.002), Pendulum(0.49, 0.1, 7.4)
 SCALE = np.array([0.02, 0.02, 0.15])
 FREE = tuple(Constant(name, 0.3) for name in ("thrust", "torque", "drag", "yaw_drag"))
 
 
 @pytest.fixture(scope="module")
 def fish():
-    return Body(HULL, FREE, [*map(effects.get, IN_WATER), *RIVALS])
+    return PlanarBody(HULL, FREE, [*map(effects.get, IN_WATER), *RIVALS])
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def swim(starts, span=1.5, gait=(0.35, 0.5), name="a", values=None):
     starts = np.atleast_2d(np.asarray(starts, float))
     values = np.zeros((len(starts), 3)) if values is None else values
     pose = Sensor(span * np.arange(1, len(starts) + 1), values, SCALE)
-    return Swim(name, name, 0.02, np.array([gait]), starts, span, pose)
+    return MeanGait(name, name, 0.02, np.array([gait]), starts, span, pose)
 
 
 def row(plant, **values):
@@ -55,7 +55,7 @@ STARTS = np.array([[0.3, 0.2, 0.4, 0.1, 0.02, 0.3], [-0.1, 0.5, 2.0, 0.05, -0.02
 
 def test_added_mass_of_the_hull_is_the_effects_of_the_catalogue(fish):
     """Kirchhoff's terms enter the same way twice: by the hull's constants and by the effects."""
-    heavy = Body(HEAVY, FREE, [])
+    heavy = PlanarBody(HEAVY, FREE, [])
     by_effects = row(fish, surge_added_mass__mass=0.2, sway_added_mass__mass=0.6, yaw_added_mass__inertia=1e-3)
     a = heavy.ends([swim(STARTS)], heavy.null)[0]
     b = fish.ends([swim(STARTS)], by_effects)[0]
@@ -65,7 +65,7 @@ def test_added_mass_of_the_hull_is_the_effects_of_the_catalogue(fish):
 
 def test_an_ideal_fluid_takes_no_energy():
     """Without drag and thrust, sum of mass times speed squared stays, however the body turns."""
-    free = Body(HEAVY._replace(drag=0.0, yaw_drag=0.0), FREE, [], dt=0.002)
+    free = PlanarBody(HEAVY._replace(drag=0.0, yaw_drag=0.0), FREE, [], dt=0.002)
     track = free.tracks([swim(STARTS, span=2.0, gait=(0.0, 0.0))._replace(dt=0.002)], free.null)[0][0]
     u, w, r = track[..., 3], track[..., 4], track[..., 5]
     energy = 0.9 * u**2 + 1.3 * w**2 + 3.7e-3 * r**2
@@ -134,7 +134,7 @@ def question(plant, records, noise=0.05, aside=2, folds=3):
     learn = records[aside:]
 
     def error(rs, values):
-        layout = Layout(list(rs))
+        layout = ResidualLayout(list(rs))
         return float(np.mean((layout.residuals(plant.predict(list(rs), values))[0] / layout.noise()) ** 2))
 
     fold = np.arange(len(learn)) % folds
@@ -166,7 +166,7 @@ def test_a_rival_outside_the_catalogue_is_not_taken_for_an_effect(fish):
 def test_scatter_within_and_between_groups_is_recovered():
     rng = np.random.default_rng(0)
     records = [swim(np.zeros((30, 6)), name=f"g{k}") for k in range(40)]
-    layout = Layout(records)
+    layout = ResidualLayout(records)
     groups = [r.group for r in records]
     residual = rng.normal(0, 2.0, layout.size)
     for b in layout.blocks:
@@ -197,13 +197,13 @@ def log(plant, goal, given=None, on=1.0, volts=None, start=(0.0, 0.0), gain=0.5,
     commands = np.stack([goal(t), np.full(steps, on), volts, np.full(steps, gain), np.full(steps, 0.885)], 1)
     rng = np.random.default_rng(seed)
     stamps = np.cumsum(rng.uniform(0.003, 0.006, 600))
-    made = Bench(name, name, plant.dt, commands, Sensor(stamps, np.zeros((600, 1)), np.full(1, 1e-3)), start, 0.0)
+    made = PendulumLog(name, name, plant.dt, commands, Sensor(stamps, np.zeros((600, 1)), np.full(1, 1e-3)), start, 0.0)
     values = plant.predict([made], plant.null if given is None else given)[0]["joint"][0]
     return made._replace(joint=made.joint._replace(values=values + rng.normal(0, noise, values.shape)))
 
 
 def test_a_free_pendulum_swings_at_its_own_frequency():
-    still = OneServo(Motor(0.7, 0.0, 0.0, 0.002), RIG, catalogue=[])
+    still = OneServo(ServoMotor(0.7, 0.0, 0.0, 0.002), RIG, catalogue=[])
     made = log(still, lambda t: 0 * t, on=0.0, start=(0.1, 0.0))
     inertia = 0.49 * 0.1**2 + 0.002
     expected = np.sqrt(0.49 * 9.81 * 0.1 / inertia)

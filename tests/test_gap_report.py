@@ -11,10 +11,10 @@ import pytest
 
 from fishmj import effects, excitation
 from fishmj.gap.localise import compared, error_growth, localise
+from fishmj.gap.localise.error_by_regime import KINDS, kinds_of
 from fishmj.gap.localise.lags import alike, told
-from fishmj.gap.localise.regimes import KINDS, kinds_of
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts
@@ -28,14 +28,14 @@ EFFECTS = (  # as in test_gap.py: one compiled plant for both
     *("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag"),
 )
 RUNS = ("gait", "chirp", "turn_left", "drift_north")
-NULL = Null(runs=24)
+NULL = SimulatedNull(runs=24)
 SEED = 7
 
 
 @pytest.fixture(scope="module")
 def plant():
     catalogue = effects.catalogue()
-    return Fish("fish", [catalogue[name] for name in EFFECTS])
+    return SwimmingFish("fish", [catalogue[name] for name in EFFECTS])
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fishmj.errors import LogError, StoreError
-from fishmj.gap.null.recorded import Sets
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.recorded_null import RecordedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.log import Trial
 from fishmj.log.compact import FINE, read_bundle, write_bundle
 from fishmj.studies.gap_benchmark import solver
@@ -48,8 +48,8 @@ def test_a_bundle_refuses_what_it_cannot_keep(tmp_path, trials):
 
 def test_nulls_are_the_same_experiments_of_other_fish(trials):
     plant, records = solver.plant(), [record_of(t, solver.plant().dt) for t in trials[:2]]
-    null = Sets(folder=FOLDER / "nulls", without=("nulls_000",))
-    layout = Layout(records)
+    null = RecordedNull(folder=FOLDER / "nulls", without=("nulls_000",))
+    layout = ResidualLayout(records)
     residuals = null.residuals(plant, records, layout)
     assert residuals.shape == (47, layout.size) and np.isfinite(residuals).all()
     own = layout.residuals(plant.predict(records, plant.null))[0]
@@ -58,13 +58,13 @@ def test_nulls_are_the_same_experiments_of_other_fish(trials):
 
 
 def test_an_experiment_that_the_sets_do_not_hold_has_no_null(trials):
-    plant, sets = solver.plant(), Sets(folder=FOLDER / "nulls")
-    assert sets.holds("gait") and not sets.holds("square") and Null().holds("square")
+    plant, sets = solver.plant(), RecordedNull(folder=FOLDER / "nulls")
+    assert sets.holds("gait") and not sets.holds("square") and SimulatedNull().holds("square")
     other = Trial({**trials[0].meta, "excitation": "mine"}, trials[0].tables, name="01_mine")
     with pytest.raises(LogError, match="'mine' of record 01_mine was done by 0 of 48 fish.*The sets hold burst_and_coast, chirp"):
         sets.experiment(plant, record_of(other, plant.dt))
     with pytest.raises(LogError, match="0 null sets"):
-        Sets(folder=FOLDER)
+        RecordedNull(folder=FOLDER)
 
 
 def test_cases_of_the_solver_are_complete_and_leave_themselves_out_of_their_null():

@@ -8,11 +8,11 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, row_of
 
 from fishmj import effects
-from fishmj.gap.decide.poorly_determined import chance
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.decide.poorly_determined import within_null_scatter
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.through_sensors import sensed
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.verdict import Named, Value
 from fishmj.gap.workflow import investigate
 
@@ -21,7 +21,9 @@ RUNS = ("gait", "drift_north", "turn_left", "gait_fast")
 
 @pytest.fixture(scope="module")
 def turning():
-    return Fish(catalogue=[effects.get(n) for n in ("camera_yaw", "heading_marker_offset", "joint_zero_offset", "yaw_drag")])
+    return SwimmingFish(
+        catalogue=[effects.get(n) for n in ("camera_yaw", "heading_marker_offset", "joint_zero_offset", "yaw_drag")]
+    )
 
 
 def test_only_what_was_put_to_rest_at_a_stated_place_shows_it(turning):
@@ -65,14 +67,14 @@ def test_null_runs_are_turned_with_the_camera(turning):
 def test_what_null_runs_scatter_as_far_is_chance(turning):
     e = evidence_on(turning, {}, 14, RUNS[:2])
     said = lambda half: Named("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)
-    assert chance(e, (said(0.006),)) and not chance(e, (said(0.003),))
-    assert not chance(e, (said(0.006), said(0.006))) and not chance(e, ())
+    assert within_null_scatter(e, (said(0.006),)) and not within_null_scatter(e, (said(0.003),))
+    assert not within_null_scatter(e, (said(0.006), said(0.006))) and not within_null_scatter(e, ())
     offsets = lambda least: {f"offset{i}": Value(0.02, "rad", low, 0.05) for i, low in enumerate((-0.01, -0.01, least), 1)}
     bent = lambda least: (Named("joint_zero_offset", offsets(least), 1.0, 1.0),)
-    assert chance(e, bent(-0.01)) and not chance(e, bent(0.01))  # one of three is told from none
+    assert within_null_scatter(e, bent(-0.01)) and not within_null_scatter(e, bent(0.01))  # one of three is told from none
 
 
 def test_averages_of_what_was_measured(turning):
     records = [record_of(t, turning.dt) for t in hidden({}, 5, ("gait",))]
-    layout = Layout(records)
+    layout = ResidualLayout(records)
     assert np.isclose(layout.measured[layout.blocks[-1].where][0], records[0].placed.values[0, 2])

@@ -13,15 +13,15 @@ from fishmj import effects
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import find
 from fishmj.gap.experiment import advice
-from fishmj.gap.experiment.discrimination import Prospect, Side
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.workflow import evidence_of, investigate
 from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import plant as robot
-from fishmj.virtual_robot.dataset import write_hidden
+from fishmj.virtual_robot.hidden_dataset import write_hidden
 from fishmj.virtual_robot.weighing import masses, page
 
 RUNS = ("gait", "turn_left", "burst_and_coast")
@@ -31,7 +31,9 @@ WATER = {"yaw_added_mass": {"inertia": 0.006}}
 
 @pytest.fixture(scope="module")
 def plant():
-    return Fish(catalogue=[effects.get(n) for n in ("yaw_inertia", "yaw_added_mass", "body_mass", "com_offset", "yaw_drag")])
+    return SwimmingFish(
+        catalogue=[effects.get(n) for n in ("yaw_inertia", "yaw_added_mass", "body_mass", "com_offset", "yaw_drag")]
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,9 +59,11 @@ def test_what_the_page_lacks_is_not_compared(plant):
     record, *_ = mass_properties.with_page(
         [record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], mass_properties.sensor(whole, plant)
     )
-    assert [b.column for b in Layout([record]).blocks if b.channel == mass_properties.CHANNEL] == [0, 1, 2]
+    assert [b.column for b in ResidualLayout([record]).blocks if b.channel == mass_properties.CHANNEL] == [0, 1, 2]
     only = mass_properties.sensor({"scales": {"whole": [1.12, 1.121]}}, plant)
-    assert [b.column for b in Layout([record._replace(weighed=only)]).blocks if b.channel == mass_properties.CHANNEL] == [0]
+    assert [b.column for b in ResidualLayout([record._replace(weighed=only)]).blocks if b.channel == mass_properties.CHANNEL] == [
+        0
+    ]
     assert only.values[0, 0] == pytest.approx(1.1205) and only.sigma[0] == pytest.approx(1.12e-3, rel=0.01)
     assert mass_properties.sensor({}, plant) is None
     with pytest.raises(ConfigError, match=r"\[pendulum\] period"):
@@ -89,11 +93,11 @@ def test_a_pendulum_tells_which_of_two_twins_it_is(plant):
 
 
 def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(plant):
-    sides = [Side((n,), row_of(plant, n, **p[n]), np.zeros((0, len(plant.null))), 1.0) for p in (TURNS, WATER) for n in p]
+    sides = [Hypothesis((n,), row_of(plant, n, **p[n]), np.zeros((0, len(plant.null))), 1.0) for p in (TURNS, WATER) for n in p]
     rows = [s.row[None] for s in sides]
     assert mass_properties.separation(plant, *rows) == pytest.approx(0.006 / (mass_properties.PENDULUM * 0.01304), rel=0.01)
     assert mass_properties.separation(plant, rows[1], plant.null[None]) == 0.0
-    quiet = [Prospect("gait", 10.0, 0.4, ("yaw_inertia", "yaw_added_mass"), 0.01)]
+    quiet = [ExperimentScore("gait", 10.0, 0.4, ("yaw_inertia", "yaw_added_mass"), 0.01)]
     assert advice.advice(plant, quiet, sides).startswith(advice.WEIGH)
 
 

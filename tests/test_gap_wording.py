@@ -11,10 +11,10 @@ from fishmj import effects
 from fishmj.gap import workflow
 from fishmj.gap.decide.decide import _answer, described
 from fishmj.gap.report import sections, words
-from fishmj.gap.report.report_data import Part, Row, after, listed
-from fishmj.gap.search.cross_validation import Fitted
+from fishmj.gap.report.report_data import ReportPart, ReportRow, after, listed
+from fishmj.gap.search.cross_validation import CrossValidated
 from fishmj.gap.search.effect_fitter import Candidate
-from fishmj.gap.search.stepwise_rounds import Step
+from fishmj.gap.search.stepwise_rounds import SelectionStep
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value, Verdict, said
 from fishmj.gap.wording import level, number, percent, quantity, title
@@ -36,7 +36,7 @@ def candidate(*names):
 
 
 def step(accepted, gap, names=("steady_current",)):
-    return Step((candidate(*names),), None, 34561418.0, accepted, gap)
+    return SelectionStep((candidate(*names),), None, 34561418.0, accepted, gap)
 
 
 def verdict(before, now, **more):
@@ -88,13 +88,16 @@ def test_the_gap_of_unseen_records_is_that_of_the_fits_which_did_not_see_them():
     plant = SimpleNamespace(predict=lambda records, rows: [[1.0 * r[0]] * 4 for r in rows])
     near = SimpleNamespace(layout=layout, plant=plant, records=[0, 1], scale=np.ones(4))
     fits = tuple(replace(candidate(), row=np.array([value])) for value in (2.0, 3.0))
-    assert Fitted(near, candidate(), fits).gap(np.array([[True, False], [False, True]])) == pytest.approx((4.0 + 9.0) / 2)
+    assert CrossValidated(near, candidate(), fits).gap(np.array([[True, False], [False, True]])) == pytest.approx((4.0 + 9.0) / 2)
 
 
 # --------------------------------------------------------------------------------------------------------------- percentages
 def test_no_share_is_claimed_beside_a_gap_that_grows():
     assert not GROWN.shrinks
-    for text in (GROWN.text(), " ".join(sections.figures(material(GROWN, parts=(Part("fitted", "", 2, 7273.97, 42555.6),))))):
+    for text in (
+        GROWN.text(),
+        " ".join(sections.figures(material(GROWN, parts=(ReportPart("fitted", "", 2, 7273.97, 42555.6),)))),
+    ):
         assert "explain" not in text and "%" not in text
     assert "gap 7270 -> 42600 on the records searched" in GROWN.text() and "it grows" in GROWN.text()
     assert "does not shrink" in GROWN.text() and "does not shrink" in sections.warnings(material(GROWN))
@@ -150,7 +153,7 @@ def test_where_nothing_was_taken_the_gap_is_told_as_it_is(answer):
     assert "gap 5.00 on the records searched" in text and "->" not in text and "%" not in text and "P(best)" not in text
     m = material(v)
     np.testing.assert_array_equal(after(m.inquiry), m.inquiry.found.base.row)
-    assert sections.figures(material(v, parts=(Part("fitted", "", 2, 5.0, 5.0),)))[0].startswith("<div><b>5.00</b>")
+    assert sections.figures(material(v, parts=(ReportPart("fitted", "", 2, 5.0, 5.0),)))[0].startswith("<div><b>5.00</b>")
 
 
 def test_what_is_not_repeatable_shows_no_explanation_though_one_was_taken():
@@ -175,13 +178,16 @@ def test_explanations_are_listed_by_how_probable_they_are_and_only_with_their_ow
 
 
 def test_a_table_of_finalists_goes_by_p_best_and_ends_with_those_on_a_bound():
-    row = lambda p, tried=False: Row("x", {}, 0.0, p, False, tried)
+    row = lambda p, tried=False: ReportRow("x", {}, 0.0, p, False, tried)
     assert listed([row(0.0, True), row(None), row(0.3), row(0.7)]) == [3, 2, 0, 1]
     assert listed([row(0.4), row(0.4, True)])[0] == 1
 
 
 def test_the_table_marks_the_one_that_was_tried_and_never_calls_it_the_best():
-    rows = (Row("swirl", {"rate": (0.02, "rad/s")}, -0.031, 0.96, True), Row("steady_current", {}, 0.0, 0.04, False, True))
+    rows = (
+        ReportRow("swirl", {"rate": (0.02, "rad/s")}, -0.031, 0.96, True),
+        ReportRow("steady_current", {}, 0.0, 0.04, False, True),
+    )
     text = sections.ranked(SimpleNamespace(table=rows[:1], alike=np.eye(1)), 0, 1) + sections.ranked(
         SimpleNamespace(table=rows[1:], alike=np.eye(1)), 0, 1
     )

@@ -18,8 +18,8 @@ import fishmj.gym
 from fishmj import engines, mjcf
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.gym import picture
-from fishmj.gym.single import FishEnv
-from fishmj.gym.vector import FishVectorEnv
+from fishmj.gym.fish_env import FishEnv
+from fishmj.gym.fish_vector_env import FishVectorEnv
 from fishmj.tasks import env as functional
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import Draws
@@ -319,7 +319,7 @@ def test_a_running_episode_is_drawn_as_a_film_of_it_is(monkeypatch):
 
 def test_mujoco_renders_where_egl_works():
     code = (
-        "import numpy as np\nfrom fishmj.gym.single import FishEnv\n"
+        "import numpy as np\nfrom fishmj.gym.fish_env import FishEnv\n"
         "env = FishEnv(engine='planar', render_mode='rgb_array'); env.reset(seed=0)\n"
         "image = env.render(); print(env._picture.kind, image.shape, np.ptp(image) > 50); env.close()\n"
     )

@@ -10,16 +10,16 @@ pytest.importorskip("numba")
 
 from fishmj import excitation
 from fishmj.campaign.hidden_lbm import hidden
-from fishmj.campaign.hidden_lbm.body import Difference, HiddenBody
-from fishmj.campaign.hidden_lbm.electronics import Queue, Wire
-from fishmj.campaign.hidden_lbm.run import HiddenRun, carriage
+from fishmj.campaign.hidden_lbm.electronics import Electronics, Queue
+from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody, HiddenDifference
+from fishmj.campaign.hidden_lbm.hidden_run import HiddenRun, carriage
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.run.domain import Domain
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log.trial import stacked
 from fishmj.studies.hidden_lbm import command as hidden_command
 from fishmj.virtual_robot import network
-from fishmj.virtual_robot.motion import STILL, run
+from fishmj.virtual_robot.simulate import STILL, run
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import plant
 
@@ -28,14 +28,14 @@ FLICK = excitation.Excitation(id="flick", commands=np.repeat([[0.0] * 3, [0.4, 0
 DT = 0.004
 
 
-def in_air(effects: dict, name: str) -> tuple[np.ndarray, np.ndarray, Wire]:
+def in_air(effects: dict, name: str) -> tuple[np.ndarray, np.ndarray, Electronics]:
     """Joint angles (T, 3) by the law on the MuJoCo body alone, and by the second robot; no thread."""
     made = replace(plant(effects, 3, medium="air"), air=np.zeros(4))
     what = excitation.get(name)
     packets = network.deliver(made.network, made.odd, what.t, what.commands, 3, 0, 1.0)
     start = lambda: at_rest((0.0, 0.0, 0.0), made.zero, made.motor.voltage)
     truth = run(made, start(), packets.times, packets.commands, what.seconds)
-    body, wire = HiddenBody(made, DT), Wire(made, start(), Queue(*packets), STILL)
+    body, wire = HiddenBody(made, DT), Electronics(made, start(), Queue(*packets), STILL)
     for k in range(round(what.seconds / DT)):
         wire.begin_tick(k)
         wire.drive(body, k * DT)
@@ -62,18 +62,18 @@ def test_a_joint_that_friction_holds_does_not_creep():
 
 def test_an_effect_at_its_null_adds_nothing_to_the_water():
     made = plant({}, 5)
-    assert not Difference(made, STILL).acts
-    assert not Difference(plant({"command_latency": {"delay": 0.04}, "servo_gain": {"gain": 0.2}}, 5), STILL).acts
-    assert not Difference(plant({"body_mass": {"mass": 0.2}, "steady_current": {"x": 0.02}}, 5), STILL).acts
+    assert not HiddenDifference(made, STILL).acts
+    assert not HiddenDifference(plant({"command_latency": {"delay": 0.04}, "servo_gain": {"gain": 0.2}}, 5), STILL).acts
+    assert not HiddenDifference(plant({"body_mass": {"mass": 0.2}, "steady_current": {"x": 0.02}}, 5), STILL).acts
 
 
 def test_what_an_effect_adds_is_its_formula():
     state = at_rest((0.0, 0.0, 0.5), np.zeros(3), 7.4, (0.3, 0.1, 0.0))
-    drag = Difference(plant({"quadratic_drag": {"coefficient": 2.0}}, 5), STILL)
+    drag = HiddenDifference(plant({"quadratic_drag": {"coefficient": 2.0}}, 5), STILL)
     force, mass = drag(state, DT)
     assert drag.acts and np.abs(mass).max() < 1e-12
     assert np.allclose(force[:2], -2.0 * 0.3**2 * np.array([np.cos(0.5), np.sin(0.5)]), atol=1e-9)
-    _, mass = Difference(plant({"sway_added_mass": {"mass": 0.6}}, 5), STILL)(state, DT)
+    _, mass = HiddenDifference(plant({"sway_added_mass": {"mass": 0.6}}, 5), STILL)(state, DT)
     across = np.array([-np.sin(0.5), np.cos(0.5)])
     assert np.allclose(mass[:2, :2], 0.6 * np.outer(across, across), atol=1e-9)
 
@@ -120,7 +120,7 @@ def test_a_planted_latency_is_in_the_joints(swum):
 @pytest.mark.slow
 def test_without_effects_the_joints_move_as_the_solvers_own_servo_moves_them():
     """Same numbers, two servos: 200 Hz firmware that counts, and MuJoCo's actuator."""
-    own = Stage(domain=TINY).run()
+    own = SwimSetup(domain=TINY).run()
     for command in FLICK.commands:
         own.tick(command)
     job = hidden.jobs({}, [FLICK], 9, noise=0.0, nuisance=0.0, domain=TINY)[0]

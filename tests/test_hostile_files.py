@@ -20,7 +20,7 @@ from fishmj.log.trial import Trial
 from fishmj.mjcf import build, load_robot
 from fishmj.sim import Sim
 from fishmj.store import read_npz, write_npz
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 CODE = '"""\\nimport os; os.system("touch pwned")\\n"""'
 NAMES = (

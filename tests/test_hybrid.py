@@ -8,8 +8,8 @@ import pytest
 from fishmj.campaign.dagger import dagger
 from fishmj.campaign.data import plan
 from fishmj.campaign.data.run_segments import Finished, Setup
-from fishmj.campaign.hybrid import trial
-from fishmj.campaign.hybrid.correction_segment import Path, Stretch
+from fishmj.campaign.hybrid import hybrid_trial
+from fishmj.campaign.hybrid.correction_segment import CorrectionSegment, Path
 from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, MissingExtra
@@ -38,7 +38,7 @@ class Made:
             fish.tick(command)
             states.append((fish.q, fish.v))
         self.asked.append((len(path.q) - 1, len(commands)))
-        return Stretch(*(np.array(column) for column in zip(*states, strict=True)))
+        return CorrectionSegment(*(np.array(column) for column in zip(*states, strict=True)))
 
 
 def swum(water, commands=COMMANDS):
@@ -173,7 +173,7 @@ def test_a_solver_that_is_too_slow_is_switched_off_and_what_was_learnt_stays():
 
 
 def test_the_shorter_tail_is_another_water_on_the_same_body():
-    short = trial.shorter_tail(ROBOT)
+    short = hybrid_trial.shorter_tail(ROBOT)
     assert short._replace(strips=CHAIN.strips) == CHAIN and short.strips.mu[-1][0] < 0.95 * CHAIN.strips.mu[-1][0]
     assert short.strips.mu[:-1] == CHAIN.strips.mu[:-1]
 
@@ -205,13 +205,13 @@ class Tanks:
 
 def test_the_trial_places_its_stretch_where_it_is_told(monkeypatch):
     """A swim of 6 s in the true water in the solver's place; its stretch begins after 2 s: 0.3 s led, 0.3 s free."""
-    segment = trial.episodes_of(ROBOT, SimpleNamespace(episodes=1, seconds=6.0, seed=1))[0]
+    segment = hybrid_trial.episodes_of(ROBOT, SimpleNamespace(episodes=1, seconds=6.0, seed=1))[0]
     truth = SimpleNamespace(q=dagger.roll(ROBOT, model_in(TRUE), segment)[0], meta={"wall_s": 0.0})
     oracle, setup = Made(), Setup(domain=preset("laptop"), device="cpu")
-    monkeypatch.setattr(trial, "Solver", lambda *_, **__: oracle)
-    monkeypatch.setattr(trial, "transient", lambda *_: np.zeros(1))
+    monkeypatch.setattr(hybrid_trial, "Solver", lambda *_, **__: oracle)
+    monkeypatch.setattr(hybrid_trial, "transient", lambda *_: np.zeros(1))
     when = {"first": 2.0, "every": 20.0, "lead": 0.3, "span": 0.3}
-    row = trial._one(ROBOT, model_in(WRONG), setup, segment, truth, when, "none", 1e-3)
+    row = hybrid_trial._one(ROBOT, model_in(WRONG), setup, segment, truth, when, "none", 1e-3)
     assert oracle.asked == [(75, 15)] and row["stretches"][0]["t"] == pytest.approx(2.0) and row["covered"] == pytest.approx(0.1)
     assert row["after_m"] < 0.5 * row["before_m"] and row["before_m"] > 0.05
 

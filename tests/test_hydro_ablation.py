@@ -15,20 +15,20 @@ from fishmj import console, interrupt, mjcf
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import rollout
-from fishmj.hydro_fit.fit.pipeline import Settings
+from fishmj.hydro_fit.fit.pipeline import FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.studies.mujoco_ellipsoid import fit, force, judged
 from fishmj.studies.mujoco_ellipsoid.swim import Hooks
 from fishmj.studies.water_ablation import ablation, ablation_table
 from fishmj.studies.water_ablation.ablation_fit import Variant
-from fishmj.water.planar import world_matrix
+from fishmj.water.planar_water import world_matrix
 
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
 E = force.ellipsoids_of(ROBOT)
 SMALL = {"size": 0.34, "seconds": 5.0}  # as in test_hydro_fit.py: what makes it is compiled once
-QUICK = Settings(steps=20, swim=40.0, swims=0)
+QUICK = FitSettings(steps=20, swim=40.0, swims=0)
 
 
 @pytest.fixture(scope="module")
@@ -185,19 +185,19 @@ def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     """All free swims, whole; free runs of the gaits to the end, as for any records of 5 s; a perfect water has no error."""
     water, test = fitted[1], records["test"]
     swum = judged.Swum(water, ROBOT, test)
-    whole = rollout.fleet_of(CHAIN, ROBOT, test, seconds=1e6)
+    whole = rollout.fish_batch_of(CHAIN, ROBOT, test, seconds=1e6)
     for a, b in zip(swum.fleet[:-1], whole[:-1], strict=True):
         np.testing.assert_array_equal(a, b)
     gaits = [r.meta["block"] == "gait" for r in swum.records]
-    began = round(check.SHORTEST / records["test"][0].tick)
-    assert swum.began == check.SHORTEST and swum.cruise.q.shape == (sum(gaits), 251 - began, 6)
+    began = round(free_swims.SHORTEST / records["test"][0].tick)
+    assert swum.began == free_swims.SHORTEST and swum.cruise.q.shape == (sum(gaits), 251 - began, 6)
     np.testing.assert_array_equal(swum.cruise.q, whole.q[gaits, began:251])
     np.testing.assert_array_equal(swum.track.q, water.swim(ROBOT).run(whole, water.flat).q)  # by its own coefficients
-    perfect, _ = check.errors(swum, swum.seen)
+    perfect, _ = free_swims.errors(swum, swum.seen)
     assert perfect["speed_error_max"] == perfect["power_error_mean"] == 0.0
     found = judged.judge(water, ROBOT, test)
     assert set(ablation_table.SHOWN) <= set(found["figures"]) and found["n"]["thrust_error"] > 0
-    assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - check.SHORTEST)
+    assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - free_swims.SHORTEST)
 
 
 @pytest.mark.slow
@@ -219,7 +219,7 @@ def test_the_verb_makes_the_table_and_goes_on_where_it_was(records, tmp_path, ca
     assert console.run(verb.main, line) == 0 and done == []
     (tmp_path / "out" / "rows" / "forces-0.json").write_text("{")  # cut short
     assert console.run(verb.main, line) == 0 and done == ["strips: forces"]
-    about = {"settings": Settings(), "dataset": {"sha256": "another"}, "folder": tmp_path / "out"}
+    about = {"settings": FitSettings(), "dataset": {"sha256": "another"}, "folder": tmp_path / "out"}
     ablation.table(ROBOT, *records.values(), names=["prior"], **about)
     assert done[1:] == ["strips: prior"]  # other data: done again
     with pytest.raises(UnknownName, match="row of the ablation 'wholes'. Did you mean 'whole'"):
@@ -259,7 +259,7 @@ def test_learnt_rows_are_drawn_once_a_seed_and_shown_with_their_range(monkeypatc
                 "validation": {"judged": 0.5}}  # fmt: skip
 
     monkeypatch.setattr(ablation, "_one", one)
-    about = {"settings": Settings(), "dataset": {}, "folder": tmp_path}
+    about = {"settings": FitSettings(), "dataset": {}, "folder": tmp_path}
     rows = ablation.table(ROBOT, [], [], [], names=["base", "whole"], seeds=[0, 1, 2], **about)
     assert [(row["row"], row["seed"]) for row in rows] == [("base", 0), ("whole", 0), ("whole", 1), ("whole", 2)]
     base, wake, asked, count = ablation_table.cells(rows)

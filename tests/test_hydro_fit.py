@@ -11,8 +11,7 @@ from fishmj import console
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError, UsageError
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import check, online_correction
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit import free_swims, online_correction
 from fishmj.hydro_fit.fit import (
     calibrate,
     force_training,
@@ -23,19 +22,20 @@ from fishmj.hydro_fit.fit import (
     training_windows,
 )
 from fishmj.hydro_fit.fit.descent import Loop
-from fishmj.hydro_fit.fit.incremental import Again
-from fishmj.hydro_fit.fit.pipeline import STAGES, Fit, Settings
-from fishmj.hydro_fit.fit.promote import keep
+from fishmj.hydro_fit.fit.incremental import Refit
+from fishmj.hydro_fit.fit.pipeline import STAGES, FitPipeline, FitSettings
+from fishmj.hydro_fit.fit.promote import promote
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.serialise import unpacked
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat, names_of, prior_of, replaced, unflat
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
 SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
-QUICK = Settings(steps=200, swim=40.0, swims=25)
+QUICK = FitSettings(steps=200, swim=40.0, swims=25)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def records():
 def fitted(records, tmp_path_factory):
     """(the fit, its model, the folder of its stages)."""
     folder = tmp_path_factory.mktemp("stages")
-    fit = Fit(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=QUICK, folder=folder)
+    fit = FitPipeline(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=QUICK, folder=folder)
     return fit, fit.run(), folder
 
 
@@ -95,7 +95,7 @@ def test_the_residual_learns_what_strips_cannot():
     """Normal forces on head and tail, from 170 s of water: wash and overshoot are found on episodes that were not trained on."""
     parts = {split: hidden.campaign(seed=seed, split=split, seconds=5.0) for seed, split in enumerate(("train", "test"))}
     water = linear_regression.fit_linear(ROBOT, CHAIN, rows_of(CHAIN, parts["train"]), TICK).water
-    taught, seen = (training_windows.lessons_of(CHAIN, parts[split], water) for split in ("train", "test"))
+    taught, seen = (training_windows.training_windows_of(CHAIN, parts[split], water) for split in ("train", "test"))
     net = force_training.learn(CHAIN, taught, residual_network.blank(CHAIN.n), steps=200).net
 
     def left(memory):
@@ -110,7 +110,7 @@ def test_the_residual_learns_what_strips_cannot():
 
 
 def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path):
-    taught = training_windows.lessons_of(CHAIN, records["train"], planar_chain.nominal(ROBOT).water)
+    taught = training_windows.training_windows_of(CHAIN, records["train"], planar_chain.nominal(ROBOT).water)
 
     class Broken(Loop):
         def after(self, step, state):
@@ -135,9 +135,9 @@ def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
     fit, _, _ = fitted
     before, after = (unpacked(fit._read(stage)).net for stage in ("residual", "swims"))
     water = unflat(fit._read("residual")["water"].tolist())
-    seen = training_windows.lessons_of(CHAIN, records["test"], water)
-    apart = rollout_training.pieces_of(CHAIN, ROBOT, records["test"], water)
-    school = rollout_training.School(
+    seen = training_windows.training_windows_of(CHAIN, records["test"], water)
+    apart = rollout_training.windows_of(CHAIN, ROBOT, records["test"], water)
+    school = rollout_training.RolloutTrainer(
         ROBOT, fit.swim, apart, rollout_training.held_of(CHAIN, records["test"], water), seen, flat(water)
     )
     off = [float(school.swum(net, school.pieces)) for net in (before, after)]
@@ -152,7 +152,7 @@ def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
 def test_a_piece_begins_with_the_wake_of_the_motion_before_it(records):
     """Features of the 1.2 s before the start; none where the record begins, and a wake that stays at rest there."""
     water = planar_chain.nominal(ROBOT).water
-    made = rollout_training.pieces_of(CHAIN, ROBOT, records["test"], water)
+    made = rollout_training.windows_of(CHAIN, ROBOT, records["test"], water)
     first = np.array([a == 0 for _, a in made.fleet.source])
     assert first.any() and (~first).any()
     assert (made.speed[:, first] == 0).all() and (made.speed[-1, ~first] >= residual_network.FLOOR).all()
@@ -163,13 +163,13 @@ def test_a_piece_begins_with_the_wake_of_the_motion_before_it(records):
 
 def test_an_interrupted_fit_goes_on_where_it_was(fitted, records):
     fit, model, folder = fitted
-    again = Fit(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=QUICK, folder=folder)
+    again = FitPipeline(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=QUICK, folder=folder)
     for stage in STAGES:
         setattr(again, f"_{stage}", lambda state: pytest.fail("a stage that was done ran again"))
     again.score = lambda *_: model.scores["validation"]
     same = again.run()
     assert flat(same.base).tolist() == flat(model.base).tolist() and same.found == model.found
-    other = Fit(
+    other = FitPipeline(
         ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=replace(QUICK, seed=1), folder=folder
     )
     assert other._read("linear") is None  # another seed is another fit
@@ -181,15 +181,15 @@ def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records, tmp_path, m
     model = fitted[1].base_only
     worse = replace(model, base=model.base._replace(ke=0.5 * model.base.ke))
     given = {"dataset": {"sha256": "made"}, "folder": tmp_path}
-    fit = Again(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
+    fit = Refit(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
     better = fit.run()
     assert fit.score(flat(better.base), None) < 0.5 * fit.score(flat(worse.base), None)
     assert better.learnt is None and better.slip == model.slip
-    same = Again(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
-    monkeypatch.setattr(Again, "_newton", lambda *_: pytest.fail("a stage that was finished is done again"))
+    same = Refit(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
+    monkeypatch.setattr(Refit, "_newton", lambda *_: pytest.fail("a stage that was finished is done again"))
     assert same.run().base == better.base
     with pytest.raises(pytest.fail.Exception):  # another model is another fit
-        Again(ROBOT, model, records["train"], (records["val"], records["test"][:4]), **given).run()
+        Refit(ROBOT, model, records["train"], (records["val"], records["test"][:4]), **given).run()
 
 
 def test_training_records_validate_where_no_others_do(records, tmp_path):
@@ -200,10 +200,10 @@ def test_training_records_validate_where_no_others_do(records, tmp_path):
 
 def test_a_better_model_is_never_overwritten(fitted, tmp_path):
     _, model, _ = fitted
-    place, taken = keep(model, tmp_path, score=1.0, standing=None)
+    place, taken = promote(model, tmp_path, score=1.0, standing=None)
     assert taken and HydroModel.load(place).band == model.band
     before = place.read_bytes()
-    rejected, taken = keep(replace(model, notes="worse"), tmp_path, score=2.0, standing=1.0)
+    rejected, taken = promote(replace(model, notes="worse"), tmp_path, score=2.0, standing=1.0)
     assert not taken and place.read_bytes() == before
     assert rejected.parent.name.startswith("rejected-") and HydroModel.load(rejected).notes == "worse"
 
@@ -218,7 +218,7 @@ def test_the_verbs_fit_check_and_report_a_data_set(fitted, records, tmp_path, ca
     code = console.run(verb.main, ["check", *base])
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert code == (0 if found["ok"] else 1)
-    assert set(found["figures"]) == {*check.STATED, "coverage90"} and found["figures"]["speed_error_mean"] < 0.1
+    assert set(found["figures"]) == {*free_swims.STATED, "coverage90"} and found["figures"]["speed_error_mean"] < 0.1
     assert found["figures"]["guard_rate"] < 0.05 and found["figures"]["power_error_mean"] < 0.1
     assert console.run(verb.main, ["report", *base]) == 0
     page = (tmp_path / "swift-report" / "report.html").read_text(encoding="utf-8")
@@ -232,7 +232,7 @@ def test_a_miss_is_exit_1(fitted, records, monkeypatch):
     _, model, _ = fitted
     worse = replace(model, base=model.base._replace(ke=0.05, cf=0.1))
     repeats = [(r, r) for r in records["test"]]
-    found = check.judge(worse, ROBOT, records["test"], repeats)
+    found = free_swims.judge(worse, ROBOT, records["test"], repeats)
     assert not found["ok"] and not found["passed"]["speed_error_mean"] and found["tolerances"]["speed_error_mean"] == 0.03
     assert found["repeatability"]["speed_error_mean"] == 0.0
 
@@ -267,7 +267,7 @@ def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, 
     narrow = replace(model, band={name: [0.1 * part for part in parts] for name, parts in model.band.items()})
     monkeypatch.setattr(calibrate, "LEAST", 5)
     made = calibrate.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
-    swum = check.Swum(made, ROBOT, records["test"])
+    swum = free_swims.FreeSwims(made, ROBOT, records["test"])
     seen, mean = prediction_interval.means(recorded(swum.fleet), swum.fleet), prediction_interval.means(swum.track, swum.fleet)
     hair = {name: [(1 + 1e-6) * part for part in parts] for name, parts in made.band.items()}  # the last one is at the edge
     inside = prediction_interval.covered(mean, swum.members, seen, hair)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fishmj.dynamics import hooks, planar_chain
-from fishmj.effects import Active
+from fishmj.effects import EffectStack
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf import load_robot
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat
 
 ROBOT = load_robot("fish")
@@ -41,7 +41,7 @@ def states(seed, count):
 
 def step(xp, learnt, q, v, memory, flow, **options):
     """One physics step: (q, v, memory) stacked."""
-    made = residual_hooks.Learned(xp, CHAIN, learnt, memory, **options)
+    made = residual_hooks.LearnedResidual(xp, CHAIN, learnt, memory, **options)
     s = planar_chain.step(xp, CHAIN, NOMINAL, q, v, 0.5 + 0.0 * q[0], [0.0 * a for a in q[3:]], flow, (0.0, 0.0), made)
     return xp.stack([value + 0.0 * q[0] for value in (*s.q, *s.v, *s.memory)])
 
@@ -80,7 +80,7 @@ def test_forces_grow_with_speed_squared_and_are_bounded():
     u, w, omega = rng.normal(0, 3, (3, N, 400))
     for scale in (1.0, 10.0):
         k = planar_chain.Links([], [], list(scale * omega), list(scale * u), list(scale * w), [])
-        made = residual_hooks.Learned(np, CHAIN, wild(4), [np.zeros(400)] * SIZE)
+        made = residual_hooks.LearnedResidual(np, CHAIN, wild(4), [np.zeros(400)] * SIZE)
         forces = made.advance(CHAIN.strips, NOMINAL.water, k, CHAIN.dt)
         m = residual_network.motion(np, p, k)
         for i in range(N):
@@ -98,7 +98,7 @@ def test_the_residual_only_gives_back_what_drag_took():
             7 * k * CHAIN.dt * (1 + np.arange(3))[:, None, None] + phase
         )
         links = planar_chain.Links([], [], list(omega), list(u), list(w), [])
-        made = residual_hooks.Learned(np, CHAIN, wild(6), memory)
+        made = residual_hooks.LearnedResidual(np, CHAIN, wild(6), memory)
         forces = made.advance(CHAIN.strips, NOMINAL.water, links, CHAIN.dt)
         given += CHAIN.dt * sum(f[0] * u[i] + f[1] * w[i] + f[2] * omega[i] for i, f in enumerate(forces))
         taken += CHAIN.dt * residual_network.dissipated(np, CHAIN.strips, NOMINAL.water, links)
@@ -139,7 +139,7 @@ def test_products_mirror_as_the_force_that_they_make():
 
 def test_it_acts_together_with_effects():
     q, v, memory, flow = states(9, 5)
-    active = Active([], N - 1)
+    active = EffectStack([], N - 1)
     nothing = hooks.Effects(np, active, [], list(active.memory))
     both = step(np, wild(), q, v, [*active.memory, *memory], flow, inner=nothing)
     plain = step(np, wild(), q, v, memory, flow)

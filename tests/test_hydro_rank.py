@@ -17,7 +17,7 @@ from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 from fishmj.studies.rank_waters import command as rank_command
 from fishmj.studies.rank_waters import compare_waters, rank
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 ROBOT = load_robot("fish")
 KEY = "rmse_after_arrival"

@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from fishmj.flow import Flow
-from fishmj.hydro_fit.record import KICK, UNITS, Record
+from fishmj.hydro_fit.record import KICK, UNITS, SegmentRecord
 
 
 def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_along():
@@ -18,10 +18,10 @@ def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_a
         "prescribed": {"root": False, "joints": False},
     }
     flow = asdict(Flow(speed=0.2))
-    kicked = Record(meta | {"segment": {"flow": flow}}, **arrays)
+    kicked = SegmentRecord(meta | {"segment": {"flow": flow}}, **arrays)
     whole, skip = kicked.steadied, round(KICK / 0.02)
     assert len(whole.q) == 40 - skip and whole.meta["settle"] == KICK
     np.testing.assert_allclose(whole.acceleration, kicked.acceleration[skip:])
-    still = Record(meta | {"segment": {"flow": asdict(Flow())}}, **arrays)
-    held = Record(kicked.meta | {"prescribed": {"root": True, "joints": True}}, **arrays)
+    still = SegmentRecord(meta | {"segment": {"flow": asdict(Flow())}}, **arrays)
+    held = SegmentRecord(kicked.meta | {"prescribed": {"root": True, "joints": True}}, **arrays)
     assert still.steadied is still and held.steadied is held

@@ -9,7 +9,7 @@ from fishmj import console
 from fishmj.campaign.data import plan
 from fishmj.campaign.data.segment import Segment
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.mjcf import load_robot
 
 DATA = Path(__file__).parent.parent / "data" / "hydro" / "swift"

@@ -12,8 +12,8 @@ from fishmj.errors import ConfigError, InjectionError, MissingExtra
 from fishmj.flow import Flow, stack
 from fishmj.mjcf.model import reference_pose, reference_qpos
 from fishmj.water.injection import inject
-from fishmj.water.planar import PlanarWater
-from fishmj.water.spatial import FreeWater
+from fishmj.water.planar_water import PlanarWater
+from fishmj.water.spatial_water import FreeWater
 
 
 def gait(t, n):

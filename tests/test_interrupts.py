@@ -158,11 +158,11 @@ def test_what_was_judged_under_other_conditions_is_not_taken(tmp_path):
     robot = judge.load_robot("fish")
     given = {"speeds": [0.2], "los_deg": [0], "repeats": 1, "duration": 1}
     brains = [judge.controllers.make(name, robot) for name in ("drift", "pd")]
-    kept = judge.Kept(tmp_path, robot, evaluate.trials(**given), "compiled", ["drift", "pd"])
+    kept = judge.FinishedTrials(tmp_path, robot, evaluate.trials(**given), "compiled", ["drift", "pd"])
     kept.keep(brains[0], evaluate.run(brains[0], robot, kept.trials, "compiled"))
     assert kept.find(brains[0]) is not None and kept.find(brains[1]) is None
     others = [(evaluate.trials(**given, seed=1), "compiled"), (evaluate.trials(**given), "batch")]
-    assert all(judge.Kept(tmp_path, robot, *other, ["drift", "pd"]).find(brains[0]) is None for other in others)
+    assert all(judge.FinishedTrials(tmp_path, robot, *other, ["drift", "pd"]).find(brains[0]) is None for other in others)
 
 
 def test_a_loop_goes_on_to_the_same_bits(tmp_path):

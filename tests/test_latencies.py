@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fishmj import engines
-from fishmj.evaluate import driver, protocol
+from fishmj.evaluate import protocol, run_trials
 from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
 from fishmj.tasks import station_hold as task
@@ -51,7 +51,7 @@ def test_a_command_reaches_the_servo_after_its_whole_latency(seconds):
     engine, params = engines.make("batch", robot), engines.nominal_params(robot, 1)
     ticks = 40
     commands = np.full((1, ticks, robot.n_joints), 0.3)
-    rest, still = engines.at_rest(robot, np.zeros((1, 3))), driver.stack([Flow(speed=0.0)])
+    rest, still = engines.at_rest(robot, np.zeros((1, 3))), run_trials.stack([Flow(speed=0.0)])
     _, trace = engine.advance(rest, commands, params, still, np.zeros(1, int))
     moved = int(np.argmax(np.abs(trace.joint[0, :, 0]) > 1e-4))
     assert moved == round(seconds / robot.timing.bus_dt)
@@ -66,5 +66,5 @@ def test_shipped_robots_remember_what_they_always_did():
 def test_a_camera_of_a_second_ago_is_judged_as_any():
     robot = late(camera_latency=1.0, command_latency=0.5)
     trials = protocol.trials(speeds=[0.2], los_deg=[0.0], repeats=1, duration=1.0, randomisation=0.0)
-    result = driver.run("drift", robot, trials)
+    result = run_trials.run("drift", robot, trials)
     assert np.isfinite(result.pose).all()

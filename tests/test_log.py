@@ -10,7 +10,7 @@ from synthetic import whole_trial
 
 from fishmj import log
 from fishmj.errors import LogError, StoreError, UnknownName
-from fishmj.log import check, toml
+from fishmj.log import toml, trial_check
 from fishmj.log.npz_tables import HALF_ERROR, narrow
 
 
@@ -178,7 +178,7 @@ def test_gaps_over_a_tenth_of_a_second_split_the_trial(trial):
     assert first.tables["pose"]["t"][-1] <= 1.0 and second.tables["pose"]["t"][0] >= 1.2
     assert first.tables["joint"]["t"][-1] < 1.0 and second.tables["joint"]["t"][0] >= 1.2
     assert second.tables["target"]["x"][0] == 0.7  # still holds
-    assert any("1 gap(s) over 0.1 s" in note for note in check.check_table("pose", trial.tables["pose"], lambda r, c: ""))
+    assert any("1 gap(s) over 0.1 s" in note for note in trial_check.check_table("pose", trial.tables["pose"], lambda r, c: ""))
     assert log.segments(trial, limit=0.5) == [trial]
 
 
@@ -239,4 +239,4 @@ def test_a_place_that_leaps_from_next_to_nothing_is_read(trial):
     pose = trial.tables["pose"]
     half = len(pose["t"]) // 2
     pose["x"] = np.where(np.arange(len(pose["t"])) < half, 5e-324, 1.5)  # the ratio of the two levels is infinite
-    assert "x steps faster" in " ".join(check.check_table("pose", pose, lambda row, column: f"row {row}"))
+    assert "x steps faster" in " ".join(trial_check.check_table("pose", pose, lambda row, column: f"row {row}"))

@@ -12,7 +12,7 @@ from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.model import ROOTS, personalise, reference_pose, reference_qpos
 from fishmj.water.injection import inject
-from fishmj.water.planar import PlanarWater, world_matrix
+from fishmj.water.planar_water import PlanarWater, world_matrix
 
 ROBOTS = ("fish", "tendon_fish")
 

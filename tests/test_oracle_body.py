@@ -11,7 +11,7 @@ from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import added_mass, virtual_mass
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.immersed import delta, momentum_budget
-from fishmj.lbm_oracle.immersed.body import Body, Water
+from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import slip_here
 from fishmj.lbm_oracle.immersed.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
 from fishmj.lbm_oracle.run.gait import Gait
@@ -230,7 +230,7 @@ def test_held_joints_follow_their_course_to_the_letter():
 def test_inside_water_is_the_inertia_of_a_twin_with_its_coriolis_part():
     """I over dt -> M_f a + c_f of a model whose links hold water, as dt -> 0 along a smooth motion."""
     robot = mjcf.load_robot("fish")
-    spec, water = mjcf.build_spec(robot, "planar", bare=True), Water.of(robot)
+    spec, water = mjcf.build_spec(robot, "planar", bare=True), DisplacedWater.of(robot)
     for i, link in enumerate(robot.links):
         body = spec.body(link.name)
         body.mass, body.ipos, body.inertia = water.mass[i], water.centre[i], np.diag(water.inertia[i])
@@ -241,7 +241,7 @@ def test_inside_water_is_the_inertia_of_a_twin_with_its_coriolis_part():
     mujoco.mj_forward(twin, data)
     full = np.zeros((6, 6))
     mujoco.mj_fullM(twin, data, full)
-    body = Body.of(robot, "planar", dt)
+    body = ImmersedBody.of(robot, "planar", dt)
     body.place(q - dt * v + 0.5 * dt**2 * a, v - dt * a)
     body.data.qpos[:], body.data.qvel[:] = q, v
     body.forward()

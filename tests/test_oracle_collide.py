@@ -29,11 +29,11 @@ def test_the_velocities_are_isotropic_to_fourth_order():
 
 @wp.kernel(enable_backward=False)
 def _collided(drho: float, u: wp.vec3, v: wp.vec3, p: vec6, out: wp.array(dtype=float), back: wp.array(dtype=float)):
-    f = collide.populations(drho, u, v, p)
+    f = collide.reconstruct(drho, u, v, p)
     for i in range(19):
         out[i] = f[i]
     j = collide.momentum(f)
-    q = collide.departure(f, drho, v)
+    q = collide.non_equilibrium_stress(f, drho, v)
     back[0] = collide.density(f)
     for a in range(3):
         back[1 + a] = j[a]

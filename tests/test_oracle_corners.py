@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from fishmj.errors import SimDiverged
-from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.marker_boxes import Corners
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 
 @pytest.fixture(params=["planar", "free"])
-def swimming(request) -> tuple[Body, Corners]:
+def swimming(request) -> tuple[ImmersedBody, Corners]:
     rng = np.random.default_rng(5)
-    body = Body.of("fish", request.param)
+    body = ImmersedBody.of("fish", request.param)
     qpos = rng.normal(scale=0.4, size=body.model.nq)
     if request.param == "free":
         qpos[3:7] /= np.linalg.norm(qpos[3:7])
@@ -20,7 +20,7 @@ def swimming(request) -> tuple[Body, Corners]:
     return body, Corners.of(fish_markers("fish", 0.02), body.water.centre)
 
 
-def one_by_one(body: Body, corners: Corners):
+def one_by_one(body: ImmersedBody, corners: Corners):
     """Positions and velocities of all corners in the world."""
     for link in range(body.links):
         turn, (u, w) = body.turn[link], body.twist[link].reshape(2, 3)
@@ -57,7 +57,7 @@ def test_the_fastest_corner_is_found_and_looked_for_anew_when_the_body_moves(swi
 @pytest.mark.parametrize("at", range(6))
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1001.0, -1001.0])
 def test_a_velocity_that_is_no_number_or_runs_away_is_refused_wherever_it_stands(at, value):
-    body, velocity = Body.of("fish"), np.linspace(-1.0, 1.0, 6)
+    body, velocity = ImmersedBody.of("fish"), np.linspace(-1.0, 1.0, 6)
     body.equation()
     before, velocity[at] = body.data.qpos.copy(), value
     with pytest.raises(SimDiverged, match=body.model.joint(at).name):

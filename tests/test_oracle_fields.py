@@ -16,14 +16,14 @@ from fishmj.errors import ConfigError, StoreError, UsageError
 from fishmj.lbm_oracle.cases import same_physics
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.output.record_fields import Recorder
+from fishmj.lbm_oracle.output.record_fields import FieldRecorder
 from fishmj.lbm_oracle.output.slices import Slice, read_slice, slices_in, write_slice
 from fishmj.lbm_oracle.output.vorticity import plane_of, slice_of
 from fishmj.lbm_oracle.output.vtk import turning, write_box
 from fishmj.lbm_oracle.run import swim
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import read_trial
 from fishmj.store import Manifest, write_npz
 
@@ -73,7 +73,7 @@ def test_a_slice_comes_back_from_its_file_and_what_is_none_is_refused(tmp_path):
 
 def test_the_swimming_fish_sheds_what_its_slices_show(tmp_path):
     """The least that a picture of a wake must be: next to the hull, of both signs, and nothing far away."""
-    run = Stage(domain=TINY, device="cpu").run(latency=0.0)
+    run = SwimSetup(domain=TINY, device="cpu").run(latency=0.0)
     for n in range(8):
         run.tick(0.5 * np.sin(2 * np.pi * 0.02 * n - np.arange(3)))
     one = slice_of(run)
@@ -117,7 +117,7 @@ def test_a_swim_writes_slices_pictures_and_a_film_for_paraview(tmp_path, monkeyp
 @pytest.mark.parametrize("during", ["a tick", "a picture"])
 def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, monkeypatch, capsys, during):
     tiny(monkeypatch)
-    owner, name = {"a tick": (Run, "tick"), "a picture": (Recorder, "look")}[during]
+    owner, name = {"a tick": (Run, "tick"), "a picture": (FieldRecorder, "look")}[during]
     plain, called = getattr(owner, name), []
 
     def interrupted(self, *args):
@@ -141,14 +141,14 @@ def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, mo
 def test_a_full_disk_stops_the_fields_with_the_reason_and_keeps_the_trial(tmp_path, monkeypatch):
     tiny(monkeypatch)
     (tmp_path / "fields").mkdir()
-    plain = Recorder.look
+    plain = FieldRecorder.look
 
     def full(self, run):
         if run.ticks == 4:
             raise StoreError("disk full: needs 7 bytes")
         return plain(self, run)
 
-    monkeypatch.setattr(Recorder, "look", full)
+    monkeypatch.setattr(FieldRecorder, "look", full)
     keep = ["--out", str(tmp_path / "trial"), "--fields", str(tmp_path / "fields"), "--every", "0.02"]
     assert swim.main([*CPU, "--seconds", "1", *keep]) == console.FAILED_CHECK
     trial = read_trial(tmp_path / "trial")

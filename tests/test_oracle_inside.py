@@ -6,7 +6,7 @@ import pytest
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.interior import Points
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.mjcf import geometry_of, load_robot
 
 SMALL = preset("laptop").changed(depth=0.4)
@@ -26,7 +26,7 @@ def test_points_share_each_link_and_keep_its_volume_in_place():
 def test_a_uniform_stream_is_measured_along_every_link():
     yaw, bent = 0.4, (0.5, -0.3, 0.2)
     stream = Flow(speed=0.2, direction=0.0)
-    held = Stage(domain=SMALL, flow=stream, pose=(0.0, 0.0, yaw), joints=bent).coupled()
+    held = SwimSetup(domain=SMALL, flow=stream, pose=(0.0, 0.0, yaw), joints=bent).coupled()
     held.step(np.ones(held.body.dofs), np.zeros(held.body.dofs))  # the stream of t = 0 is still everywhere
     turn = yaw + np.cumsum([0.0, *bent])
     assert held.body.slide == pytest.approx(0.2 * np.cos(turn), abs=1e-4)
@@ -35,7 +35,7 @@ def test_a_uniform_stream_is_measured_along_every_link():
 @pytest.mark.parametrize("slip, least, most", [(1.0, 1.0, 1.25), (0.0, 1.5, 4.0)])
 def test_a_frictionless_fish_weighs_what_it_weighs_along_its_axis(slip, least, most):
     """Pushed ahead from rest: its mass and a tenth of added mass; a hull that holds the water drags a layer along."""
-    free = Stage(domain=SMALL, slip=slip).coupled()
+    free = SwimSetup(domain=SMALL, slip=slip).coupled()
     push, mass = 0.2, free.body.model.body_mass.sum()
     free.body.applied[0] = push
     fixed = np.ones(free.body.dofs)
@@ -47,7 +47,7 @@ def test_a_frictionless_fish_weighs_what_it_weighs_along_its_axis(slip, least, m
 
 def test_a_fish_set_down_in_a_stream_is_not_carried_off():
     """Water that slides along the hull pushes it by friction only: none here."""
-    free = Stage(domain=SMALL, flow=Flow(speed=0.2, direction=np.pi)).coupled()
+    free = SwimSetup(domain=SMALL, flow=Flow(speed=0.2, direction=np.pi)).coupled()
     for _ in range(10):
         velocity = free.step()
     assert abs(velocity[0]) < 0.25 * 0.2

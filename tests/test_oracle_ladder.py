@@ -15,7 +15,7 @@ from fishmj.lbm_oracle.immersed import momentum_budget
 from fishmj.studies import bench
 from fishmj.studies.bench import oracle as bench_oracle
 from fishmj.studies.solver_grid import converge_fish
-from fishmj.studies.solver_grid.converge_fish import Book, Found, Key
+from fishmj.studies.solver_grid.converge_fish import Key, Result, ResultTable
 
 
 def strip(**options):
@@ -93,7 +93,7 @@ def test_a_sphere_in_a_duct_carries_its_weight_at_the_noted_speed():
 
 
 def test_the_duct_pushes_on_no_sphere_in_water_at_rest():
-    links = duct.Links((6, 6, 18), 3.0, 8.5, slip=False)
+    links = duct.DuctLinks((6, 6, 18), 3.0, 8.5, slip=False)
     assert links.weight.sum() == 0 and np.abs(links.weight).sum() > 50
     still = np.ones(19 * 8 * 8 * 20, np.float32)
     links.lift[:] = 0.0
@@ -123,14 +123,14 @@ def test_a_study_takes_time_steps_that_divide_the_tick():
 
 
 def test_a_study_continues_what_is_there_and_refuses_another_setup(tmp_path):
-    key, found = Key("drag", 0.02, 0.004, 1.0), Found(0.1, 0.01, 20.0, "ok")
-    Book(tmp_path, {"beats": 8.0}).add(key, found, 1.0)
-    assert Book(tmp_path, {"beats": 8.0}).rows[key]["value"] == 0.1
+    key, found = Key("drag", 0.02, 0.004, 1.0), Result(0.1, 0.01, 20.0, "ok")
+    ResultTable(tmp_path, {"beats": 8.0}).add(key, found, 1.0)
+    assert ResultTable(tmp_path, {"beats": 8.0}).rows[key]["value"] == 0.1
     with pytest.raises(ConfigError, match=r"beats = 8.0 \(now 2.0\)"):
-        Book(tmp_path, {"beats": 2.0})
+        ResultTable(tmp_path, {"beats": 2.0})
     (tmp_path / "converge.csv").write_text("what,dx\ndrag,x\n")
     with pytest.raises(StoreError, match="converge.csv:2"):
-        Book(tmp_path, {"beats": 8.0})
+        ResultTable(tmp_path, {"beats": 8.0})
 
 
 def test_the_bias_of_the_coarsest_grid_is_against_the_finest():

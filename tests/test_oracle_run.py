@@ -9,14 +9,14 @@ from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.immersed import snapshot
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
-from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import checkpoint
 from fishmj.log import read_trial, write_trial
 
@@ -130,7 +130,7 @@ def test_a_command_that_is_no_angle_is_refused():
 def test_clocks_that_do_not_nest_are_refused():
     lattice = Lattice(dx=1.0, dt=1.0)
     with pytest.raises(ConfigError, match="same dt"):
-        Coupled(Fluid(lattice, (16, 16, 16)), ball(4.0, Lattice(dx=1.0, dt=0.5)), sphere_markers(4.0, 1.0))
+        FluidStructure(Fluid(lattice, (16, 16, 16)), ball(4.0, Lattice(dx=1.0, dt=0.5)), sphere_markers(4.0, 1.0))
     with pytest.raises(ConfigError, match="nearest dt: 0.00285714"):
         Run(pond("cpu", dt=0.003))
 
@@ -198,7 +198,7 @@ def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch
 def test_a_window_keeps_its_place_when_a_tick_is_done_again(monkeypatch):
     monkeypatch.setattr(Run, "limit", 0.2)
     small = Domain(name="small", shape=(60, 60, 20), dx=0.02, dt=0.004, follows=True, sponge=4)
-    run = Stage(domain=small, pose=(3.21, -1.07, 2.0)).run(prescribed=Gait(ramp=0.2))
+    run = SwimSetup(domain=small, pose=(3.21, -1.07, 2.0)).run(prescribed=Gait(ramp=0.2))
     before = run.coupled.fluid.origin_lu.copy()
     for _ in range(12):
         run.tick()
@@ -227,7 +227,7 @@ def test_a_tick_that_no_sub_step_can_hold_stops_with_the_numbers():
 def test_tanks_side_by_side_swim_as_they_would_alone():
     gait = Gait(ramp=0.2)
     alone, *together = (Run(pond("cpu", slip=slip), latency=0.0) for slip in (1.0, 1.0, 0.0))
-    tanks = Tanks(together)
+    tanks = ConcurrentRuns(together)
     for _ in range(5):
         command = gait(alone.time)
         alone.tick(command)
@@ -240,7 +240,7 @@ def test_a_tank_that_stops_leaves_the_others_swimming():
     def fence(coupled):
         raise LeftDomain("left_domain: test")
 
-    tanks = Tanks([Run(pond("cpu"), follow=fence), Run(pond("cpu"))])
+    tanks = ConcurrentRuns([Run(pond("cpu"), follow=fence), Run(pond("cpu"))])
     assert tanks.tick(np.zeros((2, 3))) == [1]
     assert tanks.tick(np.zeros((2, 3))) == [1]
     assert tanks.runs[0].stopped.startswith("left_domain") and tanks.runs[1].ticks == 2

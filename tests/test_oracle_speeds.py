@@ -18,7 +18,7 @@ def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, m
     assert speeds.main([*call, "--slips", "0.98", "1"]) == console.OK
     assert swum == [(30, 2.0, 1.0), (30, 2.0, 0.98)]
     assert (tmp_path / "speeds.png").stat().st_size > 1000
-    rows = speeds.Book(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.6}).rows
+    rows = speeds.ResultTable(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.6}).rows
     assert all(row["status"] == "ok" and row["speed_m_s"] > 0 for row in rows.values())
     with pytest.raises(ConfigError, match="Take another --out"):
         speeds.main(["0.4" if word == "0.6" else word for word in call])

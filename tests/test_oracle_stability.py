@@ -11,25 +11,25 @@ from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import BLEND, Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, WEIGHTS, vec6
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.immersed.body import Body
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 pytestmark = pytest.mark.oracle
 DX, DT = 0.02, 0.004  # the paper's grid
 
 
-def broadside(**water) -> Coupled:
+def broadside(**water) -> FluidStructure:
     """A straight fish across a stream of 0.5 m/s that slides along it, in a box as small as it may be."""
     shape = (44, 44, 24)
     lattice = Lattice(dx=DX, dt=DT, corner=tuple(-(n - 1) / 2 * DX for n in shape))
     made = Fluid(lattice, shape, boundaries=channel(sponge=4), flow=Flow(speed=0.5, direction=np.pi), **water)
-    body = Body.of("fish", "planar", DT)
+    body = ImmersedBody.of("fish", "planar", DT)
     body.place([0, 0.1, -np.pi / 2, 0, 0, 0])
-    return Coupled(made, body, fish_markers("fish", DX, slip=1.0), slip=1.0)
+    return FluidStructure(made, body, fish_markers("fish", DX, slip=1.0), slip=1.0)
 
 
-def fastest(fish: Coupled, steps: int, limit: float) -> float:
+def fastest(fish: FluidStructure, steps: int, limit: float) -> float:
     """Greatest component of velocity in m/s at any of the looks over so many steps, held; stops above the limit."""
     held, still, worst = np.ones(fish.body.dofs), np.zeros(fish.body.dofs), 0.0
     for step in range(1, steps + 1):
@@ -95,7 +95,7 @@ def test_a_finer_step_loses_as_much_stress_in_a_second():
 
 @wp.kernel(enable_backward=False)
 def _blends(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float, out: wp.array(dtype=vec6)):
-    out[0] = collide.blended(p, dx, dy, dz, rho_tau, share)
+    out[0] = collide.hybrid_stress(p, dx, dy, dz, rho_tau, share)
 
 
 def test_the_blend_is_its_formula_and_leaves_the_trace_and_a_stress_that_fits_alone():

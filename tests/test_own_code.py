@@ -14,16 +14,16 @@ from typed import EXAMPLE, refused, write
 
 from fishmj import console, controllers, effects, plugins, suite
 from fishmj.effects import Effect, Parameter
-from fishmj.effects.calibration import Fitted, Interval
+from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import own_effects, with_effects
 from fishmj.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.gap.commands.hide import main as plant
 from fishmj.log import read_trial, write_dataset
 from fishmj.mjcf.description import load_robot
-from fishmj.tasks.course import Launch
-from fishmj.tasks.episode import Rules, Setting
-from fishmj.tasks.own import course_of
+from fishmj.tasks.episode import TaskOptions, TaskSpec
+from fishmj.tasks.own_task import course_of
+from fishmj.tasks.reference import EpisodeStart
 from fishmj.tasks.station_hold import draw_start
 from fishmj.virtual_robot import generate
 from fishmj.virtual_robot.__main__ import main as hide
@@ -121,7 +121,7 @@ def test_an_installed_entry_point_is_found_by_its_name_and_not_imported_before(t
 
 
 def test_text_that_may_come_from_a_file_is_never_loaded(tmp_path):
-    """`make`, `get`, `Rules`, `Options` and `change` take names from files; none of them runs a reference."""
+    """`make`, `get`, `TaskSpec`, `Options` and `change` take names from files; none of them runs a reference."""
     from fishmj.tasks.env import Options, StationHold
     from fishmj.train.settings import change, preset
 
@@ -131,7 +131,7 @@ def test_text_that_may_come_from_a_file_is_never_loaded(tmp_path):
         lambda: controllers.make(reference),
         lambda: effects.get(reference),
         lambda: with_effects(load_robot("fish"), [reference]),
-        lambda: Rules(reference, Setting()),
+        lambda: TaskSpec(reference, TaskOptions()),
         lambda: StationHold(load_robot("fish"), "planar", Options(course=reference)),
         lambda: change(preset("quick"), algo=reference),
     ):
@@ -241,7 +241,7 @@ def test_an_own_task_loads_in_gymnasium_and_dm_control_with_its_options(line):
 
 def test_an_own_reward_takes_no_weights_of_the_papers(line):
     with pytest.raises(ConfigError, match="has a reward of its own, without wS"):
-        Rules(line, Setting(wS=0.1))
+        TaskSpec(line, TaskOptions(wS=0.1))
 
 
 class Good:
@@ -250,14 +250,14 @@ class Good:
     seconds = 2.0
 
     def launch(self, xp, uniforms):
-        return Launch(draw_start(xp, uniforms), 0.0 * uniforms[:, 0])
+        return EpisodeStart(draw_start(xp, uniforms), 0.0 * uniforms[:, 0])
 
     def target(self, xp, launch, t):
         return launch.start.target + 0.0 * t[:, None]
 
 
 def test_a_task_without_reward_and_end_has_the_papers():
-    rules = Rules(Good, Setting())
+    rules = TaskSpec(Good, TaskOptions())
     assert rules.course.reward is None and rules.limit == 10 and rules.name == "Good"
     assert rules.outside(np, np.array([[2.1, 0.0, 0.0], [1.9, 0.0, 0.0]])).tolist() == [True, False]
 
@@ -268,7 +268,7 @@ def test_a_task_without_reward_and_end_has_the_papers():
         ({"launch": None}, "has no launch(xp, uniforms)"),
         ({"launch": lambda self, xp: None}, "expected launch(xp, uniforms)"),
         ({"launch": lambda self, xp, u: u}, "launch gave ndarray; expected Launch"),
-        ({"launch": lambda self, xp, u: Launch(draw_start(xp, u), u)}, "launch: phase has shape (5, 7), expected (5,)"),
+        ({"launch": lambda self, xp, u: EpisodeStart(draw_start(xp, u), u)}, "launch: phase has shape (5, 7), expected (5,)"),
         ({"target": lambda self, xp, launch, t: launch.start.target[0]}, "target has shape (2,), expected (5, 2)"),
         ({"target": lambda self, xp, launch, t: launch.start.target / 0.0}, "target is not finite"),
         ({"target": lambda self, xp, launch, t: launch.nothing}, "AttributeError"),
@@ -304,15 +304,15 @@ def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
     from fishmj.policy import Policy
     from fishmj.train.__main__ import options, settings_from
     from fishmj.train.build import algorithm, environment
-    from fishmj.train.run import Run
     from fishmj.train.settings import change
+    from fishmj.train.training_run import TrainingRun
 
     line_ = ["--task", f"{EXAMPLE}:LineFollow", "--algo", f"{EXAMPLE}:Evolution", "--engine", "compiled", "--envs", "8"]
     settings = settings_from(options().parse_args([*line_, "--steps", "400", "--preset", "quick"]))
     settings = change(settings, assess_episodes=4, assess_every=400, algorithm={"horizon": 25})
     env = environment(settings)
     figures = {"return": 1.0, "arrival": 0.5, "stayed": 1.0, "rmse_last10": 0.1}
-    run = Run(settings, tmp_path / "run", quiet=True, learner=(env, algorithm(settings, env), lambda actor, key: figures))
+    run = TrainingRun(settings, tmp_path / "run", quiet=True, learner=(env, algorithm(settings, env), lambda actor, key: figures))
     assert run.env.limit == 50 and run.env.moves
     first = run.training.env.target[:, 0]
     done = run.go()
@@ -321,7 +321,7 @@ def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
     policy = Policy.load(done["policy"])
     assert policy.meta["algorithm"] == "own_code.Evolution" and policy.meta["structure"]["joints"] == ["j1", "j2", "j3"]
     assert controllers.make(done["policy"]).notes == ()
-    again = Run(settings, tmp_path / "run", quiet=True, resume=True, learner=(run.env, run.algorithm, run.assess))
+    again = TrainingRun(settings, tmp_path / "run", quiet=True, resume=True, learner=(run.env, run.algorithm, run.assess))
     assert again.done == 400
 
 
@@ -368,18 +368,18 @@ def test_effects_of_the_catalogue_pass_the_check_of_own_effects():
 
 
 def test_an_own_effect_joins_the_catalogue_and_acts_in_the_engines(catalogue):
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
     from fishmj.sim import Sim
 
     (weed,) = own_effects.join([f"{EXAMPLE}:WEED"])
     assert effects.get("weed") is weed and own_effects.join([f"{EXAMPLE}:WEED"]) == [weed]
     robot = with_effects(load_robot("fish"), ["weed"])
-    grown = type(robot)(**{**vars(robot), "effects": (Fitted("weed", {"drag": Interval(15.0, 15.0, 15.0)}),)})
+    grown = type(robot)(**{**vars(robot), "effects": (FittedEffect("weed", {"drag": Interval(15.0, 15.0, 15.0)}),)})
     wave = lambda t: 0.4 * np.sin(2 * np.pi * t - np.array([0.0, 1.0, 2.0]))
     plain, null, slow = (Sim(r).run(wave, 3.0).table("truth")["x"] for r in (load_robot("fish"), robot, grown))
     np.testing.assert_allclose(null, plain, atol=1e-6)
     assert abs(slow[-1]) < 0.9 * abs(plain[-1])
-    assert Fish("fish").index("weed", "drag") > 0  # what the search questions
+    assert SwimmingFish("fish").index("weed", "drag") > 0  # what the search questions
 
 
 GIVEN = {
@@ -464,26 +464,16 @@ def test_an_own_effect_on_sensors_is_put_onto_logs_and_one_before_them_is_not(tm
 
 
 @pytest.mark.parametrize(
-    "verb",
-    [
-        "evaluate.__main__",
-        "train.__main__",
-        "gap.commands.find",
-        "gap.commands.apply",
-        "gap.commands.check",
-        "gap.commands.next_experiment",
+    ("verb", "needed"),
+    [("evaluate.__main__", "pd"), ("train.__main__", "")]
+    + [
+        (f"gap.commands.{name}", needed)
+        for name, needed in (("find", "D"), ("apply", "R"), ("check", "M --data D"), ("next_experiment", "R"))
     ],
 )
-def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, capsys):
-    needed = {
-        "evaluate.__main__": ["pd"],
-        "gap.commands.find": ["D"],
-        "gap.commands.apply": ["R"],
-        "gap.commands.check": ["M", "--data", "D"],
-        "gap.commands.next_experiment": ["R"],
-    }
+def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, needed, capsys):
     main = importlib.import_module(f"fishmj.{verb}").main
-    assert "no module 'nowhere_9'" in refused(main, [*needed.get(verb, []), "--effects", "nowhere_9:X"], capsys)
+    assert "no module 'nowhere_9'" in refused(main, [*needed.split(), "--effects", "nowhere_9:X"], capsys)
 
 
 # the page and Gymnasium

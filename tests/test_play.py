@@ -21,10 +21,10 @@ from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.skin import posed, skin
-from fishmj.play import Pond
+from fishmj.play import LiveSession
 from fishmj.play.__main__ import main, swim
 from fishmj.play.keyboard import Keyboard, press
-from fishmj.replay.live import LiveView, Server, arrow, ring, slices_of
+from fishmj.replay.live_view import LiveView, Server, arrow, ring, slices_of
 
 
 class Screen:
@@ -63,7 +63,7 @@ def body():
 
 @pytest.fixture
 def pond(body):
-    return Pond("dob", flow=Flow(speed=0.2, direction=math.pi, turbulence="default", intensity=0.05), engine=body)
+    return LiveSession("dob", flow=Flow(speed=0.2, direction=math.pi, turbulence="default", intensity=0.05), engine=body)
 
 
 def test_two_seconds_of_swimming_are_shown_and_logged(pond, tmp_path):
@@ -98,7 +98,7 @@ def test_wasd_moves_the_target_but_not_out_of_the_tank(pond):
 
 
 def test_a_passive_fish_drifts_with_the_current_that_the_keys_make(body):
-    pond = Pond("drift", flow=Flow(speed=0.0), engine=body)
+    pond = LiveSession("drift", flow=Flow(speed=0.0), engine=body)
     start = pond.q
     swim(pond, Screen(), Script([], ["up"] * 10, ["left"] * 6), 6.0, lambda text: None)
     moved = pond.q - start
@@ -288,7 +288,7 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
 
 
 def test_a_live_trial_says_its_target_and_what_made_it(tmp_path):
-    pond = Pond("drift", flow=Flow(speed=0.1, direction=np.pi))
+    pond = LiveSession("drift", flow=Flow(speed=0.1, direction=np.pi))
     pond.step()
     path = log.write_trial(tmp_path / "a", pond.trial())
     read = log.read_trial(path)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from fishmj import console, controllers
-from fishmj.controllers.learned import Learned
+from fishmj.controllers.learned import LearnedController
 from fishmj.errors import ConfigError, FishmjError, StoreError
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.mjcf.description import load_robot
@@ -286,7 +286,7 @@ def test_a_header_nested_without_end_is_refused(tmp_path):
 def test_weights_too_large_to_multiply_are_one_line(tmp_path):
     some = {k: np.full_like(v, 3e38) * (1 if k[0] == "w" else 0) for k, v in arrays().items()}
     some["w1"][:, ::2] *= -1
-    brain = Learned(ROBOT, stored(tmp_path, header(), some))
+    brain = LearnedController(ROBOT, stored(tmp_path, header(), some))
     brain.reset(1)
     with np.errstate(all="ignore"), pytest.raises(ConfigError, match="its answer is not finite"):
         brain(np.ones((1, 11)))

@@ -15,8 +15,8 @@ from fishmj import engines, mjcf
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import COURSES, FigureEight, eight, path_length
-from fishmj.tasks.episode import Episodes, Rules, Setting
+from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
+from fishmj.tasks.reference import COURSES, FigureEightReference, eight, path_length
 
 ROBOT = mjcf.load_robot("fish")
 QUIET = dict(noise=0.0, turbulence="none")
@@ -24,7 +24,7 @@ QUIET = dict(noise=0.0, turbulence="none")
 
 def still(n=1, **setting):
     """(rules, scenario) of n nominal fish in still water."""
-    rules = Rules("station_hold", Setting(**{**QUIET, "randomisation": 0.0, "flow_speed": 0.0, **setting}))
+    rules = TaskSpec("station_hold", TaskOptions(**{**QUIET, "randomisation": 0.0, "flow_speed": 0.0, **setting}))
     return rules, rules.scenario(rules.draws(np.random.default_rng(1), n))
 
 
@@ -70,7 +70,7 @@ def test_noise_has_the_scale_of_each_sensor():
 
 @pytest.mark.parametrize(("path", "first"), [("linear", 0.1), ("move_time", 0.1), ("hold", 1.0)])
 def test_an_action_becomes_ten_bus_commands(path, first):
-    robot = Setting(command_path=path).fish()
+    robot = TaskOptions(command_path=path).fish()
     commands = task.chunk(np, robot, np.zeros((1, 3)), np.array([[1.0, -0.5, 7.0]]))
     assert commands.shape == (1, 10, 3)
     np.testing.assert_allclose(commands[0, -1], [pi / 3, -pi / 6, pi / 3])
@@ -111,7 +111,7 @@ def test_randomisation_fills_its_ranges_and_strength_zero_is_the_nominal_fish():
 
 def test_the_figure_eight_has_the_papers_length_and_constant_speed():
     assert abs(path_length() - constant("experiments", "figure8_length")) < 5e-4
-    course = FigureEight()
+    course = FigureEightReference()
     launch = course.launch(np, np.full((1, 7), 0.3))
     t = np.linspace(0, course.seconds, 20001)
     points = np.concatenate([course.target(np, launch, np.array([x])) for x in t])
@@ -141,7 +141,7 @@ def test_courses_are_the_same_in_numpy_and_jax():
 @pytest.mark.parametrize("angle", [-pi, -pi / 2, 0.0, pi / 2])
 @pytest.mark.parametrize("direction", [None, 0.7])
 def test_the_angle_of_attack_is_measured_from_upstream(angle, direction):
-    rules = Rules("angle_of_attack", Setting(flow_direction=direction), angle=angle)
+    rules = TaskSpec("angle_of_attack", TaskOptions(flow_direction=direction), angle=angle)
     start = rules.scenario(rules.draws(np.random.default_rng(0), 9)).launch.start
     upstream = start.direction + pi
     np.testing.assert_allclose(np.exp(1j * (start.pose[:, 2] - upstream)), np.exp(1j * angle), atol=1e-12)
@@ -151,19 +151,19 @@ def test_the_angle_of_attack_is_measured_from_upstream(angle, direction):
 
 @pytest.mark.parametrize("control_dt", [0.2, 0.1, 0.04, 0.02])
 def test_an_episode_lasts_30_s_at_every_control_step(control_dt):
-    rules = Rules("station_hold", Setting(control_dt=control_dt))
+    rules = TaskSpec("station_hold", TaskOptions(control_dt=control_dt))
     assert rules.limit * control_dt == pytest.approx(30.0) and rules.ticks == round(control_dt / 0.02)
 
 
 def test_a_setting_that_cannot_be_is_one_clear_error():
     with pytest.raises(UnknownName, match="Did you mean 'gust'"):
-        Setting(turbulence="gusts")
+        TaskOptions(turbulence="gusts")
     with pytest.raises(ConfigError, match="flow_speed = -0.1"):
-        Setting(flow_speed=-0.1)
+        TaskOptions(flow_speed=-0.1)
     with pytest.raises(ConfigError, match="nearest valid control_dt: 0.04"):
-        Rules("station_hold", Setting(control_dt=0.05))
+        TaskSpec("station_hold", TaskOptions(control_dt=0.05))
     with pytest.raises(UnknownName, match="station_hold"):
-        Rules("station_hol", Setting())
+        TaskSpec("station_hol", TaskOptions())
 
 
 # ---- what the fish must never see ----
@@ -183,7 +183,7 @@ def turned(scenario, angle):
 @pytest.mark.parametrize("turbulence", ["default", "gust", "vortex_street"])
 @pytest.mark.parametrize("angle", [0.3, pi / 2, -2.5])
 def test_turning_the_world_changes_nothing_that_the_policy_sees(turbulence, angle):
-    rules = Rules("station_hold", Setting(turbulence=turbulence, intensity=0.1))
+    rules = TaskSpec("station_hold", TaskOptions(turbulence=turbulence, intensity=0.1))
     rng = np.random.default_rng(11)
     scenario = rules.scenario(rules.draws(rng, 4))
     here, there = (Episodes(rules, "batch", 4) for _ in range(2))
@@ -201,7 +201,7 @@ def test_the_flow_reaches_the_observation_only_by_moving_the_fish():
     """At the first look nothing has moved yet: the observation is the same in every flow."""
     looks = []
     for speed, direction in ((0.0, 0.0), (0.3, 1.0), (0.1, -2.0)):
-        rules = Rules("station_hold", Setting(flow_speed=speed, flow_direction=direction, noise=0.0, intensity=0.1))
+        rules = TaskSpec("station_hold", TaskOptions(flow_speed=speed, flow_direction=direction, noise=0.0, intensity=0.1))
         episodes = Episodes(rules, "batch", 3)
         episodes.begin(rules.scenario(rules.draws(np.random.default_rng(2), 3)))
         looks.append(episodes.look(np.zeros((3, 11))))

@@ -11,7 +11,7 @@ from fishmj.errors import FishmjError, UnknownName
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.toml import dumps
 from fishmj.mjcf import load_robot
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -21,8 +21,8 @@ from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
 from fishmj.train.build import policy_of
 from fishmj.train.networks import mlp
-from fishmj.train.run import Run, go_on, is_better, learner_of
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
+from fishmj.train.training_run import TrainingRun, go_on, is_better, learner_of
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def act_afresh(policy: Policy, obs) -> np.ndarray:
 @pytest.mark.slow
 def test_ppo_learns_to_reach_the_target_in_a_million_steps(learner, tmp_path):
     """The untrained fish drifts past one target in seven; a million control steps (20 s) later it reaches most."""
-    run = Run(calm_run(), tmp_path / "run", learner=learner, quiet=True)
+    run = TrainingRun(calm_run(), tmp_path / "run", learner=learner, quiet=True)
     before = learner[2](run.training.actor, jax.random.key(1))
     made = run.go()
     assert before["arrival"] < 0.25 and before["stayed"] < 0.25
@@ -125,12 +125,12 @@ def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume
     settings = calm_run()
     StopAt(settings, tmp_path, 8192, learner=learner).go()
     with pytest.raises(ConfigError, match="already holds a run; add --resume"):
-        Run(settings, tmp_path, learner=learner)
+        TrainingRun(settings, tmp_path, learner=learner)
     with pytest.raises(ConfigError, match="seed = 5, the run has 0; a run goes on with its own settings"):
-        Run(change(settings, seed=5), tmp_path, learner=learner, resume=True)
+        TrainingRun(change(settings, seed=5), tmp_path, learner=learner, resume=True)
     with pytest.raises(ConfigError, match="nothing to resume"):
-        Run(settings, tmp_path / "empty", learner=learner, resume=True)
-    longer = Run(change(settings, steps=10**9), tmp_path, learner=learner, resume=True)  # only longer: that is allowed
+        TrainingRun(settings, tmp_path / "empty", learner=learner, resume=True)
+    longer = TrainingRun(change(settings, steps=10**9), tmp_path, learner=learner, resume=True)  # only longer: that is allowed
     assert longer.done == 8192
 
 
@@ -211,7 +211,7 @@ def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
     settings = sac_run(steps=384, assess_every=10**9, task={"memory": 4})
     env, sac, _ = learner_of(settings)
     found = {"stayed": 1.0, "rmse_last10": 0.1}  # whatever an assessment says
-    run = Run(settings, tmp_path, learner=(env, sac, lambda *_: found), quiet=True)
+    run = TrainingRun(settings, tmp_path, learner=(env, sac, lambda *_: found), quiet=True)
     policy = Policy.load(run.go()["policy"])
     assert policy.memory == 4 and policy.weights[0][0].shape == (16, 4 * 11 + 3 * 3)
     louder = [(w * 2.0, b) for w, b in run.training.actor]  # so that the actions are not all near zero
@@ -237,11 +237,11 @@ def test_the_flow_is_never_in_what_the_policy_sees_and_always_in_what_the_critic
 
 
 def test_a_privileged_critic_uses_the_flow_and_a_plain_one_cannot(env):
-    from fishmj.train.ppo import PPO, Config
+    from fishmj.train.ppo import PPO, PPOConfig
 
     obs, seen = jnp.zeros((2, 11)), jnp.zeros((2, 16)).at[1, 11].set(1.0)
     for privileged in (True, False):
-        learner = PPO(env, Config(hidden=(8,), privileged=privileged), 1)
+        learner = PPO(env, PPOConfig(hidden=(8,), privileged=privileged), 1)
         critic = mlp(jax.random.key(0), [11 + 16 * privileged, 8, 1], last=1.0)
         value = learner.value(critic, obs, seen)
         assert (value[0] != value[1]) == privileged

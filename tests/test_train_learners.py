@@ -9,7 +9,7 @@ import pytest
 from training import EDGE, Point
 
 from fishmj.train import ppo, sac
-from fishmj.train.run import arrays_of
+from fishmj.train.training_run import arrays_of
 
 SMALL = {"hidden": (16,), "envs": 8}
 
@@ -17,14 +17,16 @@ SMALL = {"hidden": (16,), "envs": 8}
 @cache
 def ppo_learner(poisoned=None, **config):
     return ppo.PPO(
-        Point(poisoned), ppo.Config(**{**SMALL, "horizon": 16, "minibatches": 2, "learning_rate": 3e-3, **config}), 10_000
+        Point(poisoned), ppo.PPOConfig(**{**SMALL, "horizon": 16, "minibatches": 2, "learning_rate": 3e-3, **config}), 10_000
     )
 
 
 @cache
 def sac_learner(poisoned=None, **config):
     return sac.SAC(
-        Point(poisoned), sac.Config(**{**SMALL, "block": 8, "batch": 16, "warmup": 64, "learning_rate": 3e-3, **config}), 10_000
+        Point(poisoned),
+        sac.SACConfig(**{**SMALL, "block": 8, "batch": 16, "warmup": 64, "learning_rate": 3e-3, **config}),
+        10_000,
     )
 
 
@@ -106,7 +108,9 @@ def test_sac_critic_loss_is_the_squared_distance_to_the_bellman_target(ended):
     actor[-1] = (actor[-1][0], jnp.array([0.4, -20.0]))  # mu = 0.4, sigma = e^-10
     rng = np.random.default_rng(0)
     obs, ahead = rng.normal(size=(2, 1, 7)).astype(np.float32)
-    memory = sac.Memory(obs, np.array([[0.7]], np.float32), np.array([1.5]), ahead, np.array([ended]), jnp.int32(1), jnp.int32(0))
+    memory = sac.ReplayBuffer(
+        obs, np.array([[0.7]], np.float32), np.array([1.5]), ahead, np.array([ended]), jnp.int32(1), jnp.int32(0)
+    )
     targets = jax.tree.map(lambda a: a + 0.1, t.critics)
     relu = lambda x: np.maximum(x, 0)
     q = lambda critics, i, s, a: numpy_mlp([(w[i], b[i]) for w, b in critics], np.append(s, a)[None], relu)[0, 0]

@@ -9,7 +9,7 @@ import pytest
 from training import StopAt, figures_of
 
 from fishmj import console
-from fishmj.gym.vector import FishVectorEnv
+from fishmj.gym.fish_vector_env import FishVectorEnv
 from fishmj.policy import Policy
 from fishmj.store import read_tensors
 from fishmj.train.__main__ import main
@@ -36,9 +36,9 @@ def test_without_the_extra_the_message_has_the_install_line(monkeypatch, capsys)
 
 @pytest.mark.sb3
 def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstrap():
-    from fishmj.train.sb3_env import Shoal
+    from fishmj.train.sb3_env import FishVecEnv
 
-    shoal = Shoal(settings(task={"turbulence": "gust", "hide": ("joint",)}), 6)
+    shoal = FishVecEnv(settings(task={"turbulence": "gust", "hide": ("joint",)}), 6)
     seeds = shoal.seed(3)
     other = FishVectorEnv(6, engine="compiled", autoreset_mode="SameStep", turbulence="gust")
     seen, (raw, _) = shoal.reset(), other.reset(seed=seeds)
@@ -65,22 +65,22 @@ def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstra
 
 @pytest.mark.sb3
 def test_seeds_of_runs_share_no_fish():
-    from fishmj.train.sb3_env import Shoal
+    from fishmj.train.sb3_env import FishVecEnv
 
-    shoal = Shoal(settings(), 4)
+    shoal = FishVecEnv(settings(), 4)
     first, second, again = shoal.seed(0), shoal.seed(1), shoal.seed(0)
     assert first == again and not set(first) & set(second)
 
 
 @pytest.mark.sb3
 def test_a_policy_with_memory_sees_what_sb3_saw():
-    from fishmj.train.sac import Config
+    from fishmj.train.sac import SACConfig
     from fishmj.train.sb3 import StableSAC
-    from fishmj.train.sb3_env import Shoal
+    from fishmj.train.sb3_env import FishVecEnv
 
     run = settings(task={"memory": 3, "turbulence": "gust"})
-    shoal = Shoal(run, 5)
-    learner = StableSAC(shoal, Config(**{**SMALL, "envs": 5}), 1000)
+    shoal = FishVecEnv(run, 5)
+    learner = StableSAC(shoal, SACConfig(**{**SMALL, "envs": 5}), 1000)
     training = learner.init(jax.random.key(2))
     policy, seen = policy_of(training.actor, run, {}), shoal.reset()
     for _ in range(10):
@@ -94,9 +94,9 @@ def test_a_policy_with_memory_sees_what_sb3_saw():
 def test_dropped_steps_never_reach_the_replay_memory():
     from gymnasium.spaces import Box
 
-    from fishmj.train.sb3 import SoundReplay
+    from fishmj.train.sb3 import FiniteReplayBuffer
 
-    memory = SoundReplay(40, Box(-1, 1, (2,)), Box(-1, 1, (1,)), device="cpu", n_envs=4)
+    memory = FiniteReplayBuffer(40, Box(-1, 1, (2,)), Box(-1, 1, (1,)), device="cpu", n_envs=4)
     number = np.arange(4.0)
     rows = lambda lost: (
         *(np.tile(number[:, None], (1, k)) for k in (2, 2, 1)), number, np.zeros(4), [{"diverged": i in lost} for i in range(4)],

@@ -12,8 +12,8 @@ from fishmj.errors import ConfigError, SimDiverged
 from fishmj.virtual_robot import Live, generate, plant
 from fishmj.virtual_robot.chain import assemble
 from fishmj.virtual_robot.figures import coast, steady
-from fishmj.virtual_robot.motion import run, workspace
 from fishmj.virtual_robot.servo import stick_slip
+from fishmj.virtual_robot.simulate import run, workspace
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.water import crossflow, trailing_edge
 

@@ -15,7 +15,7 @@ from fishmj import console
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.log import read_dataset
 from fishmj.virtual_robot.__main__ import main
-from fishmj.virtual_robot.dataset import parse
+from fishmj.virtual_robot.hidden_dataset import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOM = ROOT / "fishmj" / "virtual_robot"

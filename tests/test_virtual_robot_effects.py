@@ -12,7 +12,7 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.excitation import Excitation
 from fishmj.virtual_robot import EFFECTS, generate, plant
 from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.oddities import ODDITIES
+from fishmj.virtual_robot.uncatalogued import ODDITIES
 
 SEED = 3
 NAMED = """servo_deadband gear_backlash coulomb_friction viscous_friction stribeck load_friction torque_saturation speed_limit

@@ -11,7 +11,7 @@ import pytest
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.water import planar
+from fishmj.water import planar_water
 
 ROOT = Path(__file__).parent.parent
 MANUAL = (ROOT / "docs" / "water.md").read_text(encoding="utf-8")
@@ -55,7 +55,8 @@ def lagged(dt, share=1.0):
         force = np.array(planar_chain.generalised(np, ch, q[2], planar_chain.gather(ch, k, [np.add(*pair) for pair in both])))
         force[joints] += drive - np.array(FISH.kb) * v[joints]
         own, added = (
-            planar.world_matrix(ch, q[2], planar_chain.mass_matrix(ch, FISH, k, rigid=r, water=not r)) for r in (True, False)
+            planar_water.world_matrix(ch, q[2], planar_chain.mass_matrix(ch, FISH, k, rigid=r, water=not r))
+            for r in (True, False)
         )
         own[joints, joints] += dt * np.array(FISH.kb)
         late = (1 - share) * late + share * np.linalg.solve(own, force - added @ late)
@@ -82,7 +83,8 @@ def test_added_mass_is_twenty_times_the_fishs_own_in_some_direction():
     for _ in range(300):
         k = planar_chain.kinematics(np, CHAIN, [0.0, 0.0, 0.0, *rng.uniform(-1.05, 1.05, 3)], [0.0] * 6, STILL)
         own, added = (
-            planar.world_matrix(CHAIN, 0.0, planar_chain.mass_matrix(CHAIN, FISH, k, rigid=r, water=not r)) for r in (True, False)
+            planar_water.world_matrix(CHAIN, 0.0, planar_chain.mass_matrix(CHAIN, FISH, k, rigid=r, water=not r))
+            for r in (True, False)
         )
         largest.append(np.linalg.eigvals(np.linalg.solve(own, added)).real.max())
     assert 18 < min(largest) and max(largest) < 22.1

@@ -7,13 +7,13 @@ import pytest
 
 from fishmj import engines
 from fishmj.errors import ConfigError
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.__main__ import records_of
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.mjcf.description import load_robot
 from fishmj.train.build import robot_for
 from fishmj.train.settings import change, preset
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 ROOT = Path(__file__).parent.parent
 FISH = load_robot("tendon_fish")
@@ -38,7 +38,7 @@ def test_the_second_water_swims_as_the_page_says(data):
     """The figures in bold of the page's table of the check, to the digits that it gives."""
     water = HydroModel.load("tendon_fish")
     assert water.dataset["sha256"] == data.sha256
-    found = check.judge(water, FISH, records_of(data, FISH, "test", 1.0))
+    found = free_swims.judge(water, FISH, records_of(data, FISH, "test", 1.0))
     for title, key, scale in ROWS:
         said, count = row(title)
         decimals = len(said.partition(".")[2])

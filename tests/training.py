@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from fishmj.tasks.env import Options
-from fishmj.train.run import Run
 from fishmj.train.settings import change, preset
+from fishmj.train.training_run import TrainingRun
 
 EDGE = 1.1  # where the point leaves its line
 CALM = {"turbulence": "none", "intensity": (0.0, 0.0), "noise": 0.0, "randomisation": 0.0}
@@ -30,7 +30,7 @@ def sac_run(**changes):
     return change(base, **{"steps": 1024, "assess_every": 512, **changes})
 
 
-class StopAt(Run):
+class StopAt(TrainingRun):
     """A run that gets a SIGINT once it has taken so many steps."""
 
     def __init__(self, settings, folder, steps: int, **options):

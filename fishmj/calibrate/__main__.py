@@ -21,7 +21,7 @@ def fit(verb: str, argv: list[str]) -> int:
 
 
 def _fit(verb: str, argv: list[str]) -> int:
-    from fishmj.calibrate.verbs import VERBS
+    from fishmj.calibrate.commands import VERBS
 
     args = options(verb).parse_args(argv)
     if args.out and args.out.is_file():
@@ -42,8 +42,8 @@ def _fit(verb: str, argv: list[str]) -> int:
 
 def options(verb: str) -> console.Parser:
     """The arguments of a calibration."""
-    from fishmj.calibrate.logs import shipped
-    from fishmj.calibrate.verbs import VERBS, default_report
+    from fishmj.calibrate.calibration_logs import shipped
+    from fishmj.calibrate.commands import VERBS, default_report
 
     made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
     add = made.add_argument
@@ -89,10 +89,10 @@ def score(argv: list[str]) -> int:
 
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
-    from fishmj.calibrate.check import gathered, one
-    from fishmj.calibrate.kept import Kept
-    from fishmj.calibrate.logs import Logs
-    from fishmj.gap.models.test_stand import Bench
+    from fishmj.calibrate.calibration_logs import Logs
+    from fishmj.calibrate.fit_check import gathered, one
+    from fishmj.calibrate.partial_results import PartialResults
+    from fishmj.gap.models.test_stand import TestStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
 
@@ -104,7 +104,7 @@ def drawn(argv: list[str]) -> int:
     parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
     args = parser.parse_args(argv)
     names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
-    kept, plant, robots = Kept(CHECKED, {}), Bench(), []
+    kept, plant, robots = PartialResults(CHECKED, {}), TestStand(), []
     with interrupt.keeping(lambda: kept.words(list(names), "robots")), shown(args.robots, "robots", "robots") as bar:
         for done, (name, seed) in enumerate(names.items(), 1):
             off = kept.find(name)
@@ -127,7 +127,7 @@ def _model_file(text: str) -> Path:
     return path
 
 
-main = console.Group(
+main = console.CommandGroup(
     "calibrate",
     __doc__ or "",
     {

@@ -3,7 +3,7 @@
 from math import hypot
 
 from fishmj.calib import read_toml, resolve
-from fishmj.calibrate.least_squares import NORMAL, Estimate
+from fishmj.calibrate.least_squares import NORMAL, ParameterEstimate
 
 
 def table() -> dict:
@@ -11,7 +11,7 @@ def table() -> dict:
     return read_toml(resolve("calibrate"))
 
 
-def widened(estimate: Estimate) -> Estimate:
+def widened(estimate: ParameterEstimate) -> ParameterEstimate:
     """The estimate with the systematic part of its name in sd and interval, added in squares."""
     entry = table()["systematic"].get(estimate.name)
     if entry is None:

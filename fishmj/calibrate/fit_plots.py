@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console, pages
-from fishmj.calibrate.logs import MEDIA, SIGNALS, angles
-from fishmj.calibrate.servo import Found
+from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, angles
+from fishmj.calibrate.servo_fit import ServoFit
 from fishmj.errors import MissingExtra
 from fishmj.evaluate.report import STYLE as PAGE
 from fishmj.gap.records.records import Record, Sensor
@@ -32,7 +32,7 @@ def pyplot_of(what: str):
     return pyplot
 
 
-def draw(found: Found, path: Path) -> Path:
+def draw(found: ServoFit, path: Path) -> Path:
     """Draw into a PNG. Raises MissingExtra without matplotlib."""
     pyplot = pyplot_of("calibrate servo --report")
     media = [m for m in MEDIA if any(r.medium == m for r in found.records)]
@@ -58,7 +58,7 @@ def draw(found: Found, path: Path) -> Path:
     return path
 
 
-def _panel(axis, found: Found, repeats: list[Record], span: tuple[float, float]) -> None:
+def _panel(axis, found: ServoFit, repeats: list[Record], span: tuple[float, float]) -> None:
     """One signal in one medium, every repeat as dots, and the RMS that is left."""
     record = repeats[0]
     t = np.arange(*span, FINE)
@@ -77,7 +77,7 @@ def _panel(axis, found: Found, repeats: list[Record], span: tuple[float, float])
     axis.plot(t, np.degrees(simulated), color=SIMULATED, lw=1.3, label="simulated")
 
 
-def rms(found: Found, records: list[Record]) -> float:
+def rms(found: ServoFit, records: list[Record]) -> float:
     """Of all joints over whole trials, deg."""
     predicted = found.plant.predict(records, found.row)
     squares = [np.mean((angles(r).values - p["joint"][0]) ** 2) for r, p in zip(records, predicted, strict=True)]

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from fishmj.calibrate.least_squares import Estimate
-from fishmj.calibrate.logs import Logs
-from fishmj.calibrate.servo import Found
+from fishmj.calibrate.calibration_logs import Logs
+from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.calibrate.servo_fit import ServoFit
 from fishmj.errors import LogError
 from fishmj.gap.records.records import Record
 from fishmj.log.delay import lag_between
@@ -25,7 +25,7 @@ SWIMS = ("gait", "gait_slow", "gait_fast", "turn_left")
 ABRUPT = ("square", "impulse")  # the heading of a steady beat lags by the water's phase, which is the model's to get wrong
 
 
-class Row(NamedTuple):
+class LatencyRow(NamedTuple):
     """One trial: lags in s, NaN where none could be told."""
 
     trial: str
@@ -42,12 +42,12 @@ class Row(NamedTuple):
 class Latencies(NamedTuple):
     """Estimates by name, the trials behind them, and the audits."""
 
-    estimates: dict[str, Estimate]
-    rows: list[Row]
+    estimates: dict[str, ParameterEstimate]
+    rows: list[LatencyRow]
     audits: dict[str, Audit]
 
 
-def calibrate(logs: Logs, servo: Found) -> Latencies:
+def calibrate(logs: Logs, servo: ServoFit) -> Latencies:
     """Both latencies from the bench and the swims.
 
     Raises:
@@ -65,7 +65,7 @@ def calibrate(logs: Logs, servo: Found) -> Latencies:
     return Latencies(found, rows, {name: audit(logs.trials[name]) for name in names})
 
 
-def _rows(record: Record, predicted: dict) -> list[Row]:
+def _rows(record: Record, predicted: dict) -> list[LatencyRow]:
     """Command and camera lag of one trial, measured and by the model."""
     out, joint, pose = [], record.joint, record.pose
     sent = np.arange(len(record.commands)) * record.dt
@@ -82,15 +82,15 @@ def _rows(record: Record, predicted: dict) -> list[Row]:
             lags = [lag_between((path, *a), (path, *b), either_sign=either).lag for a, b in cases]
         except LogError:
             continue
-        out.append(Row(record.name, path, *map(float, lags)))
+        out.append(LatencyRow(record.name, path, *map(float, lags)))
     return out
 
 
-def _mean(rows: list[Row], path: str, name: str, nominal: float) -> Estimate:
+def _mean(rows: list[LatencyRow], path: str, name: str, nominal: float) -> ParameterEstimate:
     """Mean of what is more than the model's, with the trials' scatter."""
     more = np.array([row.more for row in rows if row.path == path])
     if len(more) < 2:
         raise LogError(f"{name}: {len(more)} trials show a lag; record sine, square or impulse at least twice")
     sd = float(more.std(ddof=1) / np.sqrt(len(more)))
     half, value = float(student.ppf(0.95, len(more) - 1)) * sd, nominal + float(np.median(more))
-    return Estimate(name, "s", value, max(value - half, 0.0), value + half, sd, "trials")
+    return ParameterEstimate(name, "s", value, max(value - half, 0.0), value + half, sd, "trials")

@@ -24,7 +24,7 @@ NORMAL = 1.645  # standard deviations of a 90 % interval
 ENOUGH = 1e-5  # of the cost: less is no progress
 
 
-class Parameter(NamedTuple):
+class FreeParameter(NamedTuple):
     """What is fitted. step: for derivatives; sigma: of the prior about `start`, inf for none."""
 
     name: str
@@ -44,7 +44,7 @@ class Block(NamedTuple):
     where: slice
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """One parameter with its 90 % interval and what decided its width."""
 
     name: str
@@ -60,11 +60,11 @@ class Estimate(NamedTuple):
         return self._asdict()
 
 
-class Fit(NamedTuple):
+class LeastSquaresFit(NamedTuple):
     """theta (K,), its estimates, the residual (m,) there and at the start, both in units of the channels."""
 
     theta: np.ndarray
-    estimates: dict[str, Estimate]
+    estimates: dict[str, ParameterEstimate]
     before: np.ndarray
     after: np.ndarray
     rounds: int
@@ -76,7 +76,9 @@ Residual = Callable[[np.ndarray], np.ndarray]  # (R, K) -> (R, m)
 Tick = Callable[[float], None]  # share of a fit that is done, at the least
 
 
-def fit(parameters: list[Parameter], residual: Residual, blocks: list[Block], tick: Tick = lambda share: None) -> Fit:
+def fit(
+    parameters: list[FreeParameter], residual: Residual, blocks: list[Block], tick: Tick = lambda share: None
+) -> LeastSquaresFit:
     """Fit `parameters` so that `residual` becomes small."""
     theta = np.array([p.start for p in parameters])
     before, rounds = residual(theta[None])[0], 0
@@ -86,7 +88,7 @@ def fit(parameters: list[Parameter], residual: Residual, blocks: list[Block], ti
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
     r, jac = _linear(parameters, residual, theta, weight)
-    return Fit(theta, _estimates(parameters, theta, r, jac, blocks), before, after, rounds)
+    return LeastSquaresFit(theta, _estimates(parameters, theta, r, jac, blocks), before, after, rounds)
 
 
 def _within(tick: Tick, done: int, share: float) -> None:
@@ -108,7 +110,7 @@ def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
     return out
 
 
-def _linear(parameters: list[Parameter], residual: Residual, theta: np.ndarray, weight: np.ndarray):
+def _linear(parameters: list[FreeParameter], residual: Residual, theta: np.ndarray, weight: np.ndarray):
     """Weighted residual (m,) and its slopes (m, K) per step size."""
     rows = [theta]
     for k, p in enumerate(parameters):
@@ -121,7 +123,7 @@ def _linear(parameters: list[Parameter], residual: Residual, theta: np.ndarray, 
     return values[0], ((values[1:] - values[0]) / moved[:, None] * steps[:, None]).T
 
 
-def _prior(parameters: list[Parameter], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _prior(parameters: list[FreeParameter], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Slope and curvature of the priors per step size."""
     step = np.array([p.step for p in parameters])
     sigma = np.array([p.sigma for p in parameters]) / step
@@ -129,7 +131,7 @@ def _prior(parameters: list[Parameter], theta: np.ndarray) -> tuple[np.ndarray, 
     return off / sigma**2, np.diag(1.0 / sigma**2)
 
 
-def _descend(parameters: list[Parameter], residual: Residual, theta, weight, tick: Tick) -> tuple[np.ndarray, int]:
+def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick) -> tuple[np.ndarray, int]:
     """Levenberg and Marquardt's way down; all dampings of a round are tried in one batch."""
     low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
     start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
@@ -154,7 +156,7 @@ def _descend(parameters: list[Parameter], residual: Residual, theta, weight, tic
     return theta, ROUNDS
 
 
-def _estimates(parameters, theta, r, jac, blocks) -> dict[str, Estimate]:
+def _estimates(parameters, theta, r, jac, blocks) -> dict[str, ParameterEstimate]:
     from scipy.stats import t as student
 
     step = np.array([p.step for p in parameters])
@@ -172,7 +174,7 @@ def _estimates(parameters, theta, r, jac, blocks) -> dict[str, Estimate]:
         sd, quantile = float(found[widest][0][k] * step[k]), found[widest][1]
         value = float(theta[k])
         low, high = max(value - quantile * sd, p.low), min(value + quantile * sd, p.high)
-        out[p.name] = Estimate(p.name, p.unit, value, low, high, sd, widest)
+        out[p.name] = ParameterEstimate(p.name, p.unit, value, low, high, sd, widest)
     return out
 
 

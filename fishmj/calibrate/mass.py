@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from fishmj.calib import read_toml
-from fishmj.calibrate.least_squares import NORMAL, Estimate
+from fishmj.calibrate.least_squares import NORMAL, ParameterEstimate
 from fishmj.errors import ConfigError
 from fishmj.log import measurements
 from fishmj.mjcf.description import Robot
@@ -29,7 +29,7 @@ HEAVY = 10.0  # times the described mass; more is another unit
 class Weighed(NamedTuple):
     """Estimates: mass, com (from the nose), inertia, yaw_inertia; mass and com of every link, (m, back from its front)."""
 
-    estimates: dict[str, Estimate]
+    estimates: dict[str, ParameterEstimate]
     links: dict[str, tuple[float, float]]
 
 
@@ -87,6 +87,6 @@ def _yaw_inertia(robot: Robot) -> float:
     return float(np.sum(g.inertia[:, 2] + g.mass * (x - middle) ** 2))
 
 
-def _estimate(name: str, unit: str, value: float, sd: float, repeats: int) -> Estimate:
+def _estimate(name: str, unit: str, value: float, sd: float, repeats: int) -> ParameterEstimate:
     half = (float(student.ppf(0.95, repeats - 1)) if repeats > 1 else NORMAL) * sd
-    return Estimate(name, unit, value, value - half, value + half, sd, "repeats")
+    return ParameterEstimate(name, unit, value, value - half, value + half, sd, "repeats")

@@ -19,8 +19,8 @@ import numpy as np
 
 from fishmj import console, interrupt
 from fishmj.calibrate.bias import table
-from fishmj.calibrate.kept import Kept
-from fishmj.calibrate.least_squares import Estimate
+from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.calibrate.partial_results import PartialResults
 from fishmj.errors import LogError, UnknownName
 from fishmj.log import Trial
 from fishmj.log.trial import Table
@@ -44,7 +44,7 @@ class Profile(NamedTuple):
     thrust: np.ndarray
     predicted: dict[str, np.ndarray]
     measured: dict[str, tuple[float, int]]
-    estimate: Estimate
+    estimate: ParameterEstimate
     grid: str
 
     @property
@@ -171,7 +171,7 @@ def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
     at = int(np.argmin(least))
     inside = s[least <= least[at] + RISE]
     low, high = float(inside.min()), float(inside.max())
-    estimate = Estimate("slip", "1", float(s[at]), low, high, (high - low) / 3.29, "model")
+    estimate = ParameterEstimate("slip", "1", float(s[at]), low, high, (high - low) / 3.29, "model")
     return Profile(s, least, g[best, 0], predicted, found, estimate, grid)
 
 
@@ -201,7 +201,7 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folde
     whats = [replace(what, commands=what.commands[:n]) for what, n in zip(whats, rows, strict=True)]
     ratios = sorted(float(s) for s in ratios)
     every = {_swim(job): job for job in (replace(j, slip=s) for s in ratios for j in jobs({}, whats, 0, 0.0, 0.0, grid))}
-    kept = Kept(folder, {"grid": grid})
+    kept = PartialResults(folder, {"grid": grid})
     waiting = [job for name, job in every.items() if kept.find(name) is None]
     steps = sum(job.steps for job in waiting)
     domain = next(iter(every.values())).domain

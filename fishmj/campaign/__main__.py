@@ -3,7 +3,7 @@
 from fishmj import console
 from fishmj.console import Command
 
-main = console.Group(
+main = console.CommandGroup(
     "campaign",
     __doc__ or "",
     {

@@ -63,12 +63,12 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path:
     if options:
         raise ConfigError(f"controller {name}: has no gains, got {', '.join(options)}")
     if learned:
-        from fishmj.controllers.learned import Learned
+        from fishmj.controllers.learned import LearnedController
 
-        return Learned(robot, name, any_command_path)
-    from fishmj.controllers.passive import Drift
+        return LearnedController(robot, name, any_command_path)
+    from fishmj.controllers.passive import Passive
 
-    return Drift(robot)
+    return Passive(robot)
 
 
 def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> Controller:
@@ -84,7 +84,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_pat
         if not known and (extra := plugins.listed("controller")):
             raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
         return make(text, robot, any_command_path=any_command_path)
-    from fishmj.controllers.own import Own
+    from fishmj.controllers.own_controller import Own
 
     return Own(robot, plugins.load("controller", text, (*NAMES, *shipped_policies())), text)
 
@@ -103,10 +103,10 @@ def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = Fa
 def _classical(robot: Robot, name: str, options: dict) -> Controller:
     from fishmj.controllers.adrc import Adrc
     from fishmj.controllers.cpg import Cpg, Rates
-    from fishmj.controllers.estimator import Navigator
-    from fishmj.controllers.gait_table import Throttle
-    from fishmj.controllers.heading_speed import Helm
-    from fishmj.controllers.line_of_sight import Pursuit
+    from fishmj.controllers.estimator import StateEstimator
+    from fishmj.controllers.gait_table import SpeedToGait
+    from fishmj.controllers.heading_speed import HeadingSpeedController
+    from fishmj.controllers.line_of_sight import LineOfSight
     from fishmj.controllers.observer import FlowObserver
 
     gait, k = gains_of("gait"), gains_of(name, options)
@@ -117,14 +117,14 @@ def _classical(robot: Robot, name: str, options: dict) -> Controller:
         )
     quick, bend = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
     rates = Rates(frequency=gait["frequency_rate"], amplitude=quick, bias=bend)
-    cpg, navigator = Cpg(robot, lag, rates), Navigator(robot, gait["wobble"], gait["sway"])
+    cpg, navigator = Cpg(robot, lag, rates), StateEstimator(robot, gait["wobble"], gait["sway"])
     if name.startswith("adrc"):
         low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
-        return Adrc(name, cpg, Throttle(gait, low, high), navigator, k)
-    helm = Helm(robot, gait, cpg, k)
+        return Adrc(name, cpg, SpeedToGait(gait, low, high), navigator, k)
+    helm = HeadingSpeedController(robot, gait, cpg, k)
     if name == "dob":
         return FlowObserver(helm, navigator, k, gait["glide"])
-    return Pursuit(name, helm, navigator, k)
+    return LineOfSight(name, helm, navigator, k)
 
 
 __all__ = ["NAMES", "Controller", "chosen", "make", "several", "shipped_policies"]

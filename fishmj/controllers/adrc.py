@@ -7,15 +7,15 @@
 
 Guelman 1971 (proportional navigation); Gao 2003 (bandwidth parametrisation). The observers are discrete current estimators
 with poles exp(-wo T) (Miklosovic, Radke, Gao 2006): at T = 0.2 s an Euler step of wo = 8 rad/s would not be stable.
-Departures: heading and target come from the same `Navigator` as every other baseline (a heading with the beat in it
+Departures: heading and target come from the same `StateEstimator` as every other baseline (a heading with the beat in it
 saturates the loop); inside `hover_radius` the gait idles at `hover_speed`.
 """
 
 import numpy as np
 
 from fishmj.controllers.cpg import Cpg
-from fishmj.controllers.estimator import Navigator
-from fishmj.controllers.gait_table import Throttle
+from fishmj.controllers.estimator import StateEstimator
+from fishmj.controllers.gait_table import SpeedToGait
 from fishmj.units import wrap
 
 
@@ -48,7 +48,7 @@ class Observer:
 class Adrc:
     """PNL + ADRC over the shared CPG."""
 
-    def __init__(self, name: str, cpg: Cpg, throttle: Throttle, navigator: Navigator, gains):
+    def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, gains):
         self.name, self.cpg, self.throttle, self.navigator, self.k = name, cpg, throttle, navigator, gains
         k, self.dt = gains, navigator.dt
         self.heading = Observer(3, k["wo"], -k["b0"], self.dt)

@@ -18,7 +18,7 @@ import numpy as np
 from fishmj.mjcf.description import Robot
 
 
-class Fix(NamedTuple):
+class StateEstimate(NamedTuple):
     """Where the fish is, in axes fixed at reset."""
 
     target: np.ndarray  # (B, 2) m, from the centre of the fish's path to the target
@@ -27,7 +27,7 @@ class Fix(NamedTuple):
     turn: np.ndarray  # (B,) rad/s, its rate
 
 
-class Navigator:
+class StateEstimator:
     """Turns observations (B, 5 + 2 J) into fixes, one call a control step.
 
     Args:
@@ -49,7 +49,7 @@ class Navigator:
         self.turn: np.ndarray | None = None
         self.before: tuple | None = None
 
-    def __call__(self, obs) -> Fix:
+    def __call__(self, obs) -> StateEstimate:
         """The fix that an observation gives."""
         j = len(self.wobble)
         target, velocity, rate, joint, joint_rate = obs[:, :2], obs[:, 2:4], obs[:, 4], obs[:, 5 : 5 + j], obs[:, 5 + j :]
@@ -63,7 +63,7 @@ class Navigator:
         seen, met = self.heading + (self.rate_age - self.pose_age) * turn, self.heading
         place = turned(target, seen - bend @ self.wobble) + across(seen, bend @ self.sway)
         motion = turned(velocity, met - bend_rates @ self.wobble) - across(met, speed @ self.sway)
-        return Fix(place, motion, self.heading + self.rate_age * turn, turn)
+        return StateEstimate(place, motion, self.heading + self.rate_age * turn, turn)
 
 
 def hermite(a, da, b, db, h: float, s: float):

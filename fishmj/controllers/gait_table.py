@@ -99,7 +99,7 @@ def _glide(robot: Robot, lag, engine) -> float:
     return float(gone[-1] / np.log(start / speed[-1]))
 
 
-class Throttle:
+class SpeedToGait:
     """Speed <-> (f, A) along the gait line, from the measured map.
 
     Args:

@@ -12,19 +12,19 @@ from collections.abc import Mapping
 import numpy as np
 
 from fishmj.controllers.cpg import Cpg
-from fishmj.controllers.estimator import Fix
-from fishmj.controllers.gait_table import Throttle
+from fishmj.controllers.estimator import StateEstimate
+from fishmj.controllers.gait_table import SpeedToGait
 from fishmj.mjcf.description import Robot
 from fishmj.units import wrap
 
 
-class Helm:
+class HeadingSpeedController:
     """Steers B fish by bias and throttle. Gains are named in controllers.toml."""
 
     def __init__(self, robot: Robot, gait: Mapping, cpg: Cpg, gains: Mapping):
         self.cpg, self.k = cpg, gains
         low, high = ((f, np.radians(a)) for f, a in zip(gains["frequency"], gains["amplitude_deg"], strict=True))
-        self.throttle = Throttle(gait, low, high)
+        self.throttle = SpeedToGait(gait, low, high)
         self.authority = -gait["turn"]
 
     def reset(self, n: int) -> None:
@@ -35,7 +35,7 @@ class Helm:
         """Speed (B,) m/s that the present gait would settle at in still water."""
         return self.throttle.speed(self.cpg.frequency, self.cpg.amplitude)
 
-    def __call__(self, fix: Fix, course, speed) -> np.ndarray:
+    def __call__(self, fix: StateEstimate, course, speed) -> np.ndarray:
         """Commands (B, T, J) rad for a course [rad] and a speed through the water [m/s], (B,)."""
         k = self.k
         error = wrap(np, course - fix.heading)

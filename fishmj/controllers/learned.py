@@ -10,7 +10,7 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.structure import observation_of, structure_of
 from fishmj.names import nearest
 from fishmj.policy import FOLDER, Policy, file_of
-from fishmj.policy_header import Body, fit
+from fishmj.policy_header import PolicyBody, fit
 from fishmj.tasks import station_hold as task
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
@@ -18,7 +18,7 @@ SHIPPED_ROBOTS = ("fish", "tendon_fish")
 OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE makes a policy for this one"
 
 
-class Learned:
+class LearnedController:
     """Wraps `fishmj.policy.Policy`; `action` is its last answer, `sha256` the file's, `notes` what is worth a line.
 
     Args:
@@ -61,10 +61,10 @@ class Learned:
         return commands
 
 
-def body_of(robot: Robot) -> Body:
+def body_of(robot: Robot) -> PolicyBody:
     """What the header of a policy is compared with."""
     timing = robot.timing
-    return Body(robot.name, structure_of(robot), observation_of(robot.n_joints), timing.command_path, timing.control_dt)
+    return PolicyBody(robot.name, structure_of(robot), observation_of(robot.n_joints), timing.command_path, timing.control_dt)
 
 
 def shipped_structures() -> dict[str, dict]:

@@ -7,8 +7,8 @@ Course = direction of W, speed through the water = |W|, the proportional part ca
 
 import numpy as np
 
-from fishmj.controllers.estimator import Navigator
-from fishmj.controllers.heading_speed import Helm
+from fishmj.controllers.estimator import StateEstimator
+from fishmj.controllers.heading_speed import HeadingSpeedController
 
 
 def capped(vectors, most):
@@ -17,10 +17,10 @@ def capped(vectors, most):
     return vectors * np.minimum(1.0, most / np.maximum(length, 1e-9))
 
 
-class Pursuit:
+class LineOfSight:
     """CPG with line-of-sight PD; with `integral` > 0 vector PI."""
 
-    def __init__(self, name: str, helm: Helm, navigator: Navigator, gains):
+    def __init__(self, name: str, helm: HeadingSpeedController, navigator: StateEstimator, gains):
         self.name, self.helm, self.navigator, self.k = name, helm, navigator, gains
         self.dt = navigator.dt
 

@@ -12,8 +12,8 @@ Course = direction of W, speed = the part of W along it.
 
 import numpy as np
 
-from fishmj.controllers.estimator import Navigator, turned
-from fishmj.controllers.heading_speed import Helm
+from fishmj.controllers.estimator import StateEstimator, turned
+from fishmj.controllers.heading_speed import HeadingSpeedController
 from fishmj.controllers.line_of_sight import capped
 from fishmj.units import wrap
 
@@ -23,7 +23,7 @@ class FlowObserver:
 
     name = "dob"
 
-    def __init__(self, helm: Helm, navigator: Navigator, gains, glide: float):
+    def __init__(self, helm: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
         self.helm, self.navigator, self.k, self.glide = helm, navigator, gains, glide
         self.dt = navigator.dt
 

@@ -6,7 +6,7 @@ from fishmj.engines import ticks_per
 from fishmj.mjcf.description import Robot
 
 
-class Drift:
+class Passive:
     """Does nothing, for any robot."""
 
     name = "drift"

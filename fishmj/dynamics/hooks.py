@@ -15,8 +15,8 @@ whose normal part turns the fish, and whose acceleration pushes it as that of an
 """
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.effects import Active
-from fishmj.effects.sites import Body, Constants, Gear, Place, Servo, Water
+from fishmj.effects import EffectStack
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
 
 STILL = 0.0  # of every sum over the effects, before the first
 AHEAD = 0.02  # s, e
@@ -30,7 +30,7 @@ class Effects:
         wet: 0 on a bench in air.
     """
 
-    def __init__(self, xp, active: Active, parameters, memory, wet: float = 1.0):
+    def __init__(self, xp, active: EffectStack, parameters, memory, wet: float = 1.0):
         self.xp, self.wet = xp, wet
         self.session = active.begin(xp, parameters, memory)
         self.passive: list = []  # N m, torques of each joint that do not come from its motor
@@ -44,7 +44,7 @@ class Effects:
         if not self.session.acts("flow"):
             return flow
         out, time = [], self.session.time
-        at = lambda x, y, u, v, t: self.session.flow(Place(x, y, t, u, v))
+        at = lambda x, y, u, v, t: self.session.flow(FlowAt(x, y, t, u, v))
         for s, (x, y, c, d), (u, v) in zip(ch.strips.x, links(self.xp, ch, q), flow, strict=True):
             front, rear = (at(x + c * end, y + d * end, u, v, time) for end in (s[0], s[-1]))
             uc, vc, middle = (front.u + rear.u) / 2, (front.v + rear.v) / 2, (s[0] + s[-1]) / 2
@@ -60,7 +60,7 @@ class Effects:
         for j in range(ch.n - 1):
             angle, rate = q[3 + j], v[3 + j]
             error = target[j] + sw.zero[j] - angle
-            s = Servo(error, angle, rate, sw.kp[j], sw.kv[j], sw.kb[j], ch.torque, self.session.current, self.session.time)
+            s = ServoDrive(error, angle, rate, sw.kp[j], sw.kv[j], sw.kb[j], ch.torque, self.session.current, self.session.time)
             s = self.session.servo(j, s, ch.dt)
             drive = xp.minimum(xp.maximum(s.kp * s.error - s.kv * s.rate, -s.limit), s.limit)
             g = self.session.gear(j, Gear(drive, angle, rate, 0.0, s.kb - sw.kb[j], self.wet, s.kb, s.limit), ch.dt)
@@ -72,7 +72,7 @@ class Effects:
 
     def water(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, q, k: planar_chain.Links, hydro):
         if self.session.acts("water"):
-            given = Water(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, self._instant(ch, sw, k))
+            given = LocalWater(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, self._instant(ch, sw, k))
             hydro = self.session.water(given, ch.dt).forces
         if not self.stream:
             return hydro
@@ -93,7 +93,7 @@ class Effects:
         sway = sum(sw.water.k[i] * ch.strips.mu[i][0] for i in range(ch.n))
         tail = k.w[-1] + k.omega[-1] * ch.strips.tail_x
         drag = 0.5 * ch.strips.rho * (ch.strips.frontal * sw.water.ca_forward + sum(map(sum, ch.strips.p)) * sw.water.cf)
-        b = Body(
+        b = BodyMotion(
             k.u[0], k.w[0], k.own[0], q[2], q[0], q[1], self.session.time, tail, sway * self.wet, drag, self.wet, *(STILL,) * 7
         )
         b = b._replace(bend=sum(q[3:], 0.0), swing=k.own[-1] - k.own[0])

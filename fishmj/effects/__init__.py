@@ -10,8 +10,8 @@ from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
-from fishmj.effects.active import Active
 from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter
+from fishmj.effects.stack import EffectStack
 from fishmj.errors import ConfigError, UnknownName
 
 
@@ -44,4 +44,4 @@ def get(name: str) -> Effect:
     return catalogue()[name]
 
 
-__all__ = ["CHANNELS", "STAGES", "Active", "Confusion", "Effect", "Parameter", "catalogue", "get", "join"]
+__all__ = ["CHANNELS", "STAGES", "EffectStack", "Confusion", "Effect", "Parameter", "catalogue", "get", "join"]

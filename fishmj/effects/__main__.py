@@ -3,7 +3,7 @@
 import sys
 
 from fishmj import console, effects
-from fishmj.effects import describe
+from fishmj.effects import effect_text
 
 
 def options() -> console.Parser:
@@ -19,12 +19,12 @@ def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     chosen = [effects.get(args.name)] if args.name else list(effects.catalogue().values())
     if args.json:
-        records = [describe.record(e) for e in chosen]
+        records = [effect_text.record(e) for e in chosen]
         console.emit_json(records[0] if args.name else {"effects": records, "n": len(records)})
     elif args.name:
-        console.say(describe.text(chosen[0]))
+        console.say(effect_text.text(chosen[0]))
     else:
-        console.say(console.table(describe.rows(chosen)))
+        console.say(console.table(effect_text.rows(chosen)))
     return console.OK
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.calib import parse_toml, read_toml, resolve
-from fishmj.effects import Active, get
+from fishmj.effects import EffectStack, get
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.store import write_text
 
@@ -31,7 +31,7 @@ class Interval(NamedTuple):
     high: float
 
 
-class Fitted(NamedTuple):
+class FittedEffect(NamedTuple):
     """One effect of a calibration. parameters: {name: Interval}; those left out are at their null."""
 
     name: str
@@ -40,7 +40,7 @@ class Fitted(NamedTuple):
     hash: str = ""  # of the evidence
 
 
-def read(source: "str | Path") -> tuple[Fitted, ...]:
+def read(source: "str | Path") -> tuple[FittedEffect, ...]:
     """The effects of a fish TOML (path or shipped name), checked.
 
     Raises:
@@ -50,7 +50,7 @@ def read(source: "str | Path") -> tuple[Fitted, ...]:
     return parse(read_toml(path), str(path))
 
 
-def parse(table: dict, where: str) -> tuple[Fitted, ...]:
+def parse(table: dict, where: str) -> tuple[FittedEffect, ...]:
     """The same from a parsed TOML table; `where` begins the error messages."""
     blocks = table.get("effect", [])
     if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
@@ -63,7 +63,7 @@ def parse(table: dict, where: str) -> tuple[Fitted, ...]:
     return listed
 
 
-def write(path: "str | Path", effects: "tuple[Fitted, ...] | list[Fitted]") -> Path:
+def write(path: "str | Path", effects: "tuple[FittedEffect, ...] | list[FittedEffect]") -> Path:
     """Put `effects` in place of the blocks of the TOML at `path`; all else stays as it is, comments too. Atomic.
 
     Raises:
@@ -76,22 +76,22 @@ def write(path: "str | Path", effects: "tuple[Fitted, ...] | list[Fitted]") -> P
     return write_text(path, text)
 
 
-def activate(effects, joints: int) -> tuple[Active, np.ndarray]:
+def activate(effects, joints: int) -> tuple[EffectStack, np.ndarray]:
     """(Active, its parameter row (P,)) of a calibration, for a fish with `joints` joints."""
-    active = Active([get(fitted.name) for fitted in effects], joints)
+    active = EffectStack([get(fitted.name) for fitted in effects], joints)
     values = {fitted.name: {name: interval.value for name, interval in fitted.parameters.items()} for fitted in effects}
     return active, np.array(active.flat(values))
 
 
-def fitted(active: Active, row, low=None, high=None, provenance: str = "", hash: str = "") -> tuple[Fitted, ...]:  # noqa: A002
+def fitted(active: EffectStack, row, low=None, high=None, provenance: str = "", hash: str = "") -> tuple[FittedEffect, ...]:  # noqa: A002
     """A calibration from an Active and rows (P,) of values and, where known, of the ends of their intervals."""
     low, high = row if low is None else low, row if high is None else high
     intervals = {key: Interval(*map(float, x)) for key, *x in zip(active.names, row, low, high, strict=True)}
     named = lambda e: {p.name: intervals[e.name, p.name] for p in e.parameters}
-    return tuple(Fitted(e.name, named(e), provenance, hash) for e in active.effects)
+    return tuple(FittedEffect(e.name, named(e), provenance, hash) for e in active.effects)
 
 
-def block_of(block: dict, where: str) -> Fitted:
+def block_of(block: dict, where: str) -> FittedEffect:
     """One block [[effect]]; raises as `read`."""
     for key in block:
         if key not in KEYS:
@@ -111,7 +111,7 @@ def block_of(block: dict, where: str) -> Fitted:
         except UnknownName as error:
             raise ConfigError(f"{where}: {error}") from error
         found[name] = _interval(entry, parameter, f"{where} {name}")
-    return Fitted(effect.name, found, str(block.get("provenance", "")), str(block.get("hash", "")))
+    return FittedEffect(effect.name, found, str(block.get("provenance", "")), str(block.get("hash", "")))
 
 
 def _interval(entry, parameter, where: str) -> Interval:
@@ -131,7 +131,7 @@ def _interval(entry, parameter, where: str) -> Interval:
     return found
 
 
-def _text(fitted: Fitted) -> str:
+def _text(fitted: FittedEffect) -> str:
     quoted = lambda text: '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
     lines = ["[[effect]]", *(f"{key} = {quoted(getattr(fitted, key))}" for key in ("name", "provenance", "hash"))]
     for name, x in fitted.parameters.items():

@@ -15,7 +15,7 @@ GIVE = 0.001  # rad, b, a quarter of a servo's encoder count
 AT_REST = (0.0, 0.0)  # z rad, w rad/s of the step before
 
 
-def rub(xp, friction, g, memory, h: float):
+def apply_dry_friction(xp, friction, g, memory, h: float):
     """(Gear, memory) of one joint; friction(s) is the largest friction torque [N m] at a sliding speed s [rad/s]."""
     clip = lambda way: xp.minimum(xp.maximum(way, -GIVE), GIVE)
     z, before = memory

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 
-class Servo(NamedTuple):
+class ServoDrive(NamedTuple):
     """One joint before the drive torque is formed: drive = clip(kp error - kv rate, -limit, limit)."""
 
     error: Any  # commanded minus measured angle, rad
@@ -39,7 +39,7 @@ class Constants(NamedTuple):
     swimmer: Any  # hydro_fit.chain.Swimmer
 
 
-class Place(NamedTuple):
+class FlowAt(NamedTuple):
     """Water at one place of the tank, world frame."""
 
     x: Any  # m
@@ -49,7 +49,7 @@ class Place(NamedTuple):
     v: Any  # m/s
 
 
-class Body(NamedTuple):
+class BodyMotion(NamedTuple):
     """The whole body at its reference point, head axes. Forces and added masses add up over the effects.
 
     The added mass of a moving ideal fluid also carries Kirchhoff's velocity terms; the effect adds them to the forces.
@@ -77,7 +77,7 @@ class Body(NamedTuple):
     swing: Any = 0.0  # rad/s, its rate
 
 
-class Water(NamedTuple):
+class LocalWater(NamedTuple):
     """Forces of the water on the links, except those proportional to their acceleration; lists, one entry a link.
 
     forces - instant is what vortices, drag and the trailing edge do: what a wake may hold back and a wall may raise.
@@ -93,7 +93,7 @@ class Water(NamedTuple):
     instant: Any  # part of the forces that belongs to the added mass and follows the motion at once, same form
 
 
-class Seen(NamedTuple):
+class Measured(NamedTuple):
     """What the sensors report at the times of one record, arrays (..., T); joints (..., T, J)."""
 
     t: Any  # s

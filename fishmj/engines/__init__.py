@@ -13,7 +13,7 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.engines.extensions import Added, bus_rows, in_water, with_effects
+from fishmj.engines.extensions import Extensions, bus_rows, in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
@@ -71,7 +71,7 @@ def flat_water(c: strip_forces.Coefficients) -> np.ndarray:
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:
     """The calibrated fish, `batch` times, without randomisation (NumPy)."""
-    s, added = planar_chain.nominal(robot), Added.of(robot)
+    s, added = planar_chain.nominal(robot), Extensions.of(robot)
     rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))
     delay = round((robot.timing.command_latency + added.late(np, added.row, "command")) / robot.timing.physics_dt)
     return FishParams(
@@ -101,7 +101,7 @@ def at_rest(robot: Robot, pose) -> FishState:
     pose = np.asarray(pose, float)
     batch, joints = len(pose), robot.n_joints
     q = np.concatenate([pose, np.zeros((batch, joints))], -1)
-    memory = np.tile(Added.of(robot).memory, (batch, 1))
+    memory = np.tile(Extensions.of(robot).memory, (batch, 1))
     return FishState(q, np.zeros_like(q), np.full(batch, 0.5), np.zeros((batch, rows_of(robot), joints)), memory)
 
 
@@ -126,7 +126,7 @@ def check_commands(commands, joints: int) -> None:
 __all__ = [
     "BUFFER",
     "NAMES",
-    "Added",
+    "Extensions",
     "Current",
     "FishParams",
     "FishState",

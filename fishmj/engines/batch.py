@@ -17,7 +17,7 @@ from fishmj import mjcf
 from fishmj.cores import usable_cores
 from fishmj.dynamics import planar_chain
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
-from fishmj.engines.extensions import Added, stacked
+from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.errors import MissingExtra, SimDiverged
 from fishmj.flow import Current, sample
@@ -29,7 +29,7 @@ SMALLEST = 16  # fish below which a second thread does not pay
 class Engine:
     """MuJoCo C, batched. NumPy in, NumPy out; not jit-able.
 
-    The fish are shared out to one `Shoal` a thread; MuJoCo, the evaluator and large NumPy operations hold no lock.
+    The fish are shared out to one `ThreadedBatch` a thread; MuJoCo, the evaluator and large NumPy operations hold no lock.
 
     Args:
         robot: description or name.
@@ -44,7 +44,7 @@ class Engine:
         model, ch = mjcf.build(self.robot, bare=True), planar_chain.chain_of(self.robot)
         self.steps, self.ticks = ticks_per(self.robot)
         evaluate = evaluator_of(self.robot, ch, evaluator)
-        self.shoals = [Shoal(self.robot, model, ch, evaluate) for _ in range(threads or usable_cores())]
+        self.shoals = [ThreadedBatch(self.robot, model, ch, evaluate) for _ in range(threads or usable_cores())]
         self._pool = ThreadPoolExecutor(len(self.shoals), "fishmj-batch")
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
@@ -82,7 +82,7 @@ class Engine:
         return join([r[0] for r in results]), join([r[1] for r in results])
 
 
-class Shoal:
+class ThreadedBatch:
     """The fish of one thread and their persistent MuJoCo batch."""
 
     def __init__(self, robot: Robot, model, ch: planar_chain.Chain, evaluate):
@@ -137,7 +137,7 @@ class Shoal:
 
 def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None):
     """f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), float64."""
-    if name is None and Added.of(robot).learnt is not None:
+    if name is None and Extensions.of(robot).learnt is not None:
         name = "jax"  # a network as straight-line code takes minutes to compile
     if name != "jax":
         try:
@@ -149,10 +149,10 @@ def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None):
         except MissingExtra:
             if name == "compiled":
                 raise
-    return _jax_evaluator(ch, Added.of(robot))
+    return _jax_evaluator(ch, Extensions.of(robot))
 
 
-def _jax_evaluator(ch: planar_chain.Chain, added: Added):
+def _jax_evaluator(ch: planar_chain.Chain, added: Extensions):
     import jax
     import jax.numpy as jnp
 

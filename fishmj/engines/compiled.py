@@ -31,7 +31,7 @@ from fishmj.engines import (
     rows_of,
     ticks_per,
 )
-from fishmj.engines.extensions import Added
+from fishmj.engines.extensions import Extensions
 from fishmj.errors import ConfigError
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
@@ -70,7 +70,7 @@ class Engine:
         numba_build.require_numba()
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.steps, self.ticks = ticks_per(self.robot)
-        self.buffer, self.added = rows_of(self.robot), Added.of(self.robot)
+        self.buffer, self.added = rows_of(self.robot), Extensions.of(self.robot)
         if self.added.learnt is not None:
             name = self.robot.water["model"]
             raise ConfigError(

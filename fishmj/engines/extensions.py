@@ -20,7 +20,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.dynamics import planar_chain as chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects.calibration import Fitted, activate
+from fishmj.effects.calibration import FittedEffect, activate
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
 
@@ -35,7 +35,7 @@ class Commanded(Effects):
 
 
 @dataclass(frozen=True, eq=False)
-class Added:
+class Extensions:
     """Effects and learnt water of one robot.
 
     Attributes:
@@ -43,14 +43,14 @@ class Added:
         learnt: the learnt residual force, or None, and the chain that it acts on.
     """
 
-    active: "effects.Active | None"
+    active: "effects.EffectStack | None"
     row: np.ndarray
     memory: np.ndarray
     learnt: Any = None
     chain: "chain.Chain | None" = None
 
     @classmethod
-    def of(cls, robot: Robot) -> "Added":
+    def of(cls, robot: Robot) -> "Extensions":
         """Everything that `robot.effects` and `robot.water["model"]` name. Raises ConfigError, UnknownName, StoreError."""
         active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
         if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
@@ -71,9 +71,9 @@ class Added:
             inner = Commanded(xp, self.active, parameters, memory[: len(self.active.memory)], wet)
         if self.learnt is None or self.chain is None:
             return inner
-        from fishmj.water.residual_hooks import Learned
+        from fishmj.water.residual_hooks import LearnedResidual
 
-        return Learned(xp, self.chain, self.learnt, memory, inner)
+        return LearnedResidual(xp, self.chain, self.learnt, memory, inner)
 
     def late(self, xp, rows, clock: str, t=0.0):
         """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 where no effect delays it."""
@@ -97,7 +97,7 @@ def stacked(xp, values, like):
 
 def bus_rows(robot: Robot, least: int) -> int:
     """Bus commands to remember so that every command delay within the effects' bounds fits: `least`, or more."""
-    return least + ceil(Added.of(robot).latest("command") / robot.timing.bus_dt - 1e-9) if robot.effects else least
+    return least + ceil(Extensions.of(robot).latest("command") / robot.timing.bus_dt - 1e-9) if robot.effects else least
 
 
 def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
@@ -111,7 +111,7 @@ def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
         if effects.get(name).stochastic:
             raise ConfigError(f"effect {name!r} is drawn when data are made; the simulators cannot hold it, choose another")
         if name not in have:
-            more.append(Fitted(name, {}))
+            more.append(FittedEffect(name, {}))
     return replace(robot, effects=(*robot.effects, *more)) if more else robot
 
 
@@ -123,7 +123,7 @@ def in_water(robot: Robot, water: "str | Path") -> Robot:
     """
     if water == STRUCTURED:
         return robot
-    from fishmj.water.model import shipped
+    from fishmj.water.hydro_model import shipped
 
     if water == SURROGATE and robot.name in shipped():
         water = robot.name
@@ -135,7 +135,7 @@ def in_water(robot: Robot, water: "str | Path") -> Robot:
 
 def residual_of(robot: Robot):
     """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
-    from fishmj.water.model import shipped
+    from fishmj.water.hydro_model import shipped
 
     name = str(robot.water.get("model", STRUCTURED))
     if name == STRUCTURED:
@@ -152,7 +152,7 @@ def residual_of(robot: Robot):
 @lru_cache(8)
 def fitted_water(name: str):
     """A fitted water by name or file."""
-    from fishmj.water.model import HydroModel, shipped
+    from fishmj.water.hydro_model import HydroModel, shipped
 
     if name == SURROGATE:
         if not shipped():

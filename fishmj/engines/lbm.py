@@ -16,10 +16,10 @@ import numpy as np
 from fishmj.engines import FishParams, FishState, Trace, check_commands, ticks_per
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.lbm_oracle.run.setup import Edge, Stage
+from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise
 
@@ -49,7 +49,7 @@ class Engine:
         self.robot, self.flows = robot, list(flows)
         box = preset(domain)
         self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
-        self.tanks: Tanks | None = None
+        self.tanks: ConcurrentRuns | None = None
 
     @property
     def stopped(self) -> list[str]:
@@ -82,10 +82,10 @@ class Engine:
         v = np.concatenate([trace.velocity[:, -1], trace.rate[:, -1]], -1)
         return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), np.asarray(state.memory)), trace
 
-    def _fill(self, q: np.ndarray, params: FishParams) -> Tanks:
+    def _fill(self, q: np.ndarray, params: FishParams) -> ConcurrentRuns:
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        tanks = Tanks([self._tank(i, q[i], params) for i in range(len(q))])
+        tanks = ConcurrentRuns([self._tank(i, q[i], params) for i in range(len(q))])
         asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
         streams = [flow.speed > 0 or flow.rms > 0 for flow in self.flows]
         if any(streams):
@@ -102,7 +102,7 @@ class Engine:
 
     def _tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
         """Tank i with its own fish, at rest in undisturbed flow."""
-        stage = Stage(
+        stage = SwimSetup(
             domain=self.domain,
             robot=self.robot,
             flow=self.flows[i],
@@ -118,7 +118,7 @@ class Engine:
         personalise(coupled.body.model, **own)
         coupled.body.forward()
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
-        edge = Edge(self.domain, float(q[2]))
+        edge = DomainWatch(self.domain, float(q[2]))
         steps, _ = ticks_per(self.robot)
         if round(self.robot.timing.bus_dt / coupled.body.dt) < steps:
             raise ConfigError(

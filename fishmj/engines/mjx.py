@@ -15,7 +15,7 @@ from mujoco import mjx
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
-from fishmj.engines.extensions import Added, stacked
+from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
@@ -31,7 +31,7 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         self.robot, self.unroll = load_robot(robot), unroll
-        self.chain, self.added = planar_chain.chain_of(self.robot), Added.of(self.robot)
+        self.chain, self.added = planar_chain.chain_of(self.robot), Extensions.of(self.robot)
         model = mjcf.build(self.robot, bare=True)
         self.model, self.blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         self.steps, self.ticks = ticks_per(self.robot)

@@ -19,7 +19,7 @@ from types import ModuleType
 
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.engines import codegen, fast_math, rows_of, ticks_per
-from fishmj.engines.extensions import Added
+from fishmj.engines.extensions import Extensions
 from fishmj.errors import MissingExtra
 from fishmj.flow import TICK
 from fishmj.machine_code import cache_folder
@@ -109,7 +109,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
 
     from fishmj.dynamics.hooks import centres as centres_of
 
-    ch, added = planar_chain.chain_of(robot), Added.of(robot)
+    ch, added = planar_chain.chain_of(robot), Extensions.of(robot)
     n, names = ch.n, names_of(ch.n, len(added.row), len(added.memory))
 
     def step(a):
@@ -152,7 +152,7 @@ def lane_loop(name: str, program: codegen.Program, results: list[str], rows: dic
 
 def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
     """The text of the module whose entry point is `advance` or `evaluate`; `CACHE` is left to the loader."""
-    servo, added = robot.servo, Added.of(robot)
+    servo, added = robot.servo, Extensions.of(robot)
     names = names_of(len(robot.links), len(added.row), len(added.memory))
     rows = {name: i for i, name in enumerate(flat(list(names.values())))}
     numbers = {key.upper(): rows[flat(tree)[0]] if tree else 0 for key, tree in names.items()}
@@ -164,7 +164,7 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
     parts += [f"{name} = real({float(v)!r})\n" for name, v in reals]
     parts.append(fast_math.source(precision))
     parts += [lane_loop(name, *generate(robot, name), rows) for name in NEEDS[entry]]
-    kernels = Path(__file__).with_name("kernels.py").read_text(encoding="utf-8")
+    kernels = Path(__file__).with_name("lane_kernels.py").read_text(encoding="utf-8")
     plain = "@njit(**MATH)\ndef "
     kernels = re.sub(r"^def ", plain, kernels[kernels.index("\n\n\ndef ") :].lstrip(), flags=re.MULTILINE)
     parts.append(kernels.replace(f"{plain}{entry}(", f"@njit({entry.upper()}, cache=CACHE, nogil=True, **MATH)\ndef {entry}("))

@@ -16,10 +16,10 @@ import numpy as np
 from fishmj import effects, plugins
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import Active, Effect
-from fishmj.effects.commands import delivered
+from fishmj.effects import Effect, EffectStack
+from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import CLOCKS, Parameter
-from fishmj.effects.sites import Seen
+from fishmj.effects.sites import Measured
 from fishmj.errors import OwnCodeError
 from fishmj.mjcf.description import load_robot
 from fishmj.names import is_name
@@ -60,7 +60,7 @@ def check(effect: Effect, what: str = "") -> None:
     _declared(effect, what)
     for site in effect.sites:
         plugins.takes(f"{what}, {site}", getattr(effect, site), *CALLS[site])
-    active = Active([effect], _fish()[0].n - 1)
+    active = EffectStack([effect], _fish()[0].n - 1)
     _identity(active, what)
     _finite(active, what)
     if find_spec("jax") is not None:
@@ -101,7 +101,7 @@ def _fish() -> tuple:
     return ch, sw, (list(q), list(v), rng.uniform(size=FISH), list(rng.normal(size=(ch.n - 1, FISH))), list(flow), ambient)
 
 
-def _step(active: Active, what: str, given, row, memory, wet: float = 1.0):
+def _step(active: EffectStack, what: str, given, row, memory, wet: float = 1.0):
     """One step of all fish with the effect. Raises OwnCodeError where its code does."""
     ch, sw, _ = _fish()
 
@@ -113,7 +113,7 @@ def _step(active: Active, what: str, given, row, memory, wet: float = 1.0):
     return plugins.call(f"{what}: a step with parameters {[round(float(x), 6) for x in row]}", take)
 
 
-def _identity(active: Active, what: str) -> None:
+def _identity(active: EffectStack, what: str) -> None:
     """At the null no bit changes, for any value of its shapes' null."""
     ch, sw, first = _fish()
     for wet in (1.0, 0.0):
@@ -134,7 +134,7 @@ def _identity(active: Active, what: str) -> None:
     rng = np.random.default_rng(1)
     sent = rng.normal(size=(20, active.joints))
     x, y, yaw, power = rng.normal(size=(4, 20))
-    seen = Seen(0.02 * np.arange(20), x, y, yaw, sent, power)
+    seen = Measured(0.02 * np.arange(20), x, y, yaw, sent, power)
     got = plugins.call(f"{what}, command", delivered, np, active, active.null, sent, ch.dt)
     read = plugins.call(f"{what}, measure", active.measure, np, active.null, seen)
     late = [active.delay(np, active.null, clock, seen.t) for clock in CLOCKS]
@@ -143,11 +143,11 @@ def _identity(active: Active, what: str) -> None:
         raise OwnCodeError(f"{what}: at its null it changes commands, readings or delays; at the null it must change no bit")
 
 
-def _pairs(active: Active):
+def _pairs(active: EffectStack):
     return zip(active.names, active.null, strict=True)
 
 
-def _finite(active: Active, what: str) -> None:
+def _finite(active: EffectStack, what: str) -> None:
     """At typical sizes and at both bounds a step stays finite, and at the larger typical size something changes."""
     ch, sw, given = _fish()
     (effect,), memory = active.effects, list(active.memory)
@@ -175,7 +175,7 @@ def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:
     return [*typical, ("its lower bounds", row(lambda p: p.low)), ("its upper bounds", row(lambda p: p.high))]
 
 
-def _traced(active: Active, what: str) -> None:
+def _traced(active: EffectStack, what: str) -> None:
     """JAX can follow a step, and the code generator knows all that it does."""
     import jax.numpy as jnp
 

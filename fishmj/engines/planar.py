@@ -13,7 +13,7 @@ from jax import lax
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import centres
 from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
-from fishmj.engines.extensions import Added, stacked
+from fishmj.engines.extensions import Extensions, stacked
 from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
 
@@ -60,7 +60,7 @@ class Engine:
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         robot = load_robot(robot)
         self.robot, self.chain, self.unroll = robot, planar_chain.chain_of(robot), unroll
-        self.added = Added.of(robot)
+        self.added = Extensions.of(robot)
         self.steps, self.ticks = ticks_per(robot)
         self.ramp = robot.timing.command_path == "move_time"
 

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from fishmj.dynamics import planar_chain
-from fishmj.effects.sites import Seen
-from fishmj.engines.extensions import Added
+from fishmj.effects.sites import Measured
+from fishmj.engines.extensions import Extensions
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
 from fishmj.water.injection import checked_step
@@ -17,14 +17,14 @@ from fishmj.water.injection import checked_step
 DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients of no water at all, besides k and cn
 
 
-class Solo:
+class SingleFish:
     """The water of one planar fish with everything that is added to it; memory and attachment advance in `step`.
 
     Attributes:
         power: of the servos in the last step, W.
     """
 
-    def __init__(self, robot: Robot, added: Added, swimmer: planar_chain.Swimmer, wet: bool = True):
+    def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, wet: bool = True):
         self.chain, self.added, self.wet = planar_chain.chain_of(robot), added, wet
         n = self.chain.n
         water = swimmer.water if wet else swimmer.water._replace(k=[0.0] * n, cn=[0.0] * n, **DRY)
@@ -34,7 +34,7 @@ class Solo:
         self.set_flow(np.zeros((n, 2)), np.zeros(2))
 
     @classmethod
-    def of(cls, robot: Robot, added: Added, swimmer: planar_chain.Swimmer, root: str, water: str) -> "Solo | None":
+    def of(cls, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, root: str, water: str) -> "SingleFish | None":
         """None where nothing is added. Raises ConfigError where it cannot be."""
         if added.active is None and (added.learnt is None or water != "structured"):
             return None
@@ -60,7 +60,7 @@ class Solo:
         self.attached, self.memory, self.power = s.attached, list(s.memory), float(s.power)
 
 
-def reported(added: Added, t, pose, joint, rate, power):
+def reported(added: Extensions, t, pose, joint, rate, power):
     """What the sensors say at the times t (T,) of what happened: (pose (T, 6), joint (T, J), rate (T, J), power (T,)).
 
     Delays read the cubic through the samples and their rates (power: the straight line), held before the first sample.
@@ -70,7 +70,7 @@ def reported(added: Added, t, pose, joint, rate, power):
     late = {clock: t - np.asarray(added.late(np, added.row, clock, t)) for clock in ("pose", "joint", "power")}
     x, y, yaw = cubic(t, pose[:, :3], pose[:, 3:], late["pose"]).T
     moved = np.stack([np.interp(late["joint"], t, column) for column in rate.T], 1)
-    seen = Seen(t, x, y, yaw, cubic(t, joint, rate, late["joint"]), np.interp(late["power"], t, power))
+    seen = Measured(t, x, y, yaw, cubic(t, joint, rate, late["joint"]), np.interp(late["power"], t, power))
     seen = added.active.measure(np, added.row.tolist(), seen)
     return np.concatenate([np.stack([seen.x, seen.y, seen.yaw], 1), pose[:, 3:]], 1), seen.joint, moved, seen.power
 

@@ -6,10 +6,10 @@
 The protocol is in `protocol`, the loop in `driver`, the definitions in `metrics`, the intervals in `statistics`.
 """
 
-from fishmj.evaluate.driver import run
 from fishmj.evaluate.metrics import UNITS, figures
 from fishmj.evaluate.protocol import Trials, trials
 from fishmj.evaluate.result import Result
-from fishmj.evaluate.statistics import Difference, Estimate, compare, summary
+from fishmj.evaluate.run_trials import run
+from fishmj.evaluate.statistics import IntervalEstimate, PairedDifference, compare, summary
 
-__all__ = ["UNITS", "Difference", "Estimate", "Result", "Trials", "compare", "figures", "run", "summary", "trials"]
+__all__ = ["UNITS", "PairedDifference", "IntervalEstimate", "Result", "Trials", "compare", "figures", "run", "summary", "trials"]

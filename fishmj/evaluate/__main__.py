@@ -8,15 +8,15 @@ from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol, tables
-from fishmj.evaluate.driver import run
-from fishmj.evaluate.kept import Kept
+from fishmj.evaluate.finished_trials import FinishedTrials
 from fishmj.evaluate.report import save, write
 from fishmj.evaluate.result import Result
+from fishmj.evaluate.run_trials import run
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
-from fishmj.water.model import shipped
+from fishmj.water.hydro_model import shipped
 
 WATERS = ("structured", "surrogate", "lbm")
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
@@ -131,7 +131,7 @@ def main(argv: list[str]) -> int:
         console.warn(note)
     affordable(robot, trials, len(brains))
     if args.water == "lbm":
-        from fishmj.lbm_oracle.run import cost as solver_cost
+        from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
         work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
@@ -143,7 +143,7 @@ def main(argv: list[str]) -> int:
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
-    kept = Kept(args.out, robot, trials, args.engine, [brain.name for brain in brains])
+    kept = FinishedTrials(args.out, robot, trials, args.engine, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
         try:
             results = judged(brains, robot, trials, args, kept)
@@ -156,7 +156,7 @@ def main(argv: list[str]) -> int:
     return code
 
 
-def judged(brains, robot, trials, args, kept: Kept) -> list[Result]:
+def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
     """All controllers; those that an interrupted judgement had finished are taken from --out."""
     results: list[Result] = []
     engine = None
@@ -216,13 +216,13 @@ def judge(brain, robot, trials, engine) -> Result:
 
 def judge_in_tanks(brain, robot, trials, args) -> Result:
     """One controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
-    from fishmj.evaluate import tank
+    from fishmj.evaluate import lbm_trials
 
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
         options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
         seen = lambda k: bar.update(k * robot.timing.control_dt)
-        return tank.judge(brain, robot, trials, args.out, progress=seen, **options)
+        return lbm_trials.judge(brain, robot, trials, args.out, progress=seen, **options)
 
 
 def findings(results: list[Result]) -> dict:

@@ -23,7 +23,7 @@ HEADINGS = ("upstream", "uniform")
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
 
 
-class Trial(NamedTuple):
+class TrialSpec(NamedTuple):
     """One trial's condition and its seed."""
 
     speed: float  # m/s
@@ -40,7 +40,7 @@ class Trial(NamedTuple):
 class Trials:
     """What is judged: a list of trials and what they have in common."""
 
-    items: tuple[Trial, ...]
+    items: tuple[TrialSpec, ...]
     turbulence: str
     intensity: float
     heading: str
@@ -147,7 +147,7 @@ def trials(
         raise ConfigError(f"trials: duration = {duration} s; expected 1 to 600 s, usually 60")
     key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))
     items = tuple(
-        Trial(float(u), float(np.radians(b)), r, (*key(u, b), r)) for u, b, r in product(speeds, los_deg, range(repeats))
+        TrialSpec(float(u), float(np.radians(b)), r, (*key(u, b), r)) for u, b, r in product(speeds, los_deg, range(repeats))
     )
     return Trials(
         items=items,

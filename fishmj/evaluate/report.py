@@ -13,9 +13,9 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import FishmjError, StoreError
 from fishmj.evaluate import metrics, tables
-from fishmj.evaluate.logs import name_of, trial_of, write_logs
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare
+from fishmj.evaluate.trial_logs import name_of, trial_of, write_logs
 from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_text
 

@@ -24,7 +24,7 @@ ENOUGH, APART = 5, 6  # trials
 MEDIANS = ("approach_time",)
 
 
-class Estimate(NamedTuple):
+class IntervalEstimate(NamedTuple):
     """A figure with its interval over n trials; `why` there is none, where low and high are NaN."""
 
     value: float
@@ -34,7 +34,7 @@ class Estimate(NamedTuple):
     why: str = ""
 
 
-class Difference(NamedTuple):
+class PairedDifference(NamedTuple):
     """b minus a, trial by trial, and Welch's test of the two samples."""
 
     key: str
@@ -62,18 +62,18 @@ def too_few(n: int) -> str:
     return f"too few trials for an interval: {n} of {ENOUGH}" if n < ENOUGH else ""
 
 
-def estimate(key: str, values) -> Estimate:
+def estimate(key: str, values) -> IntervalEstimate:
     """Gather (n,) figures, NaN left out, with a bootstrap interval over trials."""
     x = np.asarray(values, float)
     x = x[np.isfinite(x)]
     gather = statistic(key)
     value = float(gather(x)) if len(x) else np.nan
     if why := too_few(len(x)):
-        return Estimate(value, np.nan, np.nan, len(x), why)
-    return Estimate(value, *_interval(gather(_resampled(x), -1)), len(x))
+        return IntervalEstimate(value, np.nan, np.nan, len(x), why)
+    return IntervalEstimate(value, *_interval(gather(_resampled(x), -1)), len(x))
 
 
-def difference(key: str, a, b) -> Difference:
+def difference(key: str, a, b) -> PairedDifference:
     """Paired difference b - a of (n,) figures of the same trials; pairs with a NaN are left out."""
     from scipy.stats import ttest_ind_from_stats
 
@@ -82,13 +82,13 @@ def difference(key: str, a, b) -> Difference:
     a, b = a[both], b[both]
     value = float(np.mean(b - a)) if len(a) else np.nan
     if why := too_few(len(a)):
-        return Difference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, why)
+        return PairedDifference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, why)
     low, high = _interval(_resampled(b - a).mean(-1))
     t = p = np.nan
     if np.ptp(a) > 0 or np.ptp(b) > 0:
         one, two = ((x.mean(), x.std(ddof=1), len(x)) for x in (b, a))
         t, p = ttest_ind_from_stats(*one, *two, equal_var=False)
-    return Difference(key, value, low, high, len(a), float(t), float(p))
+    return PairedDifference(key, value, low, high, len(a), float(t), float(p))
 
 
 def _resampled(x) -> np.ndarray:
@@ -126,7 +126,7 @@ def gather(found: dict, rows=slice(None)) -> dict:
     return {key: {**estimate(key, x[rows])._asdict(), "unit": UNITS[key]} for key, x in found.items()}
 
 
-def compare(first: Result, second: Result) -> list[Difference]:
+def compare(first: Result, second: Result) -> list[PairedDifference]:
     """second minus first for every key, over the same trials.
 
     Raises:

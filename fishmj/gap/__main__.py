@@ -5,7 +5,7 @@ import sys
 from fishmj import console
 from fishmj.console import Command
 
-main = console.Group(
+main = console.CommandGroup(
     "gap",
     __doc__ or "",
     {

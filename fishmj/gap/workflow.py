@@ -11,13 +11,13 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.gap.decide.decide import decide
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search.cross_validation import split
-from fishmj.gap.search.likelihood import Evidence
-from fishmj.gap.search.stepwise import Found, find
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.stepwise import Selection, find
 from fishmj.gap.thresholds import Gates, frozen
 from fishmj.gap.verdict import Verdict, said
 from fishmj.gap.watch import Bars, silent
@@ -40,12 +40,12 @@ class Inquiry:
     """
 
     verdict: Verdict
-    evidence: Evidence
-    found: Found
+    evidence: Likelihood
+    found: Selection
     records: list[Record]
     held: np.ndarray
     unseen: np.ndarray
-    apart: Evidence | None = None
+    apart: Likelihood | None = None
     synthetic: bool = False
     notes: tuple[str, ...] = ()  # on the logs: what was left out, whose they are
 
@@ -55,13 +55,13 @@ def investigate(
     trials: list[Trial],
     *,
     gates: Gates | None = None,
-    null: Null | None = None,
+    null: SimulatedNull | None = None,
     page: dict | None = None,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
     bars: Bars = silent,
-    admit: Callable[[Evidence], None] = lambda e: None,
+    admit: Callable[[Likelihood], None] = lambda e: None,
     notes: tuple[str, ...] = (),
 ) -> Inquiry:
     """Find what the model of `plant` is missing in `trials`.
@@ -73,7 +73,7 @@ def investigate(
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """
-    gates, null = gates or frozen(), null or Null()
+    gates, null = gates or frozen(), null or SimulatedNull()
     records = [record_of(t, plant.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
@@ -119,9 +119,9 @@ def investigate(
     return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
 
 
-def evidence_of(plant, records: list[Record], null: Null, bars: Bars = silent) -> Evidence:
+def evidence_of(plant, records: list[Record], null: SimulatedNull, bars: Bars = silent) -> Likelihood:
     """Records with the null that their null runs make."""
-    return Evidence(plant, records, null.residuals(plant, records, Layout(records), bars))
+    return Likelihood(plant, records, null.residuals(plant, records, ResidualLayout(records), bars))
 
 
 def compiled(plant, say: Callable[[str], None]) -> None:
@@ -141,7 +141,7 @@ def set_aside(records: list[Record], seed: int) -> np.ndarray:
     return aside
 
 
-def unrepeatable(trials: list[Trial], e: Evidence) -> str:
+def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
     """Why a gap cannot be named because replicates differ from each other as much as from the model; "" when they do not.
 
     Mean square of the residual over its variance between replicates, the median over the channels that show a gap: a slow random

@@ -22,7 +22,7 @@ class Picture:
         if self.kind == "mujoco":
             import mujoco
 
-            from fishmj.tasks.scene import build_scene
+            from fishmj.tasks.mjcf_scene import build_scene
 
             self.model = build_scene(robot).compile()
             self.data = mujoco.MjData(self.model)

@@ -8,12 +8,12 @@ from fishmj import console, interrupt
 from fishmj.calib import OWN, ROOTS
 from fishmj.console import Command
 from fishmj.errors import ConfigError, StoreError, TooMuch
-from fishmj.hydro_fit.dataset import Dataset, open_dataset
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
 from fishmj.store.package_data import SOURCES
-from fishmj.water.model import FOLDERS, HydroModel, robot_hash
+from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
 DATA = OWN / "hydro"
 SHIPPED = tuple(root / "hydro" / name for name in ("swift", "tendon_fish") for root in ROOTS)  # the default fish, the second one
@@ -104,12 +104,12 @@ def _passed_on(args) -> list[str]:
 
 def collect(argv: list[str]) -> int:
     """Hand over to the campaign."""
-    from fishmj.campaign.data import command
+    from fishmj.campaign.data import collect_command
 
-    return command.main(argv)
+    return collect_command.main(argv)
 
 
-def records_of(data: Dataset, robot: Robot, split: str, slip: float) -> list[Record]:
+def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
     """The records of one part at one slip ratio, repeats left out.
 
     Raises:
@@ -128,7 +128,7 @@ def records_of(data: Dataset, robot: Robot, split: str, slip: float) -> list[Rec
     return found
 
 
-def fitted_parts(data: Dataset, robot: Robot, slip: float) -> tuple[list[Record], list[Record]]:
+def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
     """Training and validation records at one slip ratio; where none validate there, every fifth training record does."""
     train = records_of(data, robot, "train", slip)
     if data.names("val", slip=slip):
@@ -139,8 +139,8 @@ def fitted_parts(data: Dataset, robot: Robot, slip: float) -> tuple[list[Record]
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
     from fishmj.hydro_fit.fit.data_parallel import several
-    from fishmj.hydro_fit.fit.pipeline import Fit, Settings
-    from fishmj.hydro_fit.fit.promote import keep, standing_model
+    from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
+    from fishmj.hydro_fit.fit.promote import promote, standing_model
     from fishmj.water.prior import flat
 
     several()
@@ -158,8 +158,8 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 
         work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{args.slip:g}"
         taught = {} if args.swims is None else {"swims": args.swims}
-        settings = Settings(seed=args.seed, residual=not args.base, **taught)
-        done = Fit(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
+        settings = FitSettings(seed=args.seed, residual=not args.base, **taught)
+        done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
         with interrupt.keeping(done.words):
             model = replace(done.run(), name=args.name or robot.name)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
@@ -169,7 +169,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     standing = standing_model(out, model.name, robot_hash(robot))
     old = None if standing is None else done.score(flat(standing.base), standing.learnt)
     new = model.scores["validation"]
-    path, taken = keep(model, out, score=new, standing=old)
+    path, taken = promote(model, out, score=new, standing=old)
     console.say(f"{path}: validation {new:.4g} squared tolerances" + ("" if old is None else f", standing model {old:.4g}"))
     return {"model": str(path), "taken": taken, "validation": new, "standing": old, "seconds": done.seconds, "notes": done.notes}
 
@@ -190,7 +190,7 @@ def chosen(robot: Robot, args) -> HydroModel:
     return model.base_only if args.base else model
 
 
-def repeats_of(data: Dataset, slip: float) -> list[tuple[Record, Record]]:
+def repeats_of(data: SegmentDataset, slip: float) -> list[tuple[SegmentRecord, SegmentRecord]]:
     """Pairs of a repeat and what it repeats."""
     pairs = []
     for name in data.names("test", slip=slip):
@@ -200,7 +200,7 @@ def repeats_of(data: Dataset, slip: float) -> list[tuple[Record, Record]]:
     return pairs
 
 
-def held_out(robot: Robot, folder: Path, args) -> tuple[list[Record], list[tuple[Record, Record]]]:
+def held_out(robot: Robot, folder: Path, args) -> tuple[list[SegmentRecord], list[tuple[SegmentRecord, SegmentRecord]]]:
     """What a model is judged on: the test part, with that of the fresh episodes beside it unless --data asks for one set.
 
     Returns:
@@ -234,7 +234,7 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
 
 def check(robot: Robot, folder: Path, args) -> dict:
     """Judge the model on the test part."""
-    from fishmj.hydro_fit.check import judge
+    from fishmj.hydro_fit.free_swims import judge
     from fishmj.hydro_fit.report import check_rows
 
     found = judge(chosen(robot, args), robot, *held_out(robot, folder, args))
@@ -245,7 +245,7 @@ def check(robot: Robot, folder: Path, args) -> dict:
 def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
     from fishmj.hydro_fit.fit.data_parallel import several
-    from fishmj.hydro_fit.fit.pipeline import Settings
+    from fishmj.hydro_fit.fit.pipeline import FitSettings
     from fishmj.studies.water_ablation import ablation_table
     from fishmj.studies.water_ablation.ablation import table
 
@@ -257,7 +257,7 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
     given = {"names": args.rows, "seeds": args.seeds}
     with console.Progress(1.0, f"ablation {folder.name}") as bar:
         told = lambda share, what: bar.update(share, at=what)
-        rows = table(robot, *parts, settings=Settings(), dataset=about, folder=out, report=told, **given)
+        rows = table(robot, *parts, settings=FitSettings(), dataset=about, folder=out, report=told, **given)
     console.say(console.table(ablation_table.cells(rows)))
     console.say(*(f"wrote {path}" for path in ablation_table.write(out, rows, about)))
     return {"about": about, "rows": rows}
@@ -282,7 +282,7 @@ WRITTEN = {
 COMMANDS = {
     "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
     "collect": Command(
-        "fishmj.campaign.data.command",
+        "fishmj.campaign.data.collect_command",
         "segments of the flow solver that a water is fitted to",
         "fishmj hydro_fit collect --preview --out runs/preview",
     ),
@@ -310,12 +310,12 @@ COMMANDS = {
         "fishmj hydro_fit ablation --data data/hydro/swift --seeds 0,1,2",
     ),
     "hybrid": Command(
-        "fishmj.campaign.hybrid.trial",
+        "fishmj.campaign.hybrid.hybrid_trial",
         "a surrogate corrected by the solver while it swims",
         "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
     ),
     "correct": Command(
-        "fishmj.campaign.dagger.command",
+        "fishmj.campaign.dagger.dagger_command",
         "rounds of a policy's own states, solved and refitted",
         "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
     ),
@@ -325,7 +325,7 @@ COMMANDS = {
         "fishmj hydro_fit rank pd pi --domain laptop --device cpu --trials 6 --seconds 10",
     ),
 }
-main = console.Group("hydro_fit", __doc__ or "", COMMANDS, bare="all")
+main = console.CommandGroup("hydro_fit", __doc__ or "", COMMANDS, bare="all")
 
 
 if __name__ == "__main__":

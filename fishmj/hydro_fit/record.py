@@ -41,7 +41,7 @@ KICK = 0.3  # s, of a free swim that begins at rest in a stream
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class SegmentRecord:
     """One segment in memory, arrays in float64 as in the table above; `power` is nan where it is not known.
 
     meta: id, episode, block, split, segment (how it was made), robot, grid, start (q, v before row 0), tick, stopped, ...
@@ -86,7 +86,7 @@ class Record:
         return np.concatenate([q, self.q[:-1]]), np.concatenate([v, self.v[:-1]])
 
     @property
-    def steadied(self) -> "Record":
+    def steadied(self) -> "SegmentRecord":
         """The record without its first `KICK` s where a free fish was let go at rest in a stream.
 
         All water around it is stopped by the fish alone within the first tick, and carries it along: no fish is ever let go so.
@@ -98,7 +98,7 @@ class Record:
         start = {"q": self.q[skip - 1].tolist(), "v": self.v[skip - 1].tolist()}
         rows = len(self.q) - skip
         meta = self.meta | {"start": start, "settle": skip * self.tick, "rows": rows, "seconds": rows * self.tick}
-        return Record(meta, **{name: getattr(self, name)[skip:] for name in UNITS})
+        return SegmentRecord(meta, **{name: getattr(self, name)[skip:] for name in UNITS})
 
     @property
     def acceleration(self) -> np.ndarray:
@@ -135,7 +135,7 @@ def write_record(folder: Path, meta: dict, arrays: dict[str, np.ndarray]) -> dic
     return meta
 
 
-def read_record(folder: Path, name: str) -> Record:
+def read_record(folder: Path, name: str) -> SegmentRecord:
     """One segment, its arrays checked against the sha256 beside them.
 
     Raises:
@@ -153,7 +153,7 @@ def read_record(folder: Path, name: str) -> Record:
     lacking, rows = [key for key in UNITS if key not in arrays], {key: len(value) for key, value in arrays.items()}
     if lacking or len(set(rows.values())) != 1:
         raise DatasetError(f"{path}: expected {', '.join(UNITS)} of one length; missing {lacking}, rows {rows}")
-    return Record(meta, **{key: arrays[key] for key in UNITS})
+    return SegmentRecord(meta, **{key: arrays[key] for key in UNITS})
 
 
 def described(about: Path) -> dict:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console
-from fishmj.hydro_fit import check, figures, regimes
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit import fit_figures, force_by_regime, free_swims
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_json, write_text
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;color:#222}
 h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2rem}.quiet{color:#5a6270}img{max-width:100%}
@@ -21,17 +21,21 @@ th{background:#f5f7fa}th:first-child,td:first-child{text-align:left}"""
 
 
 def write(
-    folder: Path, model: HydroModel, robot: Robot, records: Sequence[Record], repeats: Sequence[tuple[Record, Record]] = ()
+    folder: Path,
+    model: HydroModel,
+    robot: Robot,
+    records: Sequence[SegmentRecord],
+    repeats: Sequence[tuple[SegmentRecord, SegmentRecord]] = (),
 ) -> Path:
     """Judge `model` on held-out records and write report.html and report.json; returns the page's path."""
-    found = check.judge(model, robot, records, repeats)
-    swum = check.Swum(model, robot, records)
-    forces, runs = regimes.by_regime(model, robot, records), free_runs(swum)
-    points = regimes.static_map(model, robot, records)
-    pictures = [("Means of free swims, with the 90 % band", figures.against(swum, model.band))]
-    pictures.append((f"Free runs from {swum.began:g} s on, {found['freerun_s']:g} s", figures.freeruns(swum)))
+    found = free_swims.judge(model, robot, records, repeats)
+    swum = free_swims.FreeSwims(model, robot, records)
+    forces, runs = force_by_regime.by_regime(model, robot, records), free_runs(swum)
+    points = force_by_regime.static_map(model, robot, records)
+    pictures = [("Means of free swims, with the 90 % band", fit_figures.against(swum, model.band))]
+    pictures.append((f"Free runs from {swum.began:g} s on, {found['freerun_s']:g} s", fit_figures.freeruns(swum)))
     if points:
-        pictures.append(("Held fish: mean force by the second, in head axes", figures.force_map(points)))
+        pictures.append(("Held fish: mean force by the second, in head axes", fit_figures.force_map(points)))
     grid, turns = gait_rows(swum)
     folder.mkdir(parents=True, exist_ok=True)
     told = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
@@ -50,7 +54,7 @@ def write(
     return write_text(folder / "report.html", document("fishmj hydro_fit", "\n".join(parts), STYLE))
 
 
-def about(model: HydroModel, records: Sequence[Record]) -> str:
+def about(model: HydroModel, records: Sequence[SegmentRecord]) -> str:
     """One line on where the figures come from."""
     seconds = sum(r.seconds for r in records)
     return (
@@ -73,10 +77,10 @@ def check_rows(found: dict) -> list[dict]:
     return rows
 
 
-def free_runs(swum: check.Swum) -> list[dict]:
+def free_runs(swum: free_swims.FreeSwims) -> list[dict]:
     """Velocity, yaw rate and place after 2 and 10 s of free run in cruise."""
     out, tick = [], swum.records[0].tick
-    for seconds in (2.0, check.FREERUN):
+    for seconds in (2.0, free_swims.FREERUN):
         ticks = min(round(seconds / tick), swum.cruise.mask.shape[1])
         part = swum.cruise.mask[:, :ticks].min(1) > 0
         if not part.any():
@@ -95,11 +99,11 @@ def free_runs(swum: check.Swum) -> list[dict]:
     return out
 
 
-def gait_rows(swum: check.Swum) -> tuple[list[dict], list[dict]]:
+def gait_rows(swum: free_swims.FreeSwims) -> tuple[list[dict], list[dict]]:
     """Speed and power of each straight gait; yaw rate and radius of each turning one."""
     straight, turning = [], []
     for b, record in enumerate(swum.records):
-        if record.meta["block"] not in check.GAITS or np.abs(record.flow).max() > 1e-6:
+        if record.meta["block"] not in free_swims.GAITS or np.abs(record.flow).max() > 1e-6:
             continue
         drive = record.meta["segment"].get("drive", {})
         seen, got = ({key: float(values[b]) for key, values in one.items()} for one in (swum.seen, swum.late))
@@ -110,7 +114,7 @@ def gait_rows(swum: check.Swum) -> tuple[list[dict], list[dict]]:
             "solver [W]": seen["power"],
             "model [W]": got["power"],
         }
-        if abs(seen["yaw_rate"]) > check.TURNS:
+        if abs(seen["yaw_rate"]) > free_swims.TURNS:
             row |= {"solver [deg/s]": float(np.degrees(seen["yaw_rate"])), "model [deg/s]": float(np.degrees(got["yaw_rate"]))}
             row |= {
                 "solver R [m]": seen["surge"] / abs(seen["yaw_rate"]),

@@ -3,7 +3,7 @@
 from fishmj import console
 from fishmj.console import Command
 
-main = console.Group(
+main = console.CommandGroup(
     "lbm_oracle",
     __doc__ or "",
     {
@@ -13,7 +13,7 @@ main = console.Group(
             "fishmj lbm_oracle cases poiseuille couette",
         ),
         "converge": Command(
-            "fishmj.lbm_oracle.cases.converge",
+            "fishmj.studies.solver_grid.converge",
             "order of convergence of the fluid on closed solutions",
             "fishmj lbm_oracle converge --device cpu",
         ),

@@ -6,7 +6,7 @@ from fishmj import console
 from fishmj.console import Command
 from fishmj.log.look import check, state
 
-main = console.Group(
+main = console.CommandGroup(
     "log",
     "Bring recordings in, check data sets, state what they hold, hand them to other programs.",
     {

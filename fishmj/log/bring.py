@@ -18,7 +18,7 @@ from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, guessed, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
-from fishmj.log.importers.guess import LEFT, UNCLEAR, Guess, Kind
+from fishmj.log.importers.guess import LEFT, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import quoted
 from fishmj.log.trial import Trial
@@ -48,14 +48,14 @@ LONGEST = 1000  # characters of a message
 
 
 @dataclass
-class Found:
+class ImportResult:
     """What came in: trials to write, one at a time, and what did not come in."""
 
     format: str
     trials: list[tuple[str, Callable[[], Trial]]] = field(default_factory=list)  # (name, function that gives the trial)
     skipped: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    guesses: list[tuple[Sequence[Kind], list[Guess]]] = field(default_factory=list)
+    guesses: list[tuple[Sequence[FileKind], list[Guess]]] = field(default_factory=list)
     maps: list[ColumnMap] = field(default_factory=list)
     page: dict = field(default_factory=dict)
 
@@ -179,13 +179,13 @@ def _run(args: Namespace) -> int:
 
 
 # ------------------------------------------------------------------------------------------------------------ what there is
-def _found(args: Namespace) -> Found:
+def _found(args: Namespace) -> ImportResult:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE:
         return _in_format(args.source, known, args)
     shelf = gather.Shelf(topics=args.topics is not None)
     together = True if args.one_trial else False if args.trial_each else None
-    found = Found(TABLE)
+    found = ImportResult(TABLE)
     items, passed = gather.plan(args.source, shelf, together=together)
     found.notes += [*passed, *_changed(args.source)]
     found.page = _page(args.source)
@@ -218,7 +218,7 @@ def _found(args: Namespace) -> Found:
     return found
 
 
-def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: Found) -> None:
+def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: ImportResult) -> None:
     """One guess for every layout of files."""
     said = guess.overrides(args.set)
     for group in gather.layouts(items, shelf).values():
@@ -244,13 +244,13 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
         )  # names the nearest
 
 
-def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> Found:
+def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> ImportResult:
     """Recordings in the layout of one published data set."""
     if args.columns or args.set:
         raise LogError(
             f"{sources[0]}: is in format {name}, which needs no map; leave --columns and --set out, or say --format {TABLE}"
         )
-    found = Found(name if name in importers.FORMATS else "own")  # the word that loads code stays out of the data set
+    found = ImportResult(name if name in importers.FORMATS else "own")  # the word that loads code stays out of the data set
     for source in sources:
         if outside := gather.leading_outside(source):
             raise LogError(f"{outside[0]}: a link that leads outside {source}; put the file itself there")
@@ -319,7 +319,7 @@ def _told(notes: dict[str, list[str]]) -> list[str]:
     return [*map(_line, lines[:NOTES]), *more]
 
 
-def _nothing(args: Namespace, found: Found) -> None:
+def _nothing(args: Namespace, found: ImportResult) -> None:
     why = "; ".join(list(found.skipped.values())[:3])
     more = f"; and {len(found.skipped) - 3} more" if len(found.skipped) > 3 else ""
     if why:
@@ -332,17 +332,17 @@ def _nothing(args: Namespace, found: Found) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------------------- the guess
-def _show(found: Found) -> None:
+def _show(found: ImportResult) -> None:
     for kinds, made in found.guesses:
         rows = [_as_row(kinds, g) for g in made]
         console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
 
 
-def _rows(found: Found) -> list[dict]:
+def _rows(found: ImportResult) -> list[dict]:
     return [_as_row(kinds, g) for kinds, made in found.guesses for g in made]
 
 
-def _as_row(kinds: Sequence[Kind], g: Guess) -> dict:
+def _as_row(kinds: Sequence[FileKind], g: Guess) -> dict:
     sheet = kinds[g.kind].sheets[0]
     values = sheet.columns[g.column]
     first = values[values == values][:SHOWN]
@@ -361,7 +361,7 @@ def _shown(value: float, unit: str) -> str:
     return f"{value:.6g}"
 
 
-def _write_map(args: Namespace, found: Found) -> None:
+def _write_map(args: Namespace, found: ImportResult) -> None:
     if not found.maps:
         raise LogError(
             f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set "
@@ -378,12 +378,12 @@ def _write_map(args: Namespace, found: Found) -> None:
     console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
 
 
-def _first_unclear(found: Found) -> str:
+def _first_unclear(found: ImportResult) -> str:
     g = next((g for _, made in found.guesses for g in guessed.unclear(made)), None)
     return f"{quoted(g.column)[1:-1]}={guessed.choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
 
 
-def _agreed(args: Namespace, found: Found) -> None:
+def _agreed(args: Namespace, found: ImportResult) -> None:
     """Nothing unclear is left, and the user agrees."""
     doubts = [g for _, made in found.guesses for g in guessed.unclear(made)]
     if doubts:
@@ -420,7 +420,7 @@ def _certain(g: Guess) -> bool:
 
 
 # --------------------------------------------------------------------------------------------------------------- writing
-def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[str, list[str]], dict]:
+def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict], dict[str, list[str]], dict]:
     """Write the trials that convert; what does not is remembered in `found.skipped`. Rows, notes, the manifest's meta."""
     rows: list[dict] = []
     notes: dict[str, list[str]] = {}
@@ -455,7 +455,7 @@ def _write(args: Namespace, found: Found, meta: dict) -> tuple[list[dict], dict[
     return rows, notes, told
 
 
-def _any(trials: Iterator[tuple[str, Trial]], args: Namespace, found: Found) -> Iterator[tuple[str, Trial]]:
+def _any(trials: Iterator[tuple[str, Trial]], args: Namespace, found: ImportResult) -> Iterator[tuple[str, Trial]]:
     """The trials, or the reasons where there is none."""
     first = next(trials, None)
     if first is None:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import FishmjError, LogError, StoreError
-from fishmj.log.check import check_table
 from fishmj.log.npz_tables import row_place
 from fishmj.log.trial import Trial
+from fishmj.log.trial_check import check_table
 from fishmj.names import checked
 from fishmj.store import plain, read_npz, write_npz
 

@@ -25,14 +25,14 @@ import numpy as np
 
 from fishmj import __version__, names
 from fishmj.errors import LogError, MissingExtra, StoreError
-from fishmj.log import check, foxglove, measurements, toml
+from fishmj.log import foxglove, measurements, toml, trial_check
 from fishmj.log.columns import unit
 from fishmj.log.compact import read_bundle
 from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
 from fishmj.log.npz_tables import row_place
-from fishmj.log.schema import SCHEMA, TABLES, table_spec
+from fishmj.log.table_schema import SCHEMA, TABLES, table_spec
 from fishmj.log.trial import Trial, stacked
 from fishmj.store import put_in_place, write_text
 from fishmj.store.manifest import MANIFEST, Manifest
@@ -143,7 +143,7 @@ def carried(path: Path) -> dict | None:
             for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
                 if attachment.name == META_FILE:
                     meta = tomllib.loads(attachment.data.decode("utf-8"))
-                    check.check_meta(meta, str(path))
+                    trial_check.check_meta(meta, str(path))
                     return meta if meta.get("schema") == SCHEMA else None
     except (*damage, MemoryError, OverflowError, IndexError, AttributeError):  # whoever reads the messages says what is damaged
         return None
@@ -193,7 +193,7 @@ def _one(trial: Trial, to: str, path: Path, wanted: tuple[str, ...], shape: Shap
     if not kept:
         raise LogError(f"trial {trial.name}: has none of {', '.join(wanted)}; it has {', '.join(trial.tables)}")
     for name, table in kept.items():  # a bundle was not checked when it was read
-        check.check_table(name, table, row_place(f"{trial.name}/{name}"))
+        trial_check.check_table(name, table, row_place(f"{trial.name}/{name}"))
     one = replace(trial, tables=kept)
     if to == "mcap":
         _mcap(one, path, shape(trial), tell)

@@ -13,12 +13,12 @@ import numpy as np
 
 from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
-from fishmj.log import check, toml
+from fishmj.log import toml, trial_check
 from fishmj.log.csv_tables import read_csv, read_text, write_csv
 from fishmj.log.limits import listed, quoted
 from fishmj.log.npz_tables import read_archive, row_place, write_archive
 from fishmj.log.plausible import of_meta
-from fishmj.log.schema import SCHEMA, TABLES
+from fishmj.log.table_schema import SCHEMA, TABLES
 from fishmj.log.trial import Table, Trial
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
@@ -68,11 +68,11 @@ def read_trial(path: str | Path) -> Trial:
             raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
         _inside(path, file)
         table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-        notes += check.check_table(file.stem, table, place, bounds)
+        notes += trial_check.check_table(file.stem, table, place, bounds)
         tables[file.stem] = table
     if not tables:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
-    notes += check.check_counts(tables)
+    notes += trial_check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
 
 
@@ -96,7 +96,7 @@ def faults(path: Path) -> list[str]:
             try:
                 _inside(path, file)
                 table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-                check.check_table(file.stem, table, place, bounds)
+                trial_check.check_table(file.stem, table, place, bounds)
             except FishmjError as error:
                 out.append(str(error))
     return out
@@ -120,7 +120,7 @@ def write_trial(
     bounds = of_meta(trial.meta, str(folder / META_FILE))
     tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
     for name, table in tables.items():
-        check.check_table(name, table, row_place(folder / name), bounds)
+        trial_check.check_table(name, table, row_place(folder / name), bounds)
     if not tables:
         raise LogError(f"{folder}: a trial needs at least one table of {', '.join(TABLES)}")
     if form not in ("auto", "csv", "npz"):
@@ -156,7 +156,7 @@ def checked_meta(folder: Path, meta: dict) -> str:
     if "origin" not in meta:
         raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')
     text = toml.dumps(meta)
-    check.check_meta(parse_toml(text, str(folder / META_FILE)), str(folder / META_FILE))
+    trial_check.check_meta(parse_toml(text, str(folder / META_FILE)), str(folder / META_FILE))
     return text
 
 
@@ -179,7 +179,7 @@ def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
         at = f":{found[1]}:{found[2] or 1}" if found else ":1:1"
         fix = "; text needs quotes, numbers a decimal point" if told.startswith("not valid TOML") else ""
         raise LogError(f"{path}{at}: {told}{fix}") from error
-    return meta, check.check_meta(meta, str(path))
+    return meta, trial_check.check_meta(meta, str(path))
 
 
 def _read_flat(path: Path) -> Trial:
@@ -188,7 +188,7 @@ def _read_flat(path: Path) -> Trial:
     return flat_trial(samples, place, path, meta, notes)
 
 
-def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes: list[str]) -> Trial:
+def flat_trial(samples: Table, place: trial_check.Place, path: Path, meta: dict, notes: list[str]) -> Trial:
     """Split the columns of a flat file over the tables; every table gets the common `t`."""
     if "t" not in samples:
         raise LogError(f"{place(-1, '')}: column 't' is missing; it has {listed(samples)}. Add time stamps in s")
@@ -204,5 +204,5 @@ def flat_trial(samples: Table, place: check.Place, path: Path, meta: dict, notes
         raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
     bounds = of_meta(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
-        notes += check.check_table(name, table, place, bounds)
-    return Trial(meta, tables, name=path.parent.name, notes=(*notes, *check.check_counts(tables)))
+        notes += trial_check.check_table(name, table, place, bounds)
+    return Trial(meta, tables, name=path.parent.name, notes=(*notes, *trial_check.check_counts(tables)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fishmj.errors import ConfigError, LogError
-from fishmj.log.schema import GAP, look_up, table_spec
+from fishmj.log.table_schema import GAP, look_up, table_spec
 
 Table = dict[str, np.ndarray]  # column name -> (T,) values; "t" is always there
 

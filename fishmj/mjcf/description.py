@@ -16,7 +16,7 @@ from fishmj.errors import ConfigError, DescriptionError
 from fishmj.names import nearest
 
 if TYPE_CHECKING:
-    from fishmj.effects.calibration import Fitted
+    from fishmj.effects.calibration import FittedEffect
 
 COMMAND_PATHS = ("linear", "hold", "move_time")
 WATER_NEEDS = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke", "lift_a", "lift_b", "stall_angle", "stall_width", "stall_lag")
@@ -100,7 +100,7 @@ class Robot:
     water: dict = field(default_factory=dict)
     title: str = ""
     density_water: float = 1000.0  # kg/m3
-    effects: "tuple[Fitted, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
+    effects: "tuple[FittedEffect, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
     notes: tuple[str, ...] = field(default=(), repr=False, compare=False)  # what the reader was told: assumed, or unlikely
 
     @property
@@ -278,7 +278,7 @@ def check_timing(timing: Timing, where: str) -> None:
         raise ConfigError(f"{where}: {finding.key} = {finding.got} is not {finding.expected}; {finding.todo}")
 
 
-def _effects(table: dict, where: str) -> "tuple[Fitted, ...]":
+def _effects(table: dict, where: str) -> "tuple[FittedEffect, ...]":
     """The blocks [[effect]]; the catalogue is loaded only for a fish that has some."""
     if not table.get("effect"):
         return ()

@@ -5,10 +5,10 @@ from datetime import date, time
 from typing import Any, NamedTuple
 
 from fishmj import names
-from fishmj.mjcf import schema
+from fishmj.mjcf import description_schema
 
 
-class Finding(NamedTuple):
+class Fault(NamedTuple):
     """One thing that is wrong. block: "link"; nth: which of several, from 0; key: "mass", or "" for the whole block."""
 
     block: str
@@ -19,11 +19,11 @@ class Finding(NamedTuple):
     todo: str = ""
 
 
-def line(f: Finding, table: Mapping[str, Any], where: str) -> str:
+def line(f: Fault, table: Mapping[str, Any], where: str) -> str:
     """`FILE [[link]] 2 'body1' mass: got nan, expected a number above 0 kg; what to do`."""
     place = ""
     if f.block:
-        place = f" [[{f.block}]]" if f.block in schema.LISTS else f" [{f.block}]"
+        place = f" [[{f.block}]]" if f.block in description_schema.LISTS else f" [{f.block}]"
     if f.nth is not None:
         entry = table[f.block][f.nth]
         label = entry.get("name") if isinstance(entry, Mapping) else None
@@ -55,4 +55,4 @@ def shown(value: Any, most: int = 60) -> str:
     return text if len(text) <= most + 2 else text[: most - 3] + "..."
 
 
-__all__ = ["Finding", "line", "shown"]
+__all__ = ["Fault", "line", "shown"]

@@ -6,7 +6,7 @@ from math import isfinite, pi, radians
 from typing import Any
 
 from fishmj import calib, names
-from fishmj.mjcf.findings import Finding, shown
+from fishmj.mjcf.findings import Fault, shown
 from fishmj.plain_file import trouble
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
@@ -16,7 +16,7 @@ NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
 
 
-def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Finding]:
+def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Fault]:
     """Errors between keys, of the blocks that are sound by themselves. listed: the links are a list of a possible length."""
     links = table.get("link", [])
     whole = ("link", None) not in bad
@@ -39,7 +39,7 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Find
     version = table.get("version", {})
     kept = version.get("parent_text", "") if ("version", None) not in bad else ""
     if kept and not names.is_name(kept):
-        yield Finding(
+        yield Fault(
             "version",
             None,
             "parent_text",
@@ -49,32 +49,32 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Find
         )
 
 
-def _link(i: int, link: Mapping[str, Any]) -> Iterator[Finding]:
+def _link(i: int, link: Mapping[str, Any]) -> Iterator[Fault]:
     length, rows = link["length"], link["sections"]
     stations = [row[0] for row in rows]
     if stations[0] != 0 or abs(stations[-1] - length) > NEAR * length:
         last, whole = apart(stations[-1], length)
         got, expected = f"stations from {stations[0]:g} to {last} m", f"stations from 0 to length = {whole} m"
-        yield Finding("link", i, "sections", got, expected, "mend length or the rows; a station counts from the link's own front")
+        yield Fault("link", i, "sections", got, expected, "mend length or the rows; a station counts from the link's own front")
     if any(b - a < 1e-6 for a, b in zip(stations, stations[1:], strict=False)):
         todo = "sort the rows; for a step in the outline set two rows 0.1 mm apart"
-        yield Finding("link", i, "sections", f"stations {shown(stations)}", "stations that rise from row to row", todo)
+        yield Fault("link", i, "sections", f"stations {shown(stations)}", "stations that rise from row to row", todo)
     for n, (_, height, width) in enumerate(rows, 1):
         for what, value in (("height", height), ("width", width)):
             if not 1e-4 <= value <= 10.0:
                 todo = "a pointed end is a small number such as 0.001" if value < 1e-4 else "check the unit: sections are in m"
-                yield Finding("link", i, "sections", f"{what} {value:g} in row {n}", f"a {what} from 0.0001 to 10 m", todo)
+                yield Fault("link", i, "sections", f"{what} {value:g} in row {n}", f"a {what} from 0.0001 to 10 m", todo)
     if (com := link.get("com")) is not None:
         tall = max(row[1] for row in rows)
         if com[1] != 0:
-            yield Finding(
+            yield Fault(
                 "link", i, "com", shown(com), "y = 0, [back from the front, 0.0, up]", "the fish is the same left and right"
             )
         if not -length <= com[0] <= 2 * length or abs(com[2]) > tall / 2 * (1 + NEAR):
             expected = f"a point in the link: 0 to {length:g} m from its front, up to {tall / 2:g} m up or down, half its height"
-            yield Finding("link", i, "com", shown(com), expected, "com is measured from the link's own front, not from the nose")
+            yield Fault("link", i, "com", shown(com), expected, "com is measured from the link's own front, not from the nose")
     if (start := link.get("fin_from")) is not None and start > length * (1 + NEAR):
-        yield Finding(
+        yield Fault(
             "link",
             i,
             "fin_from",
@@ -84,12 +84,12 @@ def _link(i: int, link: Mapping[str, Any]) -> Iterator[Finding]:
         )
 
 
-def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body_sound: bool) -> Iterator[Finding]:
+def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body_sound: bool) -> Iterator[Fault]:
     """All links: names, length, mass, volume."""
     told = [link["name"] for link in links]
     for i, label in enumerate(told):
         if label in told[:i]:
-            yield Finding(
+            yield Fault(
                 "link",
                 i,
                 "name",
@@ -100,7 +100,7 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
     length, mass = sum(link["length"] for link in links), sum(link["mass"] for link in links)
     for key, unit, total, most in (("length", "m", length, LONGEST), ("mass", "kg", mass, HEAVIEST)):
         if total > most:
-            yield Finding(
+            yield Fault(
                 "link",
                 None,
                 key,
@@ -110,7 +110,7 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
             )
     if links[0].get("fin_from") is not None and links[-1].get("fin_from") is None:
         got = f"a plate on the first link, {told[0]!r}, and none on the last, {told[-1]!r}"
-        yield Finding(
+        yield Fault(
             "link", 0, "fin_from", got, "the plate of a tail on the last link", "the links stand nose first; turn them round"
         )
     if not body_sound:
@@ -120,13 +120,11 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
     if stated is not None and abs(mass - stated) > ROUNDED * mass:
         todo = "mend one of them, or leave mass_total out"
         a, b = apart(stated, mass)
-        yield Finding("body", None, "mass_total", f"{a} kg", f"the sum of the links' masses, {b} kg, within 1 %", todo)
+        yield Fault("body", None, "mass_total", f"{a} kg", f"the sum of the links' masses, {b} kg, within 1 %", todo)
     scale = width_scale(table)
     if scale is not None and not THINNEST <= scale <= FATTEST:
         got = f"{mass:g} kg in all for a hull that displaces {mass / scale:.3g} kg"
-        yield Finding(
-            "link", None, "mass", got, "about as much mass as displaced water", "check the units: kg, and sections in m"
-        )
+        yield Fault("link", None, "mass", got, "about as much mass as displaced water", "check the units: kg, and sections in m")
 
 
 def apart(a: float, b: float) -> tuple[str, str]:
@@ -146,38 +144,38 @@ def width_scale(table: Mapping[str, Any]) -> float | None:
     return sum(link["mass"] for link in table["link"]) / (rho * volume) if volume > 0 else None
 
 
-def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
     lengths, told = {link["name"]: link["length"] for link in links}, [fin["name"] for fin in fins]
     for i, fin in enumerate(fins):
         if fin["name"] in told[:i]:
-            yield Finding("fin", i, "name", shown(fin["name"]), "another name for each fin: they must differ", "rename one")
+            yield Fault("fin", i, "name", shown(fin["name"]), "another name for each fin: they must differ", "rename one")
         if fin["link"] not in lengths:
             near = get_close_matches(fin["link"], lengths, 1, 0.5)
             todo = f"did you mean {near[0]!r}?" if near else "name the link that carries the fin"
-            yield Finding("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
+            yield Fault("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
             continue
         if fin["span"] > (most := sum(lengths.values()) / 2):
             todo = "check the unit: m, of one plate from the hull to its tip"
-            yield Finding("fin", i, "span", f"{fin['span']:g} m", f"at most half the fish's length, {most:.4g} m", todo)
+            yield Fault("fin", i, "span", f"{fin['span']:g} m", f"at most half the fish's length, {most:.4g} m", todo)
         (front, rear), length = fin["station"], lengths[fin["link"]]
         if not (front < rear <= length * (1 + NEAR) and rear - front >= 1e-4):
             expected = f"[front edge, rear edge], the rear one behind, both within the link's {length:g} m"
-            yield Finding("fin", i, "station", shown(fin["station"]), expected, "measure both from the link's front, in m")
+            yield Fault("fin", i, "station", shown(fin["station"]), expected, "measure both from the link's front, in m")
 
 
-def _clashes(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+def _clashes(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
     """Names that would meet another one in the MuJoCo model."""
     drawn = {f"{fin['name']}_{side}" for fin in fins for side in ("left", "right")} | {f"{link['name']}_fluid" for link in links}
     for i, link in enumerate(links):
         if link["name"] in drawn | set(RESERVED):
-            yield Finding(
+            yield Fault(
                 "link", i, "name", shown(link["name"]), "a name that the model does not use for something else", "choose another"
             )
 
 
-def _both(block: str, given: Mapping[str, Any], key: str) -> Iterator[Finding]:
+def _both(block: str, given: Mapping[str, Any], key: str) -> Iterator[Fault]:
     if key in given and f"{key}_deg" in given:
-        yield Finding(block, None, key, f"both {key} and {key}_deg", "one of them", f"keep {key}_deg")
+        yield Fault(block, None, key, f"both {key} and {key}_deg", "one of them", f"keep {key}_deg")
 
 
 def angle(given: Mapping[str, Any], key: str, default: float) -> float:
@@ -195,7 +193,7 @@ def servo_of(given: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def _servo(given: Mapping[str, Any]) -> Iterator[Finding]:
+def _servo(given: Mapping[str, Any]) -> Iterator[Fault]:
     for key in ("range", "resolution"):
         yield from _both("servo", given, key)
     s = servo_of(given)
@@ -205,9 +203,9 @@ def _servo(given: Mapping[str, Any]) -> Iterator[Finding]:
         expected = f"at least torque / speed_no_load = {kb:.4g} N m s/rad, the damping of the motor's own back-EMF"
         figures = f"torque ({s['torque']:g} N m) or speed_no_load ({s['speed_no_load']:g} rad/s)"
         todo = f"{_of_a_data_sheet(s)}raise kd to {kb:.4g} or more, or correct {figures}"
-        yield Finding("servo", None, "kd", f"{s['kd']:g} N m s/rad{default}", expected, todo)
+        yield Fault("servo", None, "kd", f"{s['kd']:g} N m s/rad{default}", expected, todo)
     if s["resolution"] >= s["range"]:
-        yield Finding(
+        yield Fault(
             "servo",
             None,
             "resolution",
@@ -217,7 +215,7 @@ def _servo(given: Mapping[str, Any]) -> Iterator[Finding]:
         )
     if s["kp"] * s["range"] < 0.01 * s["torque"]:
         todo = "the servo would hardly hold itself; check kp, in N m/rad"
-        yield Finding(
+        yield Fault(
             "servo", None, "kp", f"{s['kp']:g} N m/rad", f"kp times range at least 1 % of the torque, {s['torque']:g} N m", todo
         )
 
@@ -238,7 +236,7 @@ def _of_a_data_sheet(s: Mapping[str, float]) -> str:
     return f"{heavy}, {slow}: are these their units? or " if possible and fits(torque, speed) else ""
 
 
-def timing(given: Mapping[str, Any]) -> Iterator[Finding]:
+def timing(given: Mapping[str, Any]) -> Iterator[Fault]:
     """Steps must nest: physics into bus into control; names the nearest valid value otherwise."""
     from fishmj.mjcf.description import COMMAND_PATHS, Timing
 
@@ -246,33 +244,31 @@ def timing(given: Mapping[str, Any]) -> Iterator[Finding]:
     for small, large in (("physics_dt", "bus_dt"), ("bus_dt", "control_dt")):
         a, b = t[small], t[large]
         if wrong := [key for key in (small, large) if not (isfinite(t[key]) and t[key] > 0)]:
-            yield Finding("timing", None, wrong[0], f"{t[wrong[0]]} s", "a positive number", "check the unit: s")
+            yield Fault("timing", None, wrong[0], f"{t[wrong[0]]} s", "a positive number", "check the unit: s")
             continue
         n = max(1, round(b / a))
         if abs(b / a - n) > 1e-6:
-            yield Finding(
-                "timing", None, large, f"{b} s", f"a multiple of {small} = {a} s", f"nearest valid {large}: {n * a:g} s"
-            )
+            yield Fault("timing", None, large, f"{b} s", f"a multiple of {small} = {a} s", f"nearest valid {large}: {n * a:g} s")
     if t["command_path"] not in COMMAND_PATHS:
         path = shown(t["command_path"])
-        yield Finding("timing", None, "command_path", path, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
+        yield Fault("timing", None, "command_path", path, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
 
 
-def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Finding]:
+def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:
     for key in ("stall_angle", "stall_width"):
         yield from _both("water", given, key)
     for key in ("k", "cn"):
         if key in given and n_links is not None and len(given[key]) != n_links:
             got = f"{shown(given[key])}, {len(given[key])} of them"
-            yield Finding("water", None, key, got, f"one number a link, {n_links}", "the robot has as many [[link]] blocks")
+            yield Fault("water", None, key, got, f"one number a link, {n_links}", "the robot has as many [[link]] blocks")
     if (model := given.get("model")) is not None and (wrong := _no_water(model)):
         yield wrong
     if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5:
         got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:g}"
-        yield Finding("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/water.md)")
+        yield Fault("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/water.md)")
 
 
-def _no_water(model: str) -> Finding | None:
+def _no_water(model: str) -> Fault | None:
     """Strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or a file that is there."""
     known = ["structured", "surrogate", *calib.waters()]
     if model in known or model.removesuffix("-base") in calib.waters():
@@ -280,19 +276,17 @@ def _no_water(model: str) -> Finding | None:
     if model.endswith(".toml"):
         if not (wrong := trouble(model, "")):
             return None
-        return Finding(
-            "water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH
-        )
+        return Fault("water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH)
     near = get_close_matches(model, known, 1, 0.5)
     todo = f"did you mean {near[0]!r}? " if near else ""
-    return Finding("water", None, "model", shown(model), _WATER, f"{todo}Known: {', '.join(known)}".strip())
+    return Fault("water", None, "model", shown(model), _WATER, f"{todo}Known: {', '.join(known)}".strip())
 
 
 _WATER = "'structured', 'surrogate', or a fitted water by name or .toml file"
 _PATH = "a path counts from the folder in which the command runs"
 
 
-def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
     """The catalogue's own checks; it is loaded only for a fish that has effects."""
     if not blocks:
         return
@@ -304,14 +298,14 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
         if block["name"] not in catalogue():
             near = get_close_matches(block["name"], catalogue(), 1, 0.5)
             expected = f"an effect of the catalogue{f', such as {near[0]!r}' if near else ''}"
-            yield Finding("effect", i, "name", shown(block["name"]), expected, "docs/effects.md lists them all")
+            yield Fault("effect", i, "name", shown(block["name"]), expected, "docs/effects.md lists them all")
             continue
         try:
             calibration.block_of(dict(block), "")
         except FishmjError as error:
-            yield Finding("effect", i, "", " ".join(str(error).split()).strip(": "), "")
+            yield Fault("effect", i, "", " ".join(str(error).split()).strip(": "), "")
         if block["name"] in told[:i]:
-            yield Finding(
+            yield Fault(
                 "effect",
                 i,
                 "name",

@@ -24,7 +24,7 @@ RPM = 2 * pi / 60  # rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sheet:
+class DataSheet:
     """What a data sheet says of a servo, all at one voltage; SI units, rad/s."""
 
     name: str
@@ -40,14 +40,14 @@ class Sheet:
 SHELF = {
     sheet.name: sheet
     for sheet in (
-        Sheet(
+        DataSheet(
             name="lx-824",
             stall_torque=17 * KG_CM,
             no_load_speed=S_PER_60_DEG / 0.2,
             voltage=7.4,
             source="Hiwonder LX-824: 17 kg cm, 0.2 s per 60 deg at 7.4 V (as in data/calib/paper.toml); 240 deg in 1000 counts",
         ),
-        Sheet(
+        DataSheet(
             name="ax-12a",
             stall_torque=1.5,
             no_load_speed=59 * RPM,
@@ -56,7 +56,7 @@ SHELF = {
             resolution=radians(0.29),
             source="ROBOTIS e-Manual, AX-12A: 1.5 N m at 12 V, 1.5 A; 59 rev/min at 12 V; 0.29 deg",
         ),
-        Sheet(
+        DataSheet(
             name="xl330-m288",
             stall_torque=0.52,
             no_load_speed=103 * RPM,
@@ -66,7 +66,7 @@ SHELF = {
             idle_power=0.085,
             source="ROBOTIS e-Manual, XL330-M288-T: 0.52 N m at 5 V, 1.47 A; 103 rev/min at 5 V; 4096 counts; standby 17 mA",
         ),
-        Sheet(
+        DataSheet(
             name="xw540-t260",
             stall_torque=9.5,
             no_load_speed=40 * RPM,
@@ -79,7 +79,7 @@ SHELF = {
 }
 
 
-def sheet_of(name: str) -> Sheet:
+def sheet_of(name: str) -> DataSheet:
     """A servo of the shelf. Raises UnknownName."""
     if name not in SHELF:
         raise UnknownName("servo", name, SHELF)
@@ -156,4 +156,4 @@ def _up(value: float, n: int) -> float:
     return float(f"{ceil(value / step - 1e-9) * step:.{n + 1}g}")
 
 
-__all__ = ["SHELF", "Sheet", "gear_efficiency", "servo_from_sheet", "sheet_of"]
+__all__ = ["SHELF", "DataSheet", "gear_efficiency", "servo_from_sheet", "sheet_of"]

@@ -24,7 +24,7 @@ Exit 1: the description was written, and a check says that it is wrong.
 def options() -> console.Parser:
     from fishmj.mjcf.servos import SHELF
     from fishmj.new.answers import FIN, HEIGHT, LENGTH, NEEDED, SHEET, TAIL, TALL, WIDE, WIDTH
-    from fishmj.new.describe import SIDE_SPAN
+    from fishmj.new.fish_toml import SIDE_SPAN
     from fishmj.new.quantity import KINDS, quantity
     from fishmj.new.shape import LINKS
 
@@ -127,7 +127,7 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     from fishmj.new import answers
-    from fishmj.new.describe import SIDE_SPAN, Fish, robot_of, toml_of
+    from fishmj.new.fish_toml import SIDE_SPAN, Fish, robot_of, toml_of
 
     given = given_answers(args)
     ask = None if args.yes or not (sys.stdin.isatty() and sys.stdout.isatty()) else input
@@ -166,8 +166,8 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, seen) -> int:
     """Check the description as it reads back, write everything, say what was found."""
     from fishmj import store
     from fishmj.mjcf.description import load_robot
-    from fishmj.new.check import checks, swim_of
-    from fishmj.new.picture import picture
+    from fishmj.new.fish_picture import picture
+    from fishmj.new.swim_check import checks, swim_of
 
     text = toml_of(robot, fish)
     with tempfile.TemporaryDirectory() as folder:  # nothing is written that does not read back
@@ -248,7 +248,7 @@ def given_answers(args) -> dict[str, str]:
 
 def sheet_of(args):
     """The servo of the data sheet options, or None where there are none. Raises UsageError where they are not whole."""
-    from fishmj.mjcf.servos import Sheet
+    from fishmj.mjcf.servos import DataSheet
     from fishmj.new.answers import NEEDED, SHEET
 
     figures = {key: getattr(args, key) for key in SHEET if getattr(args, key) is not None}
@@ -259,7 +259,7 @@ def sheet_of(args):
         what = f"without --{', --'.join(missing)}" if missing else "with --servo"
         options = ", ".join(f"--{key}" for key in figures)
         raise UsageError(f"new: {options} {what}: give all of a data sheet, or a --servo".replace("_", "-"))
-    return Sheet(name="data-sheet", source="data sheet figures, given on the command line", **figures)
+    return DataSheet(name="data-sheet", source="data sheet figures, given on the command line", **figures)
 
 
 def read_table(args):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from fishmj import names
 from fishmj.calib import read_toml, resolve, shipped
 from fishmj.errors import ConfigError, FishmjError, UnknownName, UsageError
-from fishmj.mjcf.servos import SHELF, Sheet
+from fishmj.mjcf.servos import SHELF, DataSheet
 from fishmj.new.quantity import quantity
 from fishmj.new.shape import LINKS, Outline, joints_of, typical
 
@@ -21,7 +21,7 @@ FLOATS = (0.5, 2.0)  # mass over what the hull displaces; further off it is anot
 
 
 class Figure(NamedTuple):
-    """A figure of a servo's data sheet: a key of its TOML file, an option, a field of `Sheet`."""
+    """A figure of a servo's data sheet: a key of its TOML file, an option, a field of `DataSheet`."""
 
     kind: str  # of quantity
     low: float  # SI
@@ -40,7 +40,7 @@ SHEET = {
     "voltage": Figure("voltage", 1.0, 60.0, "of the others"),
     "stall_current": Figure("current", 0.01, 100.0, "checks the others"),
 }
-NEEDED = tuple(f.name for f in fields(Sheet) if f.name in SHEET and f.default is MISSING)
+NEEDED = tuple(f.name for f in fields(DataSheet) if f.name in SHEET and f.default is MISSING)
 Known = dict[str, Any]
 
 
@@ -80,7 +80,7 @@ def joints(text: str, length: float) -> list[float]:
     return found
 
 
-def servo(text: str, _known: Known) -> Sheet:
+def servo(text: str, _known: Known) -> DataSheet:
     """A servo of the shelf, or a TOML file with what its data sheet says."""
     text = text.strip()
     if text.endswith(".toml"):
@@ -90,7 +90,7 @@ def servo(text: str, _known: Known) -> Sheet:
     return SHELF[text.lower()]
 
 
-def sheet_file(path: Path) -> Sheet:
+def sheet_file(path: Path) -> DataSheet:
     """A data sheet as TOML: `stall_torque = "17 kg cm"`, `no_load_speed = "0.2 s/60deg"`, `voltage = 7.4`, `stall_current = 2.5`.
 
     Raises:
@@ -109,7 +109,7 @@ def sheet_file(path: Path) -> Sheet:
                 values[key] = figure.parse(str(table[key]))
             except argparse.ArgumentTypeError as error:
                 raise ConfigError(f"{path}: {key}: {error}") from error
-    return Sheet(
+    return DataSheet(
         name=names.checked(table.get("name", path.stem), "servo", str(path)),
         source=f"data sheet in {names.nearest(path.name)}",
         **values,

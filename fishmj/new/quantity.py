@@ -9,7 +9,7 @@ from typing import NamedTuple
 from fishmj.mjcf.servos import KG_CM, RPM, S_PER_60_DEG
 
 
-class Kind(NamedTuple):
+class Quantity(NamedTuple):
     """A kind of quantity: its SI unit, and factors to it."""
 
     si: str
@@ -18,14 +18,14 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "length": Kind("m", {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}),
-    "mass": Kind("kg", {"kg": 1.0, "g": 0.001}),
-    "torque": Kind("N m", {"nm": 1.0, "mnm": 0.001, "kgcm": KG_CM, "kgfcm": KG_CM, "gcm": KG_CM / 1000, "ozin": 0.00706155}),
-    "rate": Kind("rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": RPM, "rev/min": RPM}, {"s/60deg": S_PER_60_DEG}),
-    "voltage": Kind("V", {"v": 1.0}),
-    "current": Kind("A", {"a": 1.0, "ma": 0.001}),
-    "scale": Kind("m per pixel", {"m": 1.0, "mm": 0.001}),
-    "ratio": Kind("", {}),
+    "length": Quantity("m", {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}),
+    "mass": Quantity("kg", {"kg": 1.0, "g": 0.001}),
+    "torque": Quantity("N m", {"nm": 1.0, "mnm": 0.001, "kgcm": KG_CM, "kgfcm": KG_CM, "gcm": KG_CM / 1000, "ozin": 0.00706155}),
+    "rate": Quantity("rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": RPM, "rev/min": RPM}, {"s/60deg": S_PER_60_DEG}),
+    "voltage": Quantity("V", {"v": 1.0}),
+    "current": Quantity("A", {"a": 1.0, "ma": 0.001}),
+    "scale": Quantity("m per pixel", {"m": 1.0, "mm": 0.001}),
+    "ratio": Quantity("", {}),
 }
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([^\d].*)?\Z", re.IGNORECASE | re.ASCII)
 
@@ -45,7 +45,7 @@ def quantity(kind: str, low: float, high: float) -> Callable[[str], float]:
     return parse
 
 
-def _value(text: str, kind: Kind) -> float | None:
+def _value(text: str, kind: Quantity) -> float | None:
     """In SI units; None where it is no number or the unit is not of this kind."""
     found = _NUMBER.match(text[:80])
     if found is None:

@@ -19,8 +19,8 @@ from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.play.keyboard import Keyboard, press
-from fishmj.play.live_session import Pond
-from fishmj.replay.live import LOCAL, LiveView, check_host
+from fishmj.play.live_session import LiveSession
+from fishmj.replay.live_view import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures
 BEST = "paper"  # of the shipped controllers
@@ -40,7 +40,7 @@ EXAMPLES = (
 )
 
 
-def swim(pond: Pond, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
+def swim(pond: LiveSession, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
     """The live loop: in real time, or as fast as it goes for `seconds` of simulated time."""
     names = (*controllers.shipped_policies(), *controllers.NAMES)
     listed: list[controllers.Controller | str] = [pond.controller]
@@ -78,7 +78,7 @@ def swim(pond: Pond, view, keys: Keyboard, seconds: float | None, status: Callab
         status(line(pond, chunk))
 
 
-def line(pond: Pond, chunk) -> str:
+def line(pond: LiveSession, chunk) -> str:
     """The status line."""
     gap, flow = np.hypot(*(pond.target - chunk.q[-1, :2])), pond.flow
     return (
@@ -141,7 +141,7 @@ def main(argv: list[str] | None = None) -> int:
     check_host(args.host)
     robot = load_robot(args.robot)
     brain = steersman(args, robot)
-    pond = Pond(brain, robot, flow, args.engine)
+    pond = LiveSession(brain, robot, flow, args.engine)
     alone = args.headless_seconds is not None
     with (
         interrupt.raising(),

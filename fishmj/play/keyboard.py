@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fishmj.controllers import Controller
-from fishmj.play.live_session import Pond
+from fishmj.play.live_session import LiveSession
 
 SPEED_STEP, TURN_STEP, TARGET_STEP = 0.02, np.pi / 12, 0.1  # m/s, rad, m a key press
 REACH = 1.5  # m, the target stays in |x|, |y| <= REACH
@@ -55,7 +55,7 @@ class Keyboard:
         return keys
 
 
-def press(pond: Pond, key: str, brains: Iterator[Controller | str]) -> None:
+def press(pond: LiveSession, key: str, brains: Iterator[Controller | str]) -> None:
     """What a key does: arrows change the current, w a s d the target, c the controller, r starts again; others do nothing."""
     flow = pond.flow
     if key in ("up", "down"):

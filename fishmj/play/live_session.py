@@ -13,7 +13,7 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.recorded import NOTE, clocks, sensed, sigmas
+from fishmj.tasks.recorded_sensors import NOTE, clocks, sensed, sigmas
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.units import wrap
 
@@ -37,7 +37,7 @@ class Chunk(NamedTuple):
     current: tuple[float, float]  # m/s, rad: the mean, as it was set
 
 
-class Pond:
+class LiveSession:
     """One nominal fish under a controller, in a current and with a target that may change between control steps."""
 
     def __init__(
@@ -112,7 +112,7 @@ class Pond:
         """One control step of 0.2 s."""
         noise = self.noise * self._random.standard_normal((1, 5 + 2 * self.robot.n_joints))
         seen = (self._history, self._camera, self._recent, self.target[None], noise)
-        obs = task.look(np, self.robot, self._sensors, self._params, *seen)
+        obs = task.observe_with_sensors(np, self.robot, self._sensors, self._params, *seen)
         command = np.asarray(self.controller(obs), float)
         first = np.array([self.count * self._ticks])
         self._state, trace = self.engine.advance(self._state, command, self._params, self._current, first)

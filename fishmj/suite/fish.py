@@ -23,9 +23,9 @@ from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import Stride
-from fishmj.tasks.episode import Rules, Scenario, Setting
-from fishmj.tasks.own import options_of
+from fishmj.tasks.episode import EpisodeDraw, TaskOptions, TaskSpec
+from fishmj.tasks.own_task import options_of
+from fishmj.tasks.reference import StepTruth
 from fishmj.tasks.sensing import readings
 
 SUITE = containers.TaggedTasks()
@@ -40,19 +40,19 @@ def station_hold(random=None, environment_kwargs=None, root="planar", **setting)
 
 @SUITE.add("benchmarking")
 def figure_eight(random=None, environment_kwargs=None, root="planar", speed=None, cycles=None, phase=None, **setting):
-    """Follow a point on a figure eight at constant speed. Options: speed m/s, cycles, phase m (None draws it), and `Setting`."""
+    """Follow a point on a figure eight at constant speed. Options: speed m/s, cycles, phase m (None: drawn), `TaskOptions`."""
     course = {k: v for k, v in (("speed", speed), ("cycles", cycles), ("phase", phase)) if v is not None}
     return environment("figure_eight", course, random, environment_kwargs, root, setting)
 
 
 @SUITE.add()
 def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=None, **setting):
-    """Start on the target, turned from upstream by `angle` rad (None draws one of the paper's four); and `Setting`."""
+    """Start on the target, turned from upstream by `angle` rad (None draws one of the paper's four); and `TaskOptions`."""
     return environment("angle_of_attack", {"angle": angle}, random, environment_kwargs, root, setting)
 
 
 def own(task_class, random=None, environment_kwargs=None, root="planar", **setting):
-    """A task of one's own (tasks.own). Options: its own, and `Setting`."""
+    """A task of one's own (tasks.own). Options: its own, and `TaskOptions`."""
     mine = options_of(task_class)
     course = {name: value for name, value in setting.items() if name in mine}
     rest = {name: value for name, value in setting.items() if name not in mine}
@@ -65,7 +65,7 @@ def environment(name: Any, course: dict, random, environment_kwargs, root: str, 
     Raises:
         ConfigError, UnknownName: an option that does not exist or cannot be.
     """
-    rules = Rules(name, chosen(setting), **course)
+    rules = TaskSpec(name, chosen(setting), **course)
     options = dict(environment_kwargs or {})
     for key in ("time_limit", "control_timestep", "n_sub_steps"):
         if key in options:
@@ -74,13 +74,13 @@ def environment(name: Any, course: dict, random, environment_kwargs, root: str, 
     return control.Environment(physics, FishTask(rules, random), control_timestep=rules.dt, **options)
 
 
-def chosen(setting: dict) -> Setting:
-    """A `Setting` from keyword arguments; an unknown one is one clear error."""
-    known = [f.name for f in fields(Setting)]
+def chosen(setting: dict) -> TaskOptions:
+    """A `TaskOptions` from keyword arguments; an unknown one is one clear error."""
+    known = [f.name for f in fields(TaskOptions)]
     unknown = sorted(set(setting) - set(known))
     if unknown:
         raise ConfigError(f"task: unknown option {unknown[0]!r}; known: {', '.join(known)}")
-    return Setting(**setting)
+    return TaskOptions(**setting)
 
 
 class FishTask(base.Task):
@@ -93,7 +93,7 @@ class FishTask(base.Task):
 
     trace: Trace | None
 
-    def __init__(self, rules: Rules, random=None):
+    def __init__(self, rules: TaskSpec, random=None):
         super().__init__(random=random)
         self.rules = rules
         self.scenario = rules.scenario(rules.draws(np.random.RandomState(0), 1))
@@ -104,7 +104,7 @@ class FishTask(base.Task):
         self.begin(physics, self.rules.scenario(self.rules.draws(self.random, 1)))
         super().initialize_episode(physics)
 
-    def begin(self, physics: Physics, scenario: Scenario) -> None:
+    def begin(self, physics: Physics, scenario: EpisodeDraw) -> None:
         """Start a given episode instead of a drawn one; call inside `physics.reset_context()`."""
         self._start(scenario, self._sensors())
         physics.begin(scenario.launch.start.pose[0], scenario.params, scenario.current)
@@ -135,7 +135,7 @@ class FishTask(base.Task):
         """The egocentric observation by name."""
         rules, now = self.rules, self.scenario
         sight = (self.history, now.camera, self.recent, self._target()[None], rules.noise(self.normals))
-        seen = task.look(np, rules.robot, rules.sensors, now.params, *sight)[0]
+        seen = task.observe_with_sensors(np, rules.robot, rules.sensors, now.params, *sight)[0]
         names = spans(rules.n_act)
         parts = np.split(seen, np.cumsum([*names.values()])[:-1])
         return OrderedDict((name, part.copy()) for name, part in zip(names, parts, strict=True))
@@ -147,7 +147,7 @@ class FishTask(base.Task):
             rest = self.rate[:, None]
             trace = Trace(pose[:, None], 0.0 * rest, rest, 0.0 * pose[:, None], np.zeros((1, 1)))
         distance = np.linalg.norm(pose[:, :2] - target, axis=-1)
-        step = Stride(trace, target, distance, self.action, np.array([self.count * self.rules.dt]))
+        step = StepTruth(trace, target, distance, self.action, np.array([self.count * self.rules.dt]))
         return float(self.rules.reward(step)[0])
 
     def get_termination(self, physics: Physics) -> float | None:
@@ -161,7 +161,7 @@ class FishTask(base.Task):
         one = np.ones(self.rules.n_act)
         return specs.BoundedArray(one.shape, one.dtype, -one, one, name="action")
 
-    def _start(self, scenario: Scenario, normals) -> None:
+    def _start(self, scenario: EpisodeDraw, normals) -> None:
         self.scenario, self.normals, self.count = scenario, normals, 0
         self.trace = None
         self.history = np.repeat(scenario.launch.start.pose[:, None], self.rules.history, 1)

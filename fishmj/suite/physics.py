@@ -26,9 +26,9 @@ from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
-from fishmj.tasks.scene import TARGET, build_scene
+from fishmj.tasks.mjcf_scene import TARGET, build_scene
 from fishmj.water.injection import inject
-from fishmj.water.spatial import FreeWater
+from fishmj.water.spatial_water import FreeWater
 
 PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
 
@@ -251,7 +251,7 @@ def evaluator(robot: Robot, ch: chain.Chain):
     """The water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
     rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
     still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
-    added = engines.Added.of(robot)
+    added = engines.Extensions.of(robot)
     if added.learnt is not None:  # a network as straight-line code takes minutes to compile
         return lambda *arguments: in_numpy(ch, *arguments, added=added)
     try:
@@ -264,7 +264,9 @@ def evaluator(robot: Robot, ch: chain.Chain):
         return lambda *arguments: in_numpy(ch, *arguments, added=added)
 
 
-def in_numpy(ch: chain.Chain, q, v, attached, params, target, flow, ambient, memory, *, added: "engines.Added | None" = None):
+def in_numpy(
+    ch: chain.Chain, q, v, attached, params, target, flow, ambient, memory, *, added: "engines.Extensions | None" = None
+):
     """(applied (1, nv), attached (1,), power (1,), memory (1, M)) of one fish, batch axis of 1 on every argument."""
     one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
     line = lambda a: [float(x) for x in a[0]]

@@ -20,8 +20,8 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import Stride
-from fishmj.tasks.own import course_of
+from fishmj.tasks.own_task import course_of
+from fishmj.tasks.reference import StepTruth
 from fishmj.tasks.sensing import Sensors, readings
 
 
@@ -180,7 +180,7 @@ class StationHold:
         """Reward (B,)."""
         if self.own_reward is None:
             return task.reward(jnp, distance, trace.rate, **self.weights)
-        return self.own_reward(jnp, Stride(trace, target, distance, action, tick * self.robot.timing.bus_dt))
+        return self.own_reward(jnp, StepTruth(trace, target, distance, action, tick * self.robot.timing.bus_dt))
 
     def _fresh(self, key, n: int) -> EnvState:
         """n new episodes at rest over ground."""
@@ -227,7 +227,7 @@ class StationHold:
     def _look(self, state: EnvState, recent, key):
         noise = self.options.noise * jax.random.normal(key, (state.target.shape[0], self.n_obs))
         seen = (state.history, state.camera, recent, state.target, noise)
-        return self.mask * task.look(jnp, self.robot, self.sensors, state.params, *seen)
+        return self.mask * task.observe_with_sensors(jnp, self.robot, self.sensors, state.params, *seen)
 
     def _remember(self, obs, action, sight):
         """Policy input: the newest observation first, then (action, observation) pairs back in time."""

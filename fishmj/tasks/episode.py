@@ -19,8 +19,8 @@ from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.course import Launch, Stride
-from fishmj.tasks.own import course_of
+from fishmj.tasks.own_task import course_of
+from fishmj.tasks.reference import EpisodeStart, StepTruth
 from fishmj.tasks.sensing import Sensors, readings
 
 WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward
@@ -34,7 +34,7 @@ LARGEST = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class TaskOptions:
     """What a user may change about a task; None keeps the robot's or the task's own value."""
 
     robot: Any = "fish"  # Robot, TOML path or shipped name
@@ -81,19 +81,19 @@ class Draws(NamedTuple):
     fish: np.ndarray  # (B, n_fish)
 
 
-class Scenario(NamedTuple):
+class EpisodeDraw(NamedTuple):
     """Everything about B episodes that is settled before the first step."""
 
-    launch: Launch
+    launch: EpisodeStart
     current: Current
     params: FishParams
     camera: np.ndarray  # (B,) int, camera latency in bus ticks
 
 
-class Rules:
+class TaskSpec:
     """One task with its setting. name: of COURSES, or of one's own (tasks.own). Raises UnknownName, ConfigError, OwnCodeError."""
 
-    def __init__(self, name: Any, setting: Setting, **course):
+    def __init__(self, name: Any, setting: TaskOptions, **course):
         self.course = course_of(name, **course)
         self.name = getattr(self.course, "name", name)
         self.setting, self.robot = setting, setting.fish()
@@ -116,7 +116,7 @@ class Rules:
         sizes = (task.N_START, task.N_FLOW + 1, task.n_fish(self.robot, self.setting.effects))
         return Draws(*(rng.random((n, k)) for k in sizes))
 
-    def scenario(self, draws: Draws, **fixed) -> Scenario:
+    def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
         """What these draws mean; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
         s, launch = self.setting, self.course.launch(np, draws.start)
         start, u = launch.start, draws.flow
@@ -134,13 +134,13 @@ class Rules:
         intensity = low + (high - low) * u[:, 4]
         current = flow.draw(np, s.turbulence, self.table, self.cell, start.speed, start.direction, intensity, u)
         params, camera = task.draw_fish(np, self.robot, draws.fish, s.randomisation, s.effects)
-        return Scenario(launch._replace(start=start), current, params, camera)
+        return EpisodeDraw(launch._replace(start=start), current, params, camera)
 
-    def target(self, scenario: Scenario, count) -> np.ndarray:
+    def target(self, scenario: EpisodeDraw, count) -> np.ndarray:
         """Targets (B, 2) m after `count` (B,) control steps."""
         return self.course.target(np, scenario.launch, np.asarray(count) * self.dt)
 
-    def reward(self, step: Stride) -> np.ndarray:
+    def reward(self, step: StepTruth) -> np.ndarray:
         """Reward (B,) of a control step: the task's own, or the paper's."""
         if getattr(self.course, "reward", None) is not None:
             return self.course.reward(np, step)
@@ -152,7 +152,7 @@ class Rules:
         return self.setting.noise * normals
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """One control step of B episodes."""
 
     reward: np.ndarray  # (B,)
@@ -166,12 +166,12 @@ class Outcome(NamedTuple):
 class Episodes:
     """n running episodes on a batched engine. Ends are reported, never acted on: call `begin` with the rows to restart."""
 
-    def __init__(self, rules: Rules, engine, n: int):
+    def __init__(self, rules: TaskSpec, engine, n: int):
         self.rules, self.n = rules, n
         self.engine = engines.make(engine, rules.robot) if isinstance(engine, str) else engine
         self.begin(rules.scenario(rules.draws(np.random.default_rng(0), n)))
 
-    def begin(self, scenario: Scenario, rows=slice(None)) -> None:
+    def begin(self, scenario: EpisodeDraw, rows=slice(None)) -> None:
         """Start the episodes `rows` (index array; all by default) at rest over ground, as many as `scenario` has."""
         robot, first = self.rules.robot, scenario.launch.start
         n = len(first.pose)
@@ -187,7 +187,7 @@ class Episodes:
             running = _merged(old, fresh, np.asarray(rows))
         self.scenario, self.fish, self.history, self.command, self.recent, self.count = running
 
-    def step(self, action) -> Outcome:
+    def step(self, action) -> StepResult:
         """One control step with action (n, J) in [-1, 1].
 
         Raises:
@@ -204,8 +204,8 @@ class Episodes:
         self.recent = np.concatenate([self.recent, readings(np, trace.joint, trace.rate)], 1)[:, -late - 1 :]
         distance = np.linalg.norm(trace.pose[:, -1, :2] - self.target, axis=-1)
         terminated = rules.outside(np, trace.pose[:, -1]) & ~diverged
-        stride = Stride(trace, self.target, distance, action, self.count * rules.dt)
-        return Outcome(
+        stride = StepTruth(trace, self.target, distance, action, self.count * rules.dt)
+        return StepResult(
             reward=np.where(diverged, 0.0, rules.reward(stride)),
             terminated=terminated,
             truncated=((self.count >= rules.limit) & ~terminated) | diverged,
@@ -218,7 +218,7 @@ class Episodes:
         """Observations (n, n_obs) now; normals: (n, n_obs) standard normal draws of the sensors' noise."""
         rules, now = self.rules, self.scenario
         seen = (self.history, now.camera, self.recent, self.target, rules.noise(normals))
-        return task.look(np, rules.robot, rules.sensors, now.params, *seen)
+        return task.observe_with_sensors(np, rules.robot, rules.sensors, now.params, *seen)
 
     @property
     def target(self) -> np.ndarray:

@@ -9,9 +9,9 @@ Without such effects every function returns what it was given. Rewards, ends of 
 
 from math import ceil
 
-from fishmj.effects import Active
-from fishmj.effects.sites import Seen
-from fishmj.engines.extensions import Added
+from fishmj.effects import EffectStack
+from fishmj.effects.sites import Measured
+from fishmj.engines.extensions import Extensions
 from fishmj.mjcf.description import Robot
 
 
@@ -23,7 +23,7 @@ class Sensors:
     """
 
     def __init__(self, robot: Robot):
-        self.added, self.tick = Added.of(robot), robot.timing.bus_dt
+        self.added, self.tick = Extensions.of(robot), robot.timing.bus_dt
         whole = lambda seconds: ceil(seconds / self.tick - 1e-6)
         self.behind = whole(self.added.latest("joint"))
         self.slow = whole(self.added.latest("velocity"))
@@ -41,7 +41,7 @@ class Sensors:
             return history
         zero = 0.0 * history[..., 0]
         seen = measure(
-            self.measured, xp, rows, Seen(zero, history[..., 0], history[..., 1], history[..., 2], history * 0.0, zero)
+            self.measured, xp, rows, Measured(zero, history[..., 0], history[..., 1], history[..., 2], history * 0.0, zero)
         )
         return xp.stack([seen.x + zero, seen.y + zero, seen.yaw + zero], -1)
 
@@ -58,11 +58,11 @@ class Sensors:
         angle, rate = now[:, :joints], now[:, joints:]
         if self.measured is not None:
             zero = 0.0 * angle[:, None, 0]
-            angle = measure(self.measured, xp, rows, Seen(zero, zero, zero, zero, angle[:, None], zero)).joint[:, 0]
+            angle = measure(self.measured, xp, rows, Measured(zero, zero, zero, zero, angle[:, None], zero)).joint[:, 0]
         return angle, rate
 
 
-def measure(active: Active, xp, rows, seen: Seen) -> Seen:
+def measure(active: EffectStack, xp, rows, seen: Measured) -> Measured:
     """What the effects with parameters `rows` (B, P) make of records (B, T)."""
     return active.measure(xp, [rows[:, i : i + 1] for i in range(rows.shape[1])], seen)
 

@@ -11,8 +11,8 @@ from math import ceil, pi, radians
 from typing import Any, NamedTuple
 
 from fishmj.calib import constant
-from fishmj.effects import draws
-from fishmj.engines import Added, FishParams, nominal_params, ticks_per
+from fishmj.effects import randomise
+from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.errors import UnknownName
 from fishmj.mjcf.description import Robot
 from fishmj.tasks.sensing import Sensors
@@ -48,8 +48,8 @@ def draw_start(xp, uniforms) -> Start:
 def n_fish(robot: Robot, effects=()) -> int:
     """How many uniforms `draw_fish` needs."""
     plain = len(robot.links) + 3 * robot.n_joints + 2
-    active = Added.of(robot).active
-    return plain + (draws.width(active, effects) if active is not None else 0)
+    active = Extensions.of(robot).active
+    return plain + (randomise.width(active, effects) if active is not None else 0)
 
 
 def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> tuple[FishParams, Any]:
@@ -62,7 +62,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
         (FishParams, camera delay in bus ticks (B,) int).
     """
     n, j, m = len(robot.links), robot.n_joints, n_fish(robot)
-    p, added = nominal_params(robot, 1), Added.of(robot)
+    p, added = nominal_params(robot, 1), Extensions.of(robot)
     span = lambda a, b: 2 * uniforms[:, a:b] - 1
     get = lambda key: constant("randomisation", key)
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
@@ -71,7 +71,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     like = xp.zeros_like(uniforms[:, :1])
     rows = like + p.effects
     if effects and added.active is not None:
-        rows = draws.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
+        rows = randomise.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
     delay = delay + added.late(xp, rows, "command")
     fish = FishParams(
         mass=1 + strength * get("mass") * span(0, n),
@@ -131,7 +131,7 @@ def camera_ticks(robot: Robot) -> int:
     return max(LEAST_CAMERA_TICKS, ceil(longest / robot.timing.bus_dt - 1e-6))
 
 
-def look(xp, robot: Robot, sensors: Sensors, params: FishParams, history, camera, recent, target, noise):
+def observe_with_sensors(xp, robot: Robot, sensors: Sensors, params: FishParams, history, camera, recent, target, noise):
     """`observe` through the robot's sensors; recent: (B, sensors.behind + 1, 2 J) encoder readings, newest last."""
     joint, rate = sensors.joints(xp, params.effects, recent)
     slow = sensors.ticks(xp, 0.0, params.effects, "velocity") if sensors.slow else None

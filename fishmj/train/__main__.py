@@ -28,7 +28,7 @@ def options() -> console.Parser:
     from fishmj.engines import NAMES, own_effects
     from fishmj.flow import PRESETS as FLOWS
     from fishmj.mjcf.description import COMMAND_PATHS
-    from fishmj.tasks.course import COURSES
+    from fishmj.tasks.reference import COURSES
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
 
@@ -130,7 +130,7 @@ def settings_from(args, run=None):
     """
     from fishmj import plugins
     from fishmj.engines import own_effects
-    from fishmj.tasks.own import named
+    from fishmj.tasks.own_task import named
     from fishmj.train.settings import ALGORITHMS, change, own_code, preset
 
     own_effects.join(args.effects)
@@ -228,7 +228,7 @@ def main(argv: list[str]) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
     from fishmj.store import Checkpoints
-    from fishmj.train import cost
+    from fishmj.train import training_cost
     from fishmj.train.settings import as_dict, change, of_run, same
 
     if args.seeds and args.seed is not None:
@@ -244,7 +244,7 @@ def main(argv: list[str]) -> int:
         for seed, folder in folders.items():
             if folder in there:
                 same(folder, change(settings, seed=seed), as_dict(there[folder]))
-    cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
+    training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
             shutil.rmtree(folder, ignore_errors=True)
@@ -264,10 +264,10 @@ def main(argv: list[str]) -> int:
             if results[-1]["stopped"]:
                 break
             continue
-        from fishmj.train.run import Run, learner_of
+        from fishmj.train.training_run import TrainingRun, learner_of
 
         learner = learner or learner_of(one)
-        results.append(Run(one, folder, resume=resume, learner=learner).go())
+        results.append(TrainingRun(one, folder, resume=resume, learner=learner).go())
         if results[-1]["stopped"]:
             break
     for r in results:
@@ -281,7 +281,7 @@ def main(argv: list[str]) -> int:
     if args.json:
         console.emit_json({"runs": results})
     if results and results[-1]["stopped"]:
-        from fishmj.train.run import go_on
+        from fishmj.train.training_run import go_on
 
         last = results[-1]
         more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings)

@@ -49,7 +49,7 @@ def environment(settings: Settings, box: str = "train"):
         raise ConfigError(
             f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-sac"
         )
-    return StationHold(robot, engine, made("task option", Options, {**settings.task, "box": box}), **settings.reward)
+    return StationHold(robot, engine, from_table("task option", Options, {**settings.task, "box": box}), **settings.reward)
 
 
 def algorithm(settings: Settings, env):
@@ -57,17 +57,17 @@ def algorithm(settings: Settings, env):
     if settings.algo == "ppo":
         from fishmj.train import ppo
 
-        return ppo.PPO(env, made("setting of ppo", ppo.Config, settings.algorithm), settings.steps)
+        return ppo.PPO(env, from_table("setting of ppo", ppo.PPOConfig, settings.algorithm), settings.steps)
     if settings.algo != "sac":  # of the user's own: only what this process has loaded
-        from fishmj.train.own import OwnAlgorithm
+        from fishmj.train.own_algorithm import OwnAlgorithm
 
         return OwnAlgorithm(settings.algo, env, own_config(settings), settings.steps, settings)
     from fishmj.train import sac
 
-    return sac.SAC(env, made("setting of sac", sac.Config, settings.algorithm), settings.steps)
+    return sac.SAC(env, from_table("setting of sac", sac.SACConfig, settings.algorithm), settings.steps)
 
 
-def made(what: str, kind, table: dict):
+def from_table(what: str, kind, table: dict):
     """A frozen dataclass from a table. Raises UnknownName for a key that it does not have."""
     known = [f.name for f in fields(kind)]
     for key in table:
@@ -78,9 +78,9 @@ def made(what: str, kind, table: dict):
 
 def own_config(settings: Settings):
     """Settings of an algorithm of one's own. Raises OwnCodeError, UnknownName."""
-    from fishmj.train.own import config_of
+    from fishmj.train.own_algorithm import config_of
 
-    return made(f"setting of {settings.algo}", config_of(settings.algo), settings.algorithm)
+    return from_table(f"setting of {settings.algo}", config_of(settings.algo), settings.algorithm)
 
 
 def activation_of(settings: Settings) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fishmj import store
 
 
-class Board:
+class MetricsLog:
     """Figures of one run. A run that goes on from step `after` drops the lines beyond it: it will write them again.
 
     assessed: the step of the last assessment that the run goes on from; lines of later ones are dropped, too.

@@ -14,9 +14,9 @@ from fishmj import console, store
 from fishmj.errors import SimDiverged
 from fishmj.train.build import pick_engine, policy_of
 from fishmj.train.interruptions import stop_on_signal
-from fishmj.train.metrics_log import Board
-from fishmj.train.run import MAX_DIVERGED, is_better, learner_of
+from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import Settings, as_dict, change
+from fishmj.train.training_run import MAX_DIVERGED, is_better, learner_of
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
@@ -64,7 +64,7 @@ class Lane:
     def __init__(self, settings: Settings, folder: Path):
         self.settings, self.folder = settings, folder
         self.best: dict | None = None
-        self.board = Board(folder)
+        self.board = MetricsLog(folder)
         store.write_json(folder / "settings.json", as_dict(settings))
 
     def judge(self, figures: dict, actors, i: int, done: int, own_reward: bool) -> None:

@@ -21,7 +21,7 @@ from fishmj.train.networks import check_config, forward, input_scale, mlp
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
+class PPOConfig:
     """Hyperparameters of PPO."""
 
     envs: int = 512
@@ -50,7 +50,7 @@ class Config:
             )
 
 
-class Training(NamedTuple):
+class PPOTrainState(NamedTuple):
     """Everything that a run needs to go on."""
 
     actor: Any
@@ -79,7 +79,7 @@ class PPO:
 
     name = "ppo"
 
-    def __init__(self, env, config: Config, steps: int):
+    def __init__(self, env, config: PPOConfig, steps: int):
         self.env, self.config = env, config
         self.steps_per_iteration = config.envs * config.horizon
         iterations = max(1, steps // self.steps_per_iteration)
@@ -90,14 +90,14 @@ class PPO:
         self.seen_scale = jnp.concatenate([self.scale[: env.n_obs], jnp.asarray([0.3, 0.3, 1.0, 0.1, 0.1])])
 
     @partial(jax.jit, static_argnums=0)
-    def init(self, key) -> Training:
+    def init(self, key) -> PPOTrainState:
         k_actor, k_critic, k_env, key = jax.random.split(key, 4)
         c, env = self.config, self.env
         actor = mlp(k_actor, [env.n_input, *c.hidden, env.n_act])
         critic = mlp(k_critic, [env.n_input + c.privileged * env.n_privileged, *c.hidden, 1], last=1.0)
         log_sigma = jnp.full(env.n_act, np.log(c.sigma))
         optimiser = self.optimiser.init((actor, log_sigma, critic))
-        return Training(actor, log_sigma, critic, optimiser, env.reset(k_env, c.envs, True), key, jnp.int32(0))
+        return PPOTrainState(actor, log_sigma, critic, optimiser, env.reset(k_env, c.envs, True), key, jnp.int32(0))
 
     def value(self, critic, obs, seen):
         """V of scaled inputs; `seen` is what a privileged critic sees besides."""
@@ -108,7 +108,7 @@ class PPO:
         """Deterministic action for raw observations."""
         return jnp.tanh(forward(actor, obs / self.scale, self.config.activation))
 
-    def collect(self, t: Training):
+    def collect(self, t: PPOTrainState):
         """Roll the policy out; returns the new env state, the batch and figures of the rollout."""
         c = self.config
         sigma = jnp.exp(t.log_sigma)
@@ -152,7 +152,7 @@ class PPO:
         return -surrogate + c.value_weight * error - c.entropy * entropy, ((ratio - 1) - jnp.log(ratio)).mean()
 
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
-    def iterate(self, t: Training):
+    def iterate(self, t: PPOTrainState):
         """One rollout, `epochs` passes over it. Returns (Training, figures as scalars)."""
         c = self.config
         env_state, batch, (reward, distance, late, done, left, diverged) = self.collect(t)
@@ -183,7 +183,7 @@ class PPO:
             "kl": kl.mean(),
             "loss": loss.mean(),
         }
-        return Training(actor, log_sigma, critic, optimiser, env_state, t.key, t.updates + 1), figures
+        return PPOTrainState(actor, log_sigma, critic, optimiser, env_state, t.key, t.updates + 1), figures
 
 
 def gaussian(u, mu, log_sigma):

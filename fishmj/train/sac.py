@@ -21,7 +21,7 @@ from fishmj.train.networks import check_config, forward, input_scale, mlp
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
+class SACConfig:
     """Hyperparameters of SAC; defaults from the paper and, where it is silent, from Haarnoja et al."""
 
     envs: int = 64
@@ -41,7 +41,7 @@ class Config:
         check_config("sac", self, positive=("envs", "utd", "block", "batch", "buffer", "learning_rate", "tau"))
 
 
-class Memory(NamedTuple):
+class ReplayBuffer(NamedTuple):
     """Ring buffer of transitions."""
 
     obs: Any
@@ -53,7 +53,7 @@ class Memory(NamedTuple):
     head: Any
 
 
-class Training(NamedTuple):
+class SACTrainState(NamedTuple):
     """Everything that a run needs to go on."""
 
     actor: Any
@@ -61,7 +61,7 @@ class Training(NamedTuple):
     targets: Any
     log_alpha: Any
     optimisers: Any
-    memory: Memory
+    memory: ReplayBuffer
     env: Any
     key: Any
     updates: Any
@@ -72,7 +72,7 @@ class SAC:
 
     name = "sac"
 
-    def __init__(self, env, config: Config, steps: int):
+    def __init__(self, env, config: SACConfig, steps: int):
         self.env, self.config = env, config
         self.steps_per_iteration = config.envs * config.block
         self.per_step = max(1, round(config.utd * config.envs))
@@ -82,20 +82,20 @@ class SAC:
         self.entropy_target = -float(env.n_act)
 
     @partial(jax.jit, static_argnums=0)
-    def init(self, key) -> Training:
+    def init(self, key) -> SACTrainState:
         keys = jax.random.split(key, 5)
         c, env = self.config, self.env
         actor = mlp(keys[0], [env.n_input, *c.hidden, 2 * env.n_act])
         critics = jax.vmap(lambda k: mlp(k, [env.n_input + env.n_act, *c.hidden, 1], last=1.0))(jax.random.split(keys[1]))
         log_alpha = jnp.float32(np.log(0.2))
         n, rows = env.n_input, self.capacity
-        memory = Memory(
+        memory = ReplayBuffer(
             jnp.zeros((rows, n)), jnp.zeros((rows, env.n_act)), jnp.zeros(rows), jnp.zeros((rows, n)), jnp.zeros(rows),
             jnp.int32(0), jnp.int32(0),
         )  # fmt: skip
         optimisers = tuple(self.optimiser.init(p) for p in (actor, critics, log_alpha))
         start = env.reset(keys[2], c.envs, True)
-        return Training(actor, critics, critics, log_alpha, optimisers, memory, start, keys[3], jnp.int32(0))
+        return SACTrainState(actor, critics, critics, log_alpha, optimisers, memory, start, keys[3], jnp.int32(0))
 
     def act(self, actor, obs):
         """Deterministic action for raw observations."""
@@ -115,14 +115,14 @@ class SAC:
         x = jnp.concatenate([obs, action], -1)
         return jax.vmap(lambda layers: forward(layers, x, self.config.activation)[..., 0])(critics)
 
-    def store(self, m: Memory, obs, action, reward, ahead, ended) -> Memory:
+    def store(self, m: ReplayBuffer, obs, action, reward, ahead, ended) -> ReplayBuffer:
         """Append one transition a fish."""
         put = lambda a, rows: jax.lax.dynamic_update_slice_in_dim(a, rows, m.head, 0)
         n, size = self.config.envs, self.capacity
         filled = (put(m.obs, obs), put(m.action, action), put(m.reward, reward), put(m.ahead, ahead), put(m.ended, ended))
-        return Memory(*filled, jnp.minimum(m.size + n, size), (m.head + n) % size)
+        return ReplayBuffer(*filled, jnp.minimum(m.size + n, size), (m.head + n) % size)
 
-    def learn(self, m: Memory, carry, key):
+    def learn(self, m: ReplayBuffer, carry, key):
         """One gradient step on critics, actor and temperature."""
         actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha) = carry
         c = self.config
@@ -153,10 +153,10 @@ class SAC:
         return (actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha)), critic_value
 
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
-    def iterate(self, t: Training):
+    def iterate(self, t: SACTrainState):
         """`block` environment steps, learning after each. Returns (Training, figures as scalars)."""
 
-        def one(t: Training, _):
+        def one(t: SACTrainState, _):
             key = jax.random.fold_in(t.key, t.updates)
             k_act, k_free, k_learn = jax.random.split(key, 3)
             obs = t.env.obs / self.scale
@@ -176,7 +176,7 @@ class SAC:
             done = env.terminated | env.truncated | env.diverged
             late = (env.count > self.env.limit // 2) & ~done
             figures = (env.reward, env.distance, late, done, env.terminated, env.diverged, loss.mean())
-            return Training(actor, critics, targets, log_alpha, optimisers, m, env, t.key, t.updates + 1), figures
+            return SACTrainState(actor, critics, targets, log_alpha, optimisers, m, env, t.key, t.updates + 1), figures
 
         t, (reward, distance, late, done, left, diverged, loss) = jax.lax.scan(one, t, None, self.config.block)
         return t, {
@@ -191,10 +191,10 @@ class SAC:
         }
 
 
-def paper_config() -> Config:
+def paper_config() -> SACConfig:
     """The paper's networks and budget; its silent hyperparameters are the algorithm's published defaults."""
     get = lambda key: constant("training", key)
-    return Config(
+    return SACConfig(
         hidden=tuple(get("actor")),
         batch=get("batch"),
         buffer=get("buffer"),

@@ -15,12 +15,12 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import MissingExtra
-from fishmj.train.build import environment, made, pick_engine
+from fishmj.train.build import environment, from_table, pick_engine
 from fishmj.train.evaluate_policy import Assessment
 from fishmj.train.networks import forward, input_scale
-from fishmj.train.run import Run
-from fishmj.train.sac import Config, paper_config
+from fishmj.train.sac import SACConfig, paper_config
 from fishmj.train.settings import Settings, change
+from fishmj.train.training_run import TrainingRun
 
 try:
     import torch
@@ -30,20 +30,20 @@ try:
 except ImportError as error:
     raise MissingExtra("stable-baselines3", "sb3", "--algo sb3-sac") from error
 
-from fishmj.train.sb3_env import Shoal
+from fishmj.train.sb3_env import FishVecEnv
 
 UPDATES = 256  # gradient steps between two reports, about
 
 
 def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False) -> dict:
-    """Train with stable-baselines3; returns the summary of `Run`. Raises as `Run` does."""
-    config = made("setting of sb3-sac", Config, {**asdict(paper_config()), **settings.algorithm})
-    shoal = Shoal(settings, config.envs, reward_scale=config.reward_scale)
+    """Train with stable-baselines3; returns the summary of `TrainingRun`. Raises as `TrainingRun` does."""
+    config = from_table("setting of sb3-sac", SACConfig, {**asdict(paper_config()), **settings.algorithm})
+    shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = StableSAC(shoal, config, settings.steps)
     engine = pick_engine(settings.engine)
     judge = change(settings, engine="planar" if engine == "batch" else engine)  # assessments run inside JAX
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
-    run = Run(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess))
+    run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess))
     if resume:
         console.warn(f"the replay memory was not kept: {config.warmup:,} steps of the policy refill it before learning goes on")
     threads = torch.get_num_threads()
@@ -54,7 +54,7 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
         torch.set_num_threads(threads)
 
 
-class Training(NamedTuple):
+class SB3TrainState(NamedTuple):
     """What a checkpoint keeps."""
 
     actor: list  # (weights (in, out), bias) of the mean of u
@@ -66,20 +66,20 @@ class StableSAC:
 
     name = "sb3-sac"
 
-    def __init__(self, shoal: Shoal, config: Config, steps: int):
+    def __init__(self, shoal: FishVecEnv, config: SACConfig, steps: int):
         self.shoal, self.config = shoal, config
         self.per_step = max(1, round(config.utd * config.envs))
         self.block = max(1, min(config.block, UPDATES // self.per_step))
         self.steps_per_iteration = config.envs * self.block
         self.capacity = max(config.envs, min(config.buffer, steps))
         self.scale = input_scale(shoal.joints, shoal.memory)
-        self._now: Training | None = None
+        self._now: SB3TrainState | None = None
 
-    def init(self, key) -> Training:
+    def init(self, key) -> SB3TrainState:
         """A fresh learner; the seed is the key's."""
         c, f = self.config, {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[self.config.activation]
         self.seed = int(jax.random.key_data(key)[-1])
-        self.model = Refilling(
+        self.model = RefillCallback(
             "MlpPolicy",
             self.shoal,
             learning_rate=c.learning_rate,
@@ -89,7 +89,7 @@ class StableSAC:
             tau=c.tau,
             gamma=c.gamma,
             gradient_steps=self.per_step,
-            replay_buffer_class=SoundReplay,
+            replay_buffer_class=FiniteReplayBuffer,
             ent_coef="auto_0.2",
             policy_kwargs={"net_arch": list(c.hidden), "activation_fn": f},
             seed=self.seed,
@@ -97,7 +97,7 @@ class StableSAC:
         self.model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder for each `learn`
         return self._taken()
 
-    def iterate(self, training: Training) -> tuple[Training, dict]:
+    def iterate(self, training: SB3TrainState) -> tuple[SB3TrainState, dict]:
         """`block` steps of the shoal, learning after each. Returns (Training, figures)."""
         if training is not self._now:
             self._put(training)
@@ -115,7 +115,7 @@ class StableSAC:
         m = self.model
         return {"actor": m.actor.optimizer, "critic": m.critic.optimizer, "alpha": m.ent_coef_optimizer}
 
-    def _taken(self) -> Training:
+    def _taken(self) -> SB3TrainState:
         """The learner as NumPy arrays (copies)."""
         take = lambda t: t.detach().cpu().numpy().copy()
         m, actor = self.model, self.model.actor
@@ -127,10 +127,10 @@ class StableSAC:
                 state = optimiser.state.get(p) or {"step": torch.zeros(()), "exp_avg": 0 * p, "exp_avg_sq": 0 * p}
                 tensors |= {f"{name}.{i}.{k}": take(v) for k, v in state.items()}
         layers = [layer for layer in (*actor.latent_pi, actor.mu) if isinstance(layer, torch.nn.Linear)]
-        self._now = Training([(take(layer.weight).T, take(layer.bias)) for layer in layers], tensors)
+        self._now = SB3TrainState([(take(layer.weight).T, take(layer.bias)) for layer in layers], tensors)
         return self._now
 
-    def _put(self, training: Training) -> None:
+    def _put(self, training: SB3TrainState) -> None:
         """Go on from these tensors, with an empty replay memory and fresh episodes."""
         m = self.model
         tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
@@ -148,7 +148,7 @@ class StableSAC:
         m.replay_buffer.reset()
 
 
-class Refilling(SAC):
+class RefillCallback(SAC):
     """SB3's SAC that learns only while its memory holds `learning_starts` steps: a resumed one refills it first."""
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
@@ -157,7 +157,7 @@ class Refilling(SAC):
             super().train(gradient_steps, batch_size)
 
 
-class SoundReplay(ReplayBuffer):
+class FiniteReplayBuffer(ReplayBuffer):
     """A replay memory without dropped steps: the transition of a sound fish takes the place of one that diverged."""
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:

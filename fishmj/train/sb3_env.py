@@ -9,15 +9,15 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from fishmj.gym.fish_vector_env import FishVectorEnv
 from fishmj.gym.spaces import observation_space
-from fishmj.gym.vector import FishVectorEnv
 from fishmj.tasks.station_hold import visible
 from fishmj.train.build import pick_engine, robot_for
 from fishmj.train.networks import scale
 from fishmj.train.settings import Settings
 
 
-class Shoal(VecEnv):
+class FishVecEnv(VecEnv):
     """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too).
 
     `tally` sums up what happened since it was last emptied: see `figures`.

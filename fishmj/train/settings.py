@@ -7,7 +7,7 @@ from typing import Any
 from fishmj import plugins
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.store import read_json
-from fishmj.tasks.course import COURSES
+from fishmj.tasks.reference import COURSES
 
 FILE = "settings.json"  # of a run
 FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change

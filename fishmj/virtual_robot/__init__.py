@@ -10,18 +10,18 @@ It shares the drawn outline, masses and servo numbers with the first one and not
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fishmj.virtual_robot.live import Live
+    from fishmj.virtual_robot.closed_loop_robot import ClosedLoopRobot
     from fishmj.virtual_robot.trials import EFFECTS, generate, plant
 
-__all__ = ["EFFECTS", "Live", "generate", "plant"]
+__all__ = ["EFFECTS", "ClosedLoopRobot", "generate", "plant"]
 
 
 def __getattr__(name: str) -> Any:
     """Loads numba at first use only."""
-    if name == "Live":
-        from fishmj.virtual_robot.live import Live
+    if name == "ClosedLoopRobot":
+        from fishmj.virtual_robot.closed_loop_robot import ClosedLoopRobot
 
-        return Live
+        return ClosedLoopRobot
     if name in __all__:
         from fishmj.virtual_robot import trials
 

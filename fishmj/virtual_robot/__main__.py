@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
         return _list(args.json)
     if args.out is None or args.truth is None:
         raise ConfigError("virtual_robot: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
-    from fishmj.virtual_robot.dataset import parse, placed, write_hidden
+    from fishmj.virtual_robot.hidden_dataset import parse, placed, write_hidden
     from fishmj.virtual_robot.trials import generate, trial_name
     from fishmj.virtual_robot.weighing import page
 

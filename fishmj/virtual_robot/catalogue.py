@@ -5,22 +5,24 @@ Units are SI, nulls 0 unless the row says otherwise. Delays come on top of the n
 
 import numpy as np
 
-from fishmj.virtual_robot.effect import Effect, Parameter
+from fishmj.virtual_robot.catalogue_entry import CatalogueEntry, EntryParameter
 
 SERVO, BODY, ALL = ("joint",), ("position", "heading"), ("joint", "position", "heading")
 _SWIM, _TURN = ("gait", "turn_left"), ("turn_left", "spin")
 
 
-def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, most=np.inf) -> tuple[Parameter, ...]:
+def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, most=np.inf) -> tuple[EntryParameter, ...]:
     """The main parameter. What is not signed is not negative, except inertia and water: there may be less than believed."""
     if least is None:
         least = -np.inf if signed or field.startswith(("hull.", "water.")) else 0.0
-    return (Parameter(name=name, unit=unit, field=field, typical=(low, high), null=null, signed=signed, least=least, most=most),)
+    return (
+        EntryParameter(name=name, unit=unit, field=field, typical=(low, high), null=null, signed=signed, least=least, most=most),
+    )
 
 
-def _keep(name, unit, field, value, spread=1.5, least=1e-3) -> Parameter:
+def _keep(name, unit, field, value, spread=1.5, least=1e-3) -> EntryParameter:
     """A second parameter that means nothing while the first is null."""
-    return Parameter(
+    return EntryParameter(
         name=name, unit=unit, field=field, typical=(value / spread, value * spread), null=value, default=True, least=least
     )
 
@@ -73,7 +75,7 @@ _ROWS: list[tuple] = [
         "joint_zero_offset",
         "actuator",
         tuple(
-            Parameter(name=f"offset{j}", unit="rad", field=f"motor.zero{j}", typical=(0.02, 0.087), signed=True)
+            EntryParameter(name=f"offset{j}", unit="rad", field=f"motor.zero{j}", typical=(0.02, 0.087), signed=True)
             for j in (1, 2, 3)
         ),
         BODY,
@@ -168,7 +170,7 @@ _ROWS: list[tuple] = [
     (
         "steady_current",
         "environment",
-        tuple(Parameter(name=a, unit="m/s", field=f"tank.current_{a}", typical=(0.01, 0.04), signed=True) for a in "xy"),
+        tuple(EntryParameter(name=a, unit="m/s", field=f"tank.current_{a}", typical=(0.01, 0.04), signed=True) for a in "xy"),
         ("position",),
         ("drift_north", "gait"),
     ),
@@ -191,7 +193,10 @@ _ROWS: list[tuple] = [
         "environment",
         (
             *_one("stiffness", "N/m", "tank.tether", 0.05, 0.4),
-            *(Parameter(name=a, unit="m", field=f"tank.tether_{a}", typical=(0.1, 1.0), signed=True, default=True) for a in "xy"),
+            *(
+                EntryParameter(name=a, unit="m", field=f"tank.tether_{a}", typical=(0.1, 1.0), signed=True, default=True)
+                for a in "xy"
+            ),
         ),
         ("position",),
         ("out_and_back", "gait"),
@@ -223,7 +228,9 @@ _ROWS: list[tuple] = [
     ("power_offset", "measurement", _one("power", "W", "meter.offset", 0.1, 0.5, signed=True), ("power",), ("idle", "gait")),
 ]
 _KEYS = ("name", "stage", "parameters", "shows", "runs")
-CATALOGUE: dict[str, Effect] = {
-    row[0]: Effect(**dict(zip(_KEYS, row, strict=True)), stochastic=row[0] in ("latency_jitter", "packet_loss", "turbulence"))
+CATALOGUE: dict[str, CatalogueEntry] = {
+    row[0]: CatalogueEntry(
+        **dict(zip(_KEYS, row, strict=True)), stochastic=row[0] in ("latency_jitter", "packet_loss", "turbulence")
+    )
     for row in _ROWS
 }

@@ -15,7 +15,7 @@ and an accelerating stream adds (displaced mass + added mass) DU/Dt. One step: (
 
 from math import cos, exp, sin, sqrt
 
-from fishmj.virtual_robot.compiled import compiled
+from fishmj.virtual_robot.numba_entry import compiled
 from fishmj.virtual_robot.water import link_force
 
 

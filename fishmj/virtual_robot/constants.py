@@ -7,7 +7,7 @@ A group is a NamedTuple of floats, so that compiled code reads `motor.gain` by n
 from typing import NamedTuple
 
 
-class Hull(NamedTuple):
+class HullConstants(NamedTuple):
     """What is added to the weighed and drawn fish, at the reference point; all effects."""
 
     mass: float = 0.0  # kg
@@ -18,7 +18,7 @@ class Hull(NamedTuple):
     yaw: float = 0.0  # kg m2
 
 
-class Water(NamedTuple):
+class WaterConstants(NamedTuple):
     """Water around the links. Forces per station are precomputed in `body.Body`."""
 
     active: float  # 1 in water, 0 in air
@@ -44,7 +44,7 @@ class Water(NamedTuple):
     joint: float = 0.0  # effect, N m s2
 
 
-class Motor(NamedTuple):
+class MotorConstants(NamedTuple):
     """One bus servo: firmware, bridge, motor, gears; and the battery that all of them share."""
 
     gain: float  # N m/rad
@@ -88,7 +88,7 @@ class Motor(NamedTuple):
     command_slowness: float = 0.0  # effect, s/rad
 
 
-class Tank(NamedTuple):
+class TankConstants(NamedTuple):
     """Water that moves by itself, a tether, walls at +-half."""
 
     half: float  # m
@@ -150,7 +150,7 @@ class Meter(NamedTuple):
     offset: float = 0.0  # effect, W
 
 
-class Odd(NamedTuple):
+class Uncatalogued(NamedTuple):
     """What no catalogue holds; every field is an effect and null at 0 unless its default says otherwise."""
 
     bouc_torque: float = 0.0  # N m, hysteresis of the skin

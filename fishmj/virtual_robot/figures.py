@@ -8,8 +8,8 @@ import time
 import numpy as np
 
 from fishmj import console, excitation
-from fishmj.virtual_robot.machine import Plant
-from fishmj.virtual_robot.motion import Recording, run
+from fishmj.virtual_robot.robot_constants import RobotConstants
+from fishmj.virtual_robot.simulate import Recording, run
 from fishmj.virtual_robot.state import at_rest
 from fishmj.virtual_robot.trials import plant
 
@@ -27,7 +27,7 @@ TURNS = ((1.0, 60.0, 10.0), (1.0, 60.0, 20.0), (1.0, 60.0, 30.0))
 
 
 def steady(
-    made: Plant, frequency: float, amplitude: float, lag: float, bias: float = 0.0, watch: float = 4.0
+    made: RobotConstants, frequency: float, amplitude: float, lag: float, bias: float = 0.0, watch: float = 4.0
 ) -> dict[str, float]:
     """Speed from beat to beat, turning rate, servo power of a gait [Hz, rad, rad, rad] in still water, without latency."""
     commands = excitation.gait(frequency, amplitude, lag, bias, SETTLE + watch)
@@ -41,19 +41,19 @@ def steady(
     return {"speed": path / span, "turn": (pose[-1, 2] - pose[0, 2]) / span, "power": _power(made, record, beats)}
 
 
-def _power(made: Plant, record: Recording, beats: np.ndarray) -> float:
+def _power(made: RobotConstants, record: Recording, beats: np.ndarray) -> float:
     """Mean electrical power over whole beats without the idle part, W."""
     volts, amps = record.at(np.arange(beats[0], beats[-1], 1e-3), "V", "I").T
     return float((volts * amps).mean()) - made.motor.idle
 
 
-def tow(made: Plant, speed: float = 0.3) -> float:
+def tow(made: RobotConstants, speed: float = 0.3) -> float:
     """Axial drag of the straight fish, N."""
     skin = made.water.friction * float(made.body.wetted.sum()) * speed**1.8
     return made.water.head_forward * speed**2 + skin
 
 
-def coast(made: Plant, speed: float = 0.3) -> float:
+def coast(made: RobotConstants, speed: float = 0.3) -> float:
     """Seconds until a straight fish that was let go at `speed` is half as fast."""
     record = run(made, at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
     slow = np.flatnonzero(record.at(record.t, "vx")[:, 0] < speed / 2)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.constants import Network, Odd
-from fishmj.virtual_robot.motion import Recording
+from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot.constants import Network, Uncatalogued
+from fishmj.virtual_robot.simulate import Recording
 
 
 class Delivery(NamedTuple):
@@ -25,15 +25,17 @@ class Delivery(NamedTuple):
 class Radio:
     """Decides, packet by packet, when a command reaches the servos."""
 
-    def __init__(self, network: Network, odd: Odd, seed: int, trial: int, noise: float):
+    def __init__(self, network: Network, odd: Uncatalogued, seed: int, trial: int, noise: float):
         self.network, self.odd, self.noise = network, odd, noise
-        self._streams = [draws.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
+        self._streams = [random_streams.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
         self._last: np.ndarray | None = None
 
     def arrival(self, sent: float, command: np.ndarray) -> float | None:
         """Time of arrival [s] of a command (3,) sent at `sent`; None when it is lost."""
         n, (base, tail, loss) = self.network, self._streams
-        delay = n.latency + n.delay + self.noise * n.jitter * draws.jitter(base) + n.sigma * draws.lateness(tail)
+        delay = (
+            n.latency + n.delay + self.noise * n.jitter * random_streams.jitter(base) + n.sigma * random_streams.lateness(tail)
+        )
         if self.odd.busy > 0.0:  # the bus is slower while the joints are asked to be fast
             last = command if self._last is None else self._last
             delay += self.odd.busy * float(np.max(np.abs(command - last))) / n.period
@@ -41,7 +43,9 @@ class Radio:
         return None if loss.random() < n.loss else sent + max(delay, 0.001)
 
 
-def deliver(network: Network, odd: Odd, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float) -> Delivery:
+def deliver(
+    network: Network, odd: Uncatalogued, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
+) -> Delivery:
     """Send commands (K, 3) at `sent` (K,) and take them out of the queue in order of arrival."""
     radio = Radio(network, odd, seed, trial, noise)
     times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]

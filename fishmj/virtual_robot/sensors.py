@@ -8,11 +8,13 @@ velocity    slope of a straight line through the last frames, then an optional l
 
 import numpy as np
 
-from fishmj.virtual_robot.constants import Camera, Meter, Odd
-from fishmj.virtual_robot.motion import Recording
+from fishmj.virtual_robot.constants import Camera, Meter, Uncatalogued
+from fishmj.virtual_robot.simulate import Recording
 
 
-def watch(camera: Camera, odd: Odd, record: Recording, frames: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
+def watch(
+    camera: Camera, odd: Uncatalogued, record: Recording, frames: np.ndarray, rng: np.random.Generator, noise: float
+) -> dict:
     """Table `pose` from frames that reach the host at `frames` (K,) s, on the host's clock: t, x, y, yaw."""
     late = camera.latency + camera.delay
     stamps = frames + noise * camera.jitter * rng.uniform(0.0, 1.0, len(frames))

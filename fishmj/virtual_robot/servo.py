@@ -11,7 +11,7 @@ command) and rate limit.
 
 from math import exp
 
-from fishmj.virtual_robot.compiled import compiled
+from fishmj.virtual_robot.numba_entry import compiled
 
 SWEEPS = 12  # of the friction solver; three joints settle in a few
 

@@ -16,16 +16,16 @@ from fishmj.excitation import Excitation
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import made_by
-from fishmj.virtual_robot import draws, network, sensors
+from fishmj.virtual_robot import network, random_streams, sensors
 from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.effect import Effect
+from fishmj.virtual_robot.catalogue_entry import CatalogueEntry
 from fishmj.virtual_robot.loop import GUST
-from fishmj.virtual_robot.machine import Plant, nominal
-from fishmj.virtual_robot.motion import Recording, run
-from fishmj.virtual_robot.oddities import ODDITIES
+from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
+from fishmj.virtual_robot.simulate import Recording, run
 from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.uncatalogued import ODDITIES
 
-EFFECTS: dict[str, Effect] = {**CATALOGUE, **ODDITIES}
+EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
 SENSORS = ("joint", "power", "pose")
 Effects = Mapping[str, Mapping[str, float]]
@@ -33,7 +33,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 def plant(
     effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water"
-) -> Plant:
+) -> RobotConstants:
     """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
 
     Raises:
@@ -46,7 +46,7 @@ def plant(
     described = load_robot(robot)
     if len(described.links) != 4:
         raise ConfigError(f"virtual robot: {described.name} has {len(described.links)} links; this one is built for 4")
-    made, fields = nominal(described, medium, nuisance, draws.stream(seed, "nuisance")), {}
+    made, fields = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance")), {}
     for name, values in effects.items():
         if name not in EFFECTS:
             raise UnknownName("effect", name, EFFECTS)
@@ -95,9 +95,9 @@ def trial_name(index: int, excitation_id: str) -> str:
     return f"{index + 1:02d}_{excitation_id}"
 
 
-def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> Recording:
+def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
     """What really happens in trial `index`: place the fish, send the commands, move."""
-    hand = draws.stream(seed, "placing", index).standard_normal(3) * noise
+    hand = random_streams.stream(seed, "placing", index).standard_normal(3) * noise
     start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
     state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
     state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
@@ -106,26 +106,35 @@ def swim(made: Plant, what: Excitation, seed: int, index: int, noise: float) -> 
     return run(made, state, queue.times, queue.commands, what.seconds, weather(made, what.seconds, seed, index))
 
 
-def weather(made: Plant, seconds: float, seed: int, index: int) -> np.ndarray:
+def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.ndarray:
     """Water velocity that varies in time (G, 2), every GUST s: turbulence, and a current that comes and goes."""
     tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
     table = np.zeros((n, 2))
     if tank.sigma > 0.0:
-        table += draws.gusts(draws.stream(seed, "turbulence", index), n, GUST, tank.sigma, tank.time)
+        table += random_streams.gusts(random_streams.stream(seed, "turbulence", index), n, GUST, tank.sigma, tank.time)
     if odd.pulse != 0.0:
-        phase = draws.stream(seed, "pulse", index).uniform(0.0, 2 * np.pi)
+        phase = random_streams.stream(seed, "pulse", index).uniform(0.0, 2 * np.pi)
         table[:, 0] += odd.pulse * np.sin(2 * np.pi * np.arange(n) * GUST / odd.pulse_period + phase)
     return table
 
 
 def trial_of(
-    made: Plant, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str, flow: tuple[float, float]
+    made: RobotConstants,
+    what: Excitation,
+    seed: int,
+    index: int,
+    noise: float,
+    name: str,
+    replicate_of: str,
+    flow: tuple[float, float],
 ) -> Trial:
     """Move, then look through the sensors; the trial holds what a lab would have on disk."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
     tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
-    tables |= sense(made, record, {name: draws.stream(seed, name, index) for name in SENSORS}, (0.0, record.t[-1]), noise)
+    tables |= sense(
+        made, record, {name: random_streams.stream(seed, name, index) for name in SENSORS}, (0.0, record.t[-1]), noise
+    )
     if "pose" in tables:
         tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
     clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
@@ -151,7 +160,7 @@ def trial_of(
     return Trial(meta, tables, name=name)
 
 
-def sense(made: Plant, record: Recording, streams: dict, span: tuple[float, float], noise: float) -> dict[str, dict]:
+def sense(made: RobotConstants, record: Recording, streams: dict, span: tuple[float, float], noise: float) -> dict[str, dict]:
     """Tables joint, power and (in water) pose with the readings from span[0] to before span[1]."""
 
     def due(period: float) -> np.ndarray:
@@ -167,7 +176,7 @@ def sense(made: Plant, record: Recording, streams: dict, span: tuple[float, floa
     return tables
 
 
-def sigmas(made: Plant, noise: float) -> dict[str, float]:
+def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
     """Standard deviation of each channel's noise, counts included, in its unit."""
     c, n, m = made.camera, made.network, made.meter
     joint = float(np.hypot(noise * n.angle_noise, n.angle_step / np.sqrt(12)))

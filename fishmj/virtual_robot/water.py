@@ -13,7 +13,7 @@ is lost when the lagged flow meets the edge steeply: s = 1 / (1 + (z / (u tan a)
 from math import cos, sin, sqrt
 
 from fishmj.units import G
-from fishmj.virtual_robot.compiled import compiled
+from fishmj.virtual_robot.numba_entry import compiled
 
 CALM = 1e-8  # m2/s2, keeps square roots smooth at rest
 

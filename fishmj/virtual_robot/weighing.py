@@ -12,8 +12,8 @@ import numpy as np
 
 from fishmj.mjcf.description import Robot
 from fishmj.units import G
-from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot.robot_constants import RobotConstants
 from fishmj.virtual_robot.trials import plant
 
 REPEATS = 3
@@ -22,7 +22,7 @@ EDGE_ERROR = 0.001  # m
 THREAD, APART, CLOCK_ERROR = 1.2, 0.30, 0.002  # m, m, relative
 
 
-def masses(made: Plant) -> dict[str, float]:
+def masses(made: RobotConstants) -> dict[str, float]:
     """What perfect instruments would find: mass [kg], com, the balance point from the nose [m], yaw inertia about it [kg m2]."""
     body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
     first = float(np.sum(body.first + body.mass * origin))
@@ -34,10 +34,10 @@ def masses(made: Plant) -> dict[str, float]:
 
 def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
     """The table of the robot of a seed in which effects are hidden."""
-    return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), draws.stream(seed, "weighing"))
+    return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), random_streams.stream(seed, "weighing"))
 
 
-def weighings(made: Plant, rng: np.random.Generator) -> dict:
+def weighings(made: RobotConstants, rng: np.random.Generator) -> dict:
     """Table of the measurements, three of each."""
     truth = masses(made)
 

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from fishmj.errors import ConfigError, InjectionError, SimDiverged
-from fishmj.water.planar import PlanarWater
+from fishmj.water.planar_water import PlanarWater
 
 _handles: dict[int, "Handle"] = {}  # address of the model -> its water
 _owner: list[int] = []  # the thread that installed the callback

@@ -73,7 +73,7 @@ def inside(xp, r: Range, xi: list, speed, i: int):
     return fade, far
 
 
-class Learned:
+class LearnedResidual:
     """Hooks that add a residual.
 
     Args:

@@ -22,19 +22,19 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import constant
 from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.actuation import drive, ticks_of
 from fishmj.campaign.data.collect import Pool, collect
+from fishmj.campaign.data.joint_commands import drive, ticks_of
 from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Setup, flow_at_links
 from fishmj.campaign.data.segment import Segment
 from fishmj.campaign.hybrid.hybrid import Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, DatasetError
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_json, write_json
 from fishmj.tasks import station_hold as task
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 AGREED = 0.05  # of the solver's mean return
@@ -42,14 +42,14 @@ LEAST = 0.1  # of the reward at the target: a return near zero, where approach a
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
 
 
-class Rolled(NamedTuple):
+class Rollout(NamedTuple):
     """One episode in the surrogate: states after every tick, (T, 3 + J)."""
 
     q: np.ndarray
     v: np.ndarray
 
 
-class AtTheHelm:
+class PolicyDriver:
     """What a `Drive` asks of a run, answered by a surrogate."""
 
     def __init__(self, fish: Surrogate):
@@ -66,21 +66,21 @@ class AtTheHelm:
         return self.fish.v[3:].copy()
 
 
-def roll(robot: Robot, model: HydroModel, segment: Segment) -> Rolled:
+def roll(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
     """The segment's drive, in the surrogate instead of the solver, settling included but not returned."""
     fish = Surrogate(robot, planar_chain.chain_of(robot), model.swimmer(robot).water, learnt=model.learnt, pose=segment.pose)
     if segment.velocity:
         fish.v[:] = segment.velocity
     if segment.joints:
         fish.q[3:], fish.commands[0] = segment.joints, np.array(segment.joints)
-    helm, moved, states = AtTheHelm(fish), drive(segment, robot), []
+    helm, moved, states = PolicyDriver(fish), drive(segment, robot), []
     before, end = ticks_of(segment, robot)
     for k in range(end):
         now = flow_at_links(segment, robot, fish.q[None], np.array([k * robot.timing.bus_dt]))[0]
         fish.tick(moved.command(k, helm), now)
         states.append((fish.q.copy(), fish.v.copy()))
     q, v = (np.array(column) for column in zip(*states[before:], strict=True))
-    return Rolled(q, v)
+    return Rollout(q, v)
 
 
 def returned(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> float:
@@ -91,7 +91,7 @@ def returned(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> fl
     return float(np.mean(task.reward(np, far, v[: steps * every, 3:].reshape(steps, every, -1))))
 
 
-def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rolled]], number: int) -> Plan:
+def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], number: int) -> Plan:
     """The segments of a round: each episode, and a short one from the surrogate's state half-way through it."""
     segments = []
     for segment, rolled in rolls:
@@ -163,7 +163,7 @@ def sha256_of(model: HydroModel) -> str:
     return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()
 
 
-def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rolled]]) -> dict:
+def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollout]]) -> dict:
     """Mean return in both waters over the ticks that the solver kept, and their difference over the solver's."""
     data, pairs = open_dataset(folder), []
     for segment, rolled in rolls:

@@ -11,7 +11,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
 
 
-class Steered:
+class ClosedLoop:
     """Called as (tick, run) once every bus tick, in order; returns the command (J,) rad.
 
     Raises:

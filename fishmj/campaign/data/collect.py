@@ -18,8 +18,8 @@ from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Finished, Setup, side_by_side
 from fishmj.campaign.data.segment import Segment
 from fishmj.errors import ConfigError, DatasetError, StoreError
-from fishmj.hydro_fit.dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.hydro_fit.record import files, write_record
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.store import Manifest, read_json, sha256, write_json
 
 SCHEMA = "fishmj.campaign/1"

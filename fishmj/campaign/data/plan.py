@@ -22,7 +22,7 @@ from fishmj.campaign.data.movements import BLOCKS, DRAWS
 from fishmj.campaign.data.segment import Segment
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.flow import BOXES
-from fishmj.hydro_fit.dataset import SPLITS, split_hashes
+from fishmj.hydro_fit.segment_dataset import SPLITS, split_hashes
 from fishmj.mjcf.description import Robot, load_robot
 
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
@@ -33,7 +33,7 @@ POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
 SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
-class Part(NamedTuple):
+class PlanPart(NamedTuple):
     """So many episodes of a block, so many seconds each, at least `least` however small the scale."""
 
     block: str
@@ -43,26 +43,26 @@ class Part(NamedTuple):
 
 
 TRAINING = (
-    Part("static", 40, 15.0, 3),
-    Part("oscillation", 12, 5.0, 3),
-    Part("chirp", 16, 15.0, 2),
-    Part("flapping", 56, 6.0, 1),
-    Part("gait", 36, 10.0, 6),
-    Part("random", 24, 10.0, 2),
-    Part("manoeuvre", 12, 10.0, 2),
-    Part("uneven", 12, 10.0, 1),
-    Part("policy", 70, 25.0, 1),
+    PlanPart("static", 40, 15.0, 3),
+    PlanPart("oscillation", 12, 5.0, 3),
+    PlanPart("chirp", 16, 15.0, 2),
+    PlanPart("flapping", 56, 6.0, 1),
+    PlanPart("gait", 36, 10.0, 6),
+    PlanPart("random", 24, 10.0, 2),
+    PlanPart("manoeuvre", 12, 10.0, 2),
+    PlanPart("uneven", 12, 10.0, 1),
+    PlanPart("policy", 70, 25.0, 1),
 )
 TEST = (
-    Part("straight", 6, 12.0),
-    Part("turning", 4, 12.0),
-    Part("gait", 4, 12.0),
-    Part("random", 4, 10.0),
-    Part("manoeuvre", 4, 10.0),
-    Part("uneven", 2, 15.0),
-    Part("chirp", 1, 15.0),
-    Part("flapping", 6, 6.0),
-    Part("policy", 7, 20.0),
+    PlanPart("straight", 6, 12.0),
+    PlanPart("turning", 4, 12.0),
+    PlanPart("gait", 4, 12.0),
+    PlanPart("random", 4, 10.0),
+    PlanPart("manoeuvre", 4, 10.0),
+    PlanPart("uneven", 2, 15.0),
+    PlanPart("chirp", 1, 15.0),
+    PlanPart("flapping", 6, 6.0),
+    PlanPart("policy", 7, 20.0),
 )
 REPEATED = ("straight", "turning", "random", "flapping")  # the first test episode of each: how well the oracle repeats itself
 LONGEST_PREVIEW = 4.0  # s
@@ -166,14 +166,14 @@ def on_policy(
     """Training episodes steered by one controller or policy file: what a round of correction adds to a data set."""
     robot = load_robot(robot)
     steer = _steering(robot, (controller,))
-    made = _episodes(Part("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
+    made = _episodes(PlanPart("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
     split = lambda k: "val" if 0 < k == episodes - 1 else "train"  # the last of several validates
     segments = tuple(replace(s, slip=slip, id=_id(s.episode, slip), split=split(k)) for k, s in enumerate(made))
     return Plan(label=f"on policy, round {seed}", robot=robot, seed=seed, segments=segments)
 
 
 def _episodes(
-    part: Part, robot: Robot, seed: int, split: str, count: int, steer: tuple[dict, ...], prefix: str = ""
+    part: PlanPart, robot: Robot, seed: int, split: str, count: int, steer: tuple[dict, ...], prefix: str = ""
 ) -> list[Segment]:
     """The first `count` episodes of a block at the default slip."""
     from scipy.stats import qmc
@@ -230,7 +230,7 @@ def _ordered(segments: list[Segment]) -> tuple[Segment, ...]:
     return tuple(sorted(mixed, key=lambda segment: -segment.water))
 
 
-def _count(part: Part, scale: float) -> int:
+def _count(part: PlanPart, scale: float) -> int:
     return max(1, ceil(part.episodes * scale - 1e-9)) if scale >= 1 else max(part.least, round(part.episodes * scale))
 
 

@@ -19,13 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import __version__
-from fishmj.campaign.data.actuation import Drive, drive, ticks_of
+from fishmj.campaign.data.joint_commands import Drive, drive, ticks_of
 from fishmj.campaign.data.segment import Segment
 from fishmj.campaign.data.solver_hash import solver_sha256
-from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.lbm_oracle.run.setup import Edge, Stage
+from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.mjcf.centres import link_centres
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.model import reference_qpos
@@ -85,7 +85,7 @@ class Driven(Run):
         return fixed, value
 
 
-class Tank:
+class SegmentRunner:
     """One segment at work."""
 
     def __init__(self, segment: Segment, setup: Setup):
@@ -173,12 +173,12 @@ def side_by_side(
     Raises:
         ConfigError, OracleUnstable: a segment could not be set up.
     """
-    busy: list[Tank] = []
+    busy: list[SegmentRunner] = []
     emptied = 0
     while waiting or busy:
         while waiting and len(busy) < tanks:
-            busy.append(Tank(waiting.popleft(), setup))
-        Tanks([tank.run for tank in busy]).tick(np.array([tank.command() for tank in busy]))
+            busy.append(SegmentRunner(waiting.popleft(), setup))
+        ConcurrentRuns([tank.run for tank in busy]).tick(np.array([tank.command() for tank in busy]))
         for tank in list(busy):
             tank.ticked()
             if tank.done:
@@ -209,7 +209,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
         domain = replace(domain, dt=domain.dt / segment.finer)
     x, y, yaw = segment.pose
     pose = x + segment.nudge[0] * domain.dx, y + segment.nudge[1] * domain.dx, yaw
-    stage = Stage(
+    stage = SwimSetup(
         domain=domain,
         robot=robot,
         flow=segment.flow,
@@ -224,7 +224,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
     if segment.velocity:
         joints = segment.joints or (0.0,) * robot.n_joints
         coupled.body.place(reference_qpos(coupled.body.model, pose, joints), segment.velocity)
-    run = Driven(coupled, robot, follow=Edge(domain, yaw), tethered=moved.root is not None, prescribed=moved.joints)
+    run = Driven(coupled, robot, follow=DomainWatch(domain, yaw), tethered=moved.root is not None, prescribed=moved.joints)
     if moved.root is not None:
         path, off = moved.root, np.array([pose[0] - x, pose[1] - y, 0.0])
         run.root = lambda t: path(t) + off

@@ -7,7 +7,7 @@ from typing import Any
 
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.hydro_fit.dataset import SPLITS
+from fishmj.hydro_fit.segment_dataset import SPLITS
 
 
 @dataclass(frozen=True, kw_only=True)

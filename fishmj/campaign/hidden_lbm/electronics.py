@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.campaign.hidden_lbm.body import Difference, HiddenBody
+from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody, HiddenDifference
 from fishmj.campaign.hidden_lbm.implicit_servo import END, FASTEST, IMPULSE, SLOPE, STILL, ahead
 from fishmj.virtual_robot.loop import H
-from fishmj.virtual_robot.machine import Plant
-from fishmj.virtual_robot.motion import Recording, workspace
+from fishmj.virtual_robot.robot_constants import RobotConstants
+from fishmj.virtual_robot.simulate import Recording, workspace
 from fishmj.virtual_robot.state import LOG, State
 
 PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
@@ -24,16 +24,16 @@ class Queue(NamedTuple):
     commands: np.ndarray
 
 
-class Wire:
+class Electronics:
     """One robot's electronics.
 
     Args:
         made: the robot. state: at t = 0. queue: what arrives, and when. gust: weather of the second robot's water (G, 2).
     """
 
-    def __init__(self, made: Plant, state: State, queue: Queue, gust: np.ndarray):
+    def __init__(self, made: RobotConstants, state: State, queue: Queue, gust: np.ndarray):
         self.made, self.state, self.queue, self.gust = made, state, queue, gust
-        self.difference = Difference(made, gust)
+        self.difference = HiddenDifference(made, gust)
         self.law, self.held = np.zeros((3, 5)), np.zeros(3, bool)
         self.rows: list[np.ndarray] = []  # one array (n, LOG) a step
         self._work, self._tick, self._next = workspace(), -1, 0.0

@@ -16,14 +16,14 @@ import numpy as np
 
 from fishmj import excitation
 from fishmj.campaign.data.run_segments import DOUBT
-from fishmj.campaign.hidden_lbm.run import CARRY, PASSES, WIDTH, HiddenRun, Job
+from fishmj.campaign.hidden_lbm.hidden_run import CARRY, PASSES, WIDTH, HiddenRun, Job
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.source import made_by
-from fishmj.virtual_robot import draws, sensors
+from fishmj.virtual_robot import random_streams, sensors
 from fishmj.virtual_robot.trials import SENSORS, Effects, plant, sense, sigmas
 
 SLIPPERY = 0.02  # at nuisance 0.1 the slip ratio is 1 to 0.998 of what is asked for: 15 % of the speed at s = 1
@@ -84,7 +84,7 @@ def jobs(
     made = plant(effects, seed, nuisance=nuisance)
     speed, direction = flow
     made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
-    rng = draws.stream(seed, "immersed")
+    rng = random_streams.stream(seed, "immersed")
     heavier, smooth = 1.0 + HEAVY * nuisance * rng.uniform(-1, 1), slip * (1.0 - SLIPPERY * nuisance * rng.uniform(0, 1))
     out: list[Job] = []
     first: dict[str, str] = {}
@@ -104,7 +104,7 @@ def swum(waiting: Iterable[Job], device: str = "cpu", tanks: int = 1) -> Iterato
     while queue or busy:
         while queue and len(busy) < tanks:
             busy.append(HiddenRun(queue.popleft(), device))
-        Tanks(busy).tick(np.zeros((len(busy), 3)))
+        ConcurrentRuns(busy).tick(np.zeros((len(busy), 3)))
         for run in [run for run in busy if run.done]:
             busy.remove(run)
             yield run
@@ -128,7 +128,7 @@ def trial_of(run: HiddenRun) -> Trial:
         )
     sent = what.t[:ticks]
     tables = {"cmd": {"t": sent, "seq": np.arange(ticks), **numbered("c#", what.commands[:ticks])}}
-    streams = {name: draws.stream(job.seed, name, job.index) for name in SENSORS}
+    streams = {name: random_streams.stream(job.seed, name, job.index) for name in SENSORS}
     tables |= sense(made, record, streams, (0.0, float(record.t[-1])), job.noise)
     tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
     return Trial(_meta(run, tables), tables, name=job.name)

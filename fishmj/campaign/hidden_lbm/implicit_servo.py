@@ -12,8 +12,8 @@ held all the way is not moved at all (`held`): its row of the solve is w_j = 0.
 from math import exp
 
 from fishmj.virtual_robot.chain import assemble, factor, push_joint, solve
-from fishmj.virtual_robot.compiled import entry
 from fishmj.virtual_robot.loop import H, blow, rub, write
+from fishmj.virtual_robot.numba_entry import entry
 from fishmj.virtual_robot.servo import battery, firmware, friction_bound, motor_torque, spring_torque
 from fishmj.virtual_robot.water import friction_speed
 

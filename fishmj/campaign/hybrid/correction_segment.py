@@ -26,7 +26,7 @@ class Path(NamedTuple):
         return self.q[k] + (step - k) * (self.q[k + 1] - self.q[k])
 
 
-class Stretch(NamedTuple):
+class CorrectionSegment(NamedTuple):
     """n ticks of free swimming in the better water: states before the first and after each, (n + 1, 3 + J)."""
 
     q: np.ndarray
@@ -36,7 +36,7 @@ class Stretch(NamedTuple):
 class Oracle(Protocol):
     """A better water."""
 
-    def stretch(self, path: Path, past: list[np.ndarray], commands: np.ndarray) -> Stretch:
+    def stretch(self, path: Path, past: list[np.ndarray], commands: np.ndarray) -> CorrectionSegment:
         """Along the path, then by `commands` (n, J) from its end; `past`: all commands on the bus before those, oldest first."""
 
 
@@ -51,7 +51,7 @@ class Solver:
         self.robot, self.domain, self.flow, self.slip, self.device = robot, domain, flow or Flow(), slip, device
         self.run: Any = None
 
-    def stretch(self, path: Path, past: list[np.ndarray], commands: np.ndarray) -> Stretch:
+    def stretch(self, path: Path, past: list[np.ndarray], commands: np.ndarray) -> CorrectionSegment:
         """As `Oracle.stretch`.
 
         Raises:
@@ -66,7 +66,7 @@ class Solver:
             run.tick(command)
         pose, joint, rate = (np.array([row[i] for row in run.rows[first:]]) for i in (3, 4, 5))
         after = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
-        return Stretch(*(np.concatenate([[one], rows]) for one, rows in zip(start, after, strict=True)))
+        return CorrectionSegment(*(np.concatenate([[one], rows]) for one, rows in zip(start, after, strict=True)))
 
     def led(self, run, path: Path) -> np.ndarray:
         """(n, N, 3) mean wrenches F_x, F_y, M_z over the ticks of a path that the fish follows to the letter."""
@@ -80,7 +80,7 @@ class Solver:
         try:
             from fishmj.campaign.data.run_segments import Driven
             from fishmj.lbm_oracle.immersed.snapshot import reseed
-            from fishmj.lbm_oracle.run.setup import Edge, Stage
+            from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
             from fishmj.mjcf.model import reference_qpos
         except ModuleNotFoundError as error:
             raise MissingExtra(str(error.name), "oracle", "the flow solver") from error
@@ -88,12 +88,12 @@ class Solver:
         q, v = path.q[0], path.v[0]
         pose, joints = tuple(q[:3].tolist()), tuple(q[3:].tolist())
         if self.run is None:
-            stage = Stage(
+            stage = SwimSetup(
                 domain=self.domain, robot=self.robot, flow=self.flow, slip=self.slip, pose=pose, joints=joints, device=self.device
             )
             coupled = stage.coupled()
-            self.run = Driven(coupled, self.robot, follow=Edge(self.domain, pose[2]))
-        run, edge = self.run, Edge(self.domain, pose[2])
+            self.run = Driven(coupled, self.robot, follow=DomainWatch(self.domain, pose[2]))
+        run, edge = self.run, DomainWatch(self.domain, pose[2])
         reseed(run.coupled, reference_qpos(run.coupled.body.model, pose, joints), v)
         run.coupled.take_wrench(1.0)  # what is left of the stretch before
         while self.domain.follows and edge.follow(run.coupled):  # the window goes where the fish is

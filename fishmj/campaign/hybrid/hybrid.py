@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 
 from fishmj import console
-from fishmj.campaign.hybrid.correction_segment import Oracle, Path, Stretch
+from fishmj.campaign.hybrid.correction_segment import CorrectionSegment, Oracle, Path
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit import online_correction
@@ -68,7 +68,7 @@ class Surrogate:
         ramp, sw = self.robot.timing.command_path == "move_time", self.swimmer._replace(water=self.water)
         for i in range(self.steps):
             target = arrived(self.commands, self.ticks * self.steps + i, self.delay, self.steps, ramp)
-            hooks = None if self.learnt is None else residual_hooks.Learned(np, self.chain, self.learnt, self.memory)
+            hooks = None if self.learnt is None else residual_hooks.LearnedResidual(np, self.chain, self.learnt, self.memory)
             given = (list(self.q), list(self.v), self.attached, list(target), stream, (0.0, 0.0), hooks)
             s = planar_chain.step(np, self.chain, sw, *given)
             self.q, self.v, self.attached = np.array(s.q), np.array(s.v), s.attached
@@ -93,7 +93,7 @@ class Misses:
     Means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s: (R, B) for factors (10, B).
     """
 
-    def __init__(self, start: Surrogate, base: strip_forces.Coefficients, seen: Stretch, commands, own: float):
+    def __init__(self, start: Surrogate, base: strip_forces.Coefficients, seen: CorrectionSegment, commands, own: float):
         self.start, self.base, self.commands = start, base, commands
         self.window = max(1, min(round(WINDOW / start.robot.timing.bus_dt), len(commands)))
         self.seen = self._means(np.stack([_body(q, v) for q, v in zip(seen.q[1:], seen.v[1:], strict=True)])[..., None])

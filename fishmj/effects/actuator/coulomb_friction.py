@@ -1,12 +1,12 @@
 """Coulomb friction of the gear train."""
 
-from fishmj.effects.dry_friction import AT_REST, rub
+from fishmj.effects.dry_friction import AT_REST, apply_dry_friction
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
     """At most F_c, sticking at rest."""
-    return rub(xp, lambda speed: p.torque, g, memory, h)
+    return apply_dry_friction(xp, lambda speed: p.torque, g, memory, h)
 
 
 EFFECT = Effect(

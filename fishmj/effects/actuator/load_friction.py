@@ -1,13 +1,13 @@
 """Friction that grows with the load on the teeth."""
 
-from fishmj.effects.dry_friction import AT_REST, rub
+from fishmj.effects.dry_friction import AT_REST, apply_dry_friction
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
     """At most K |tau_m|, tau_m = drive - k_b w the torque that the motor puts on the teeth; sticking at rest."""
     load = xp.abs(g.drive - g.kb * g.rate)
-    return rub(xp, lambda speed: p.ratio * load, g, memory, h)
+    return apply_dry_friction(xp, lambda speed: p.ratio * load, g, memory, h)
 
 
 EFFECT = Effect(

@@ -1,12 +1,12 @@
 """Extra friction at creep speed."""
 
-from fishmj.effects.dry_friction import AT_REST, rub
+from fishmj.effects.dry_friction import AT_REST, apply_dry_friction
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
     """At most F_s exp(-(w / w_s)^2), sticking at rest."""
-    return rub(xp, lambda speed: p.torque * xp.exp(-((speed / p.speed) ** 2)), g, memory, h)
+    return apply_dry_friction(xp, lambda speed: p.torque * xp.exp(-((speed / p.speed) ** 2)), g, memory, h)
 
 
 EFFECT = Effect(

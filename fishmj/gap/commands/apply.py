@@ -17,7 +17,7 @@ from fishmj import console
 from fishmj.engines import own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
-from fishmj.gap.commands import compare_models, doors, model_version, options
+from fishmj.gap.commands import compare_models, doors, gap_options, model_version
 from fishmj.gap.commands.check import check
 from fishmj.gap.records.datasets import digest, judged, null_of
 from fishmj.gap.wording import level, title
@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
-    options.there(args.report, args.data, args.revert)
+    gap_options.there(args.report, args.data, args.revert)
     if (args.report is None) == (args.revert is None):
         raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
     if args.revert:

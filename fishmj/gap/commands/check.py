@@ -12,7 +12,7 @@ from fishmj import console
 from fishmj.engines import own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
-from fishmj.gap.commands import compare_models, doors, model_version, options
+from fishmj.gap.commands import compare_models, doors, gap_options, model_version
 from fishmj.gap.records.datasets import digest, judged, null_of, trials_in
 from fishmj.gap.wording import level
 from fishmj.mjcf.description import load_robot
@@ -28,7 +28,7 @@ def main(argv: list[str]) -> int:
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
-    options.there(args.model, args.data)
+    gap_options.there(args.model, args.data)
     found = check(args.model, args.data, args.same_robot)
     console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
     if found["worse"]:

@@ -6,15 +6,15 @@ from fishmj import effects
 from fishmj.engines import in_water
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError
-from fishmj.gap.models.swimming_fish import Fish
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.workflow import evidence_of
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 
 
-def gaps(versions: list[Robot], trials: list[Trial], null: Null, water: str = STRUCTURED) -> list[tuple[float, dict]]:
+def gaps(versions: list[Robot], trials: list[Trial], null: SimulatedNull, water: str = STRUCTURED) -> list[tuple[float, dict]]:
     """(gap, gap by channel) of each version over all trials, mean squares in units of the floor. water: that they swim in.
 
     Raises:
@@ -26,12 +26,12 @@ def gaps(versions: list[Robot], trials: list[Trial], null: Null, water: str = ST
     if not trials:
         raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
-    plant = Fish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
+    plant = SwimmingFish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
     evidence = evidence_of(plant, [record_of(trial, plant.dt) for trial in trials], null)
     return [evidence.gap(plant.row(robot)) for robot in versions]
 
 
-def gaps_of(versions: list[Robot], records: list[Record], null: Null, plant: Fish) -> list[float]:
+def gaps_of(versions: list[Robot], records: list[Record], null: SimulatedNull, plant: SwimmingFish) -> list[float]:
     """The gaps alone, of records that are read already and a plant that holds all effects of the versions."""
     evidence = evidence_of(plant, records, null)
     return [evidence.gap(plant.row(robot))[0] for robot in versions]

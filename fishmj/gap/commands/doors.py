@@ -11,8 +11,8 @@ from dataclasses import replace
 from fishmj import console
 from fishmj.errors import ConfigError, LogError
 from fishmj.excitation import PERIOD
-from fishmj.gap.null.recorded import Sets, trials_of
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.recorded_null import RecordedNull, trials_of
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot, load_robot
 
@@ -68,9 +68,9 @@ def joints_of(trial: Trial) -> int:
     return 0
 
 
-def null_fits(null: Null, robot: Robot, model: object) -> None:
+def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
     """Raise ConfigError when null sets were swum by another robot than the questioned model's."""
-    if not isinstance(null, Sets):
+    if not isinstance(null, RecordedNull):
         return
     trial = trials_of(null.bundles[0])[0]
     name, joints = str(trial.value("robot", "") or "")[:64], joints_of(trial)

@@ -11,11 +11,11 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.engines import in_water, own_effects
 from fishmj.gap import watch
-from fishmj.gap.commands import compare_models, doors, model_version, options, unlike
+from fishmj.gap.commands import compare_models, doors, gap_options, model_version, unlike
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.sufficiency import Shortage, everything, shortage
+from fishmj.gap.records.sufficiency import InsufficientData, deterministic_effects, insufficient_data
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
@@ -29,7 +29,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
     add("data", type=console.path, help=f"data set: {forms}; measurements.toml in the folder (docs/logs.md) is what was weighed")
-    options.of_model(add)
+    gap_options.of_model(add)
     add(
         "--water",
         type=console.text,
@@ -40,14 +40,14 @@ def main(argv: list[str]) -> int:
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
-    options.of_null(add)
-    most = f"effects to add at most, 1 to {options.MOST_EFFECTS} (default {frozen().most})"
-    add("--most", type=console.whole(1, options.MOST_EFFECTS), default=None, metavar="N", help=most)
+    gap_options.of_null(add)
+    most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().most})"
+    add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
     args.null = args.null and shipped(args.null)
-    options.there(args.data, args.null)
+    gap_options.there(args.data, args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)
@@ -102,10 +102,10 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
     Raises:
         TooDifferent: model and logs are further apart than any missing effect brings them.
     """
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
 
     return investigate(
-        Fish(robot),
+        SwimmingFish(robot),
         list(given.trials.values()),
         gates=frozen() if args.most is None else replace(frozen(), most=args.most),
         null=datasets.null_of(null_of(args)),
@@ -125,9 +125,9 @@ def null_of(args) -> dict:
     return made | {"folder": str(args.null.resolve())} if args.null else made
 
 
-def missing(given: Taken, robot: Robot) -> "Shortage | None":
+def missing(given: Taken, robot: Robot) -> "InsufficientData | None":
     """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
-    return shortage([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], everything())
+    return insufficient_data([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], deterministic_effects())
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:

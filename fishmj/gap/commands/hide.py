@@ -13,13 +13,13 @@ from itertools import count, cycle, islice
 import numpy as np
 
 from fishmj import console, effects, excitation
-from fishmj.effects import Active
-from fishmj.effects.draws import draw
-from fishmj.effects.sites import Seen
+from fishmj.effects import EffectStack
+from fishmj.effects.randomise import draw
+from fishmj.effects.sites import Measured
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, options
+from fishmj.gap.commands import doors, gap_options
 from fishmj.gap.records import datasets
 from fishmj.gap.records.datasets import LOUDEST
 from fishmj.lbm_oracle.run.domain import NAMES
@@ -27,8 +27,8 @@ from fishmj.log import Trial, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.dataset import bounds, own_reference, placed, write_hidden
+from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
 from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
 
@@ -48,7 +48,7 @@ def main(argv: list[str]) -> int:
     add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
     shelf = "designed, casual, dry, all, or ids with commas (default designed)"
     add("--excitations", type=console.text, default="designed", metavar="LIST", help=shelf)
-    options.of_seed(add, "of the robot and its noise")
+    gap_options.of_seed(add, "of the robot and its noise")
     add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
     nuisance = "relative half width of constants that nobody measured, 0 to 0.5 (default 0.1)"
     add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
@@ -62,7 +62,7 @@ def main(argv: list[str]) -> int:
     add("--truth", type=console.out_file, metavar="FILE", help=where)
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
-    options.there(args.source)
+    gap_options.there(args.source)
     if args.weigh and args.generator == "log":
         raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
     if args.source is not None and args.generator != "log":
@@ -100,9 +100,9 @@ def understood(args) -> dict[str, dict[str, float]]:
         raise ConfigError(f"gap plant: none beside {', '.join(texts)[:60]}; expected none alone, or effects")
     if args.generator == "log":
         return parse(texts, args.seed)
-    from fishmj.virtual_robot import dataset
+    from fishmj.virtual_robot import hidden_dataset
 
-    return dataset.parse(texts, args.seed, limits)
+    return hidden_dataset.parse(texts, args.seed, limits)
 
 
 def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
@@ -166,7 +166,7 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
     able = {e.name: e for e in effects.catalogue().values() if afterwards(e)}
     out: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
-        rng = draws.stream(seed, "log", position)
+        rng = random_streams.stream(seed, "log", position)
         name, colon, listed = text.partition(":")
         main = "" if colon else name.partition("=")[2]
         name = name.partition("=")[0]
@@ -179,7 +179,7 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
                 f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
             )
         effect = able[name]
-        active = Active([effect], 3)
+        active = EffectStack([effect], 3)
         row = draw(active, 1, rng)[0] if not (colon or main) else np.array(active.null)
         split = [pair.partition("=") for pair in listed.split(",") if colon]
         pairs = [(effect.parameters[0].name, main)] if main else [(key.strip(), value) for key, _, value in split]
@@ -203,7 +203,7 @@ def afterwards(effect) -> bool:
 
 def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Trial:
     """One trial with the effects on it: values through `measure`, stamps of a late clock moved by its delay."""
-    active = Active([effects.get(key) for key in hidden], 3)
+    active = EffectStack([effects.get(key) for key in hidden], 3)
     row = active.flat(hidden)
     tables = {key: dict(table) for key, table in trial.tables.items()}
     for sensor in ("pose", "joint", "power"):
@@ -221,14 +221,14 @@ def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Tria
     return Trial(trial.meta, tables, name=name, notes=trial.notes)
 
 
-def measured(active: Active, row, sensor: str, table: dict) -> dict:
+def measured(active: EffectStack, row, sensor: str, table: dict) -> dict:
     """A table as the effects' sensors report it."""
     t = np.asarray(table["t"], float)
     zero = np.zeros_like(t)
     x, y, yaw = (np.asarray(table[k], float) for k in ("x", "y", "yaw")) if sensor == "pose" else (zero, zero, zero)
     joint = stacked(table, "j#") if sensor == "joint" else np.zeros((len(t), active.joints))
     power = np.asarray(table["V"] * table["I"], float) if sensor == "power" else zero
-    seen = active.measure(np, row, Seen(t, x, y, yaw, joint, power))
+    seen = active.measure(np, row, Measured(t, x, y, yaw, joint, power))
     if sensor == "pose":
         return table | {"x": seen.x + zero, "y": seen.y + zero, "yaw": seen.yaw + zero}
     if sensor == "joint":

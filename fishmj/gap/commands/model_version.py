@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fishmj.calib import read_toml, resolve
 from fishmj.effects import calibration, get
-from fishmj.effects.calibration import Fitted, Interval
+from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.errors import ConfigError
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot, robot_from_dict
@@ -38,7 +38,7 @@ def facts(path: "str | Path") -> dict:
     return version
 
 
-def found(verdict: dict, provenance: str, evidence: str) -> list[Fitted]:
+def found(verdict: dict, provenance: str, evidence: str) -> list[FittedEffect]:
     """The effects of a verdict as calibration blocks, in the catalogue's order. Raises ConfigError: bounds, unknown effects."""
     blocks = []
     for effect in verdict["effects"]:
@@ -49,17 +49,17 @@ def found(verdict: dict, provenance: str, evidence: str) -> list[Fitted]:
             inside = lambda x: min(max(float(x), low), high)  # noqa: B023, E731  used at once
             value = inside(v["value"])
             intervals[name] = Interval(value, min(inside(v["low"]), value), max(inside(v["high"]), value))
-        blocks.append(Fitted(effect["name"], intervals, provenance, evidence))
+        blocks.append(FittedEffect(effect["name"], intervals, provenance, evidence))
     return blocks
 
 
-def merged(parent: "tuple[Fitted, ...]", new: list[Fitted]) -> list[Fitted]:
+def merged(parent: "tuple[FittedEffect, ...]", new: list[FittedEffect]) -> list[FittedEffect]:
     """The parent's effects with the new ones appended; one that it has already takes the new values in its place."""
     fresh = {fitted.name: fitted for fitted in new}
     return [fresh.pop(old.name, old) for old in parent] + list(fresh.values())
 
 
-def write(parent: "str | Path", out: Path, effects: list[Fitted], version: dict, *, keep: bool = True) -> Path:
+def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version: dict, *, keep: bool = True) -> Path:
     """Write a version: the parent's text, the table [version], the blocks; checked before it is there.
 
     keep: also put the parent's text beside it, which `revert` needs.

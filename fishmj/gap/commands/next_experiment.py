@@ -11,10 +11,10 @@ from fishmj.engines import in_water, own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, model_version, options, unlike
+from fishmj.gap.commands import doors, gap_options, model_version, unlike
 from fishmj.gap.experiment.advice import LEFT, OPEN, advice, read, sides_of
-from fishmj.gap.experiment.discrimination import Side, evenly, hinted, prospects
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.experiment.discrimination import Hypothesis, experiment_scores, hinted, normalised
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in, taken
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.workflow import compiled, investigate
@@ -31,13 +31,13 @@ def main(argv: list[str]) -> int:
     which = "experiments: ids, all, or hinted, a quick look (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
     add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
-    options.of_null(add)
+    gap_options.of_null(add)
     add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
-    options.there(args.source)
-    null = Null(runs=args.null_runs, noise=args.noise, seed=args.seed)
+    gap_options.there(args.source)
+    null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, plant, sides, like = _opened(args, null)
     except unlike.TooDifferent as different:
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
         return console.OK
     runs = _runs(args.runs, sides)
     compiled(plant, console.say)
-    found = prospects(plant, sides, like, runs, null, bars=watch.shown)
+    found = experiment_scores(plant, sides, like, runs, null, bars=watch.shown)
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
     advised = advice(plant, found, sides)
     console.say(advised)
@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
-def _opened(args, null: Null):
+def _opened(args, null: SimulatedNull):
     """(answer, plant, sides, a record) of a report or a data set."""
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
@@ -70,7 +70,7 @@ def _opened(args, null: Null):
         verdict = reported.verdict(report, context=False)
         context = verdict.get("context", {})
         plant = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
-        return verdict["answer"], plant, evenly(_reported(plant, verdict)), _usual(plant)
+        return verdict["answer"], plant, normalised(_reported(plant, verdict)), _usual(plant)
     model = args.model or "fish"
     plant = _questioned(model, STRUCTURED)
     given = taken(args.source, plant.dt)
@@ -90,7 +90,7 @@ def _opened(args, null: Null):
     found = inquiry.verdict
     if found.answer not in OPEN:
         return found.answer, plant, [], inquiry.records[0]
-    return found.answer, plant, evenly(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
+    return found.answer, plant, normalised(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
 
 
 def _model_of(context: dict) -> str:
@@ -108,14 +108,14 @@ def _model_of(context: dict) -> str:
 
 def _questioned(model: str, water: str):
     """The plant of a model that a search can take."""
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
 
     robot = in_water(load_robot(model), water)
     doors.searchable(robot, model)
-    return Fish(robot)
+    return SwimmingFish(robot)
 
 
-def _reported(plant, verdict: dict) -> list[Side]:
+def _reported(plant, verdict: dict) -> list[Hypothesis]:
     """Sides of a verdict.json."""
     if verdict["answer"] not in OPEN:
         return []
@@ -134,7 +134,7 @@ def _usual(plant) -> Record:
     return record_of(generate({}, ["idle"], 0, robot=plant.robot)[0], plant.dt)
 
 
-def _runs(text: str, sides: list[Side]) -> tuple[str, ...]:
+def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:
     """Ids of the experiments to consider."""
     if text == "hinted":
         return hinted(sides)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import FishmjError
-from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.likelihood import Likelihood
 
 FAR, BEYOND = 1e3, 1e5  # mean squares over the floor: of the worst channel, of all
 UNITS = {
@@ -61,7 +61,7 @@ class Pair(NamedTuple):
         return float(np.mean(self.measured * self.predicted)) / scale if scale > 0 else 0.0
 
 
-def admit(e: Evidence, anyway: bool = False) -> None:
+def admit(e: Likelihood, anyway: bool = False) -> None:
     """Let a search go on, or not. anyway: the user has said that such a gap is meant.
 
     Raises:
@@ -79,7 +79,7 @@ def admit(e: Evidence, anyway: bool = False) -> None:
     raise found
 
 
-def likely(e: Evidence) -> list[str]:
+def likely(e: Likelihood) -> list[str]:
     """Likely causes, channel by channel."""
     predictions = e.plant.predict(e.records, e.plant.null)
     sets = [(r, p) for r, p in zip(e.records, predictions, strict=True)]

@@ -22,15 +22,23 @@ What is found beside others may be too little to be named: beside.py.
 import numpy as np
 
 from fishmj.gap.decide.intervals import HALF, estimate
-from fishmj.gap.decide.poorly_determined import SMALL, SPREAD, chance, sizes, small, untold, vague
-from fishmj.gap.decide.rivals import ON_BOUND, Rival, Standing, standings
-from fishmj.gap.decide.secondary_effects import lesser
+from fishmj.gap.decide.poorly_determined import (
+    SMALL,
+    SPREAD,
+    insignificant,
+    poorly_determined,
+    size_parameters,
+    small,
+    within_null_scatter,
+)
+from fishmj.gap.decide.rivals import ON_BOUND, Rival, Support, standings
+from fishmj.gap.decide.secondary_effects import negligible
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.effect_fitter import Candidate, bounds
-from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.outlier_records import error, misformed
-from fishmj.gap.search.refit import polished
-from fishmj.gap.search.stepwise import Found
+from fishmj.gap.search.refit import refine
+from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates, rest_allowed
 from fishmj.gap.verdict import LIKELIHOOD, Named, Value, Verdict
 from fishmj.gap.wording import number, percent, quantity, title
@@ -39,7 +47,7 @@ CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get 
 SLIGHT = 0.15  # of the gain over all records, by which one may get worse
 
 
-def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
+def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     """The answer with its gates."""
     before, parts = e.gap(found.base.row)
     checks: dict = {"adequacy": found.base.cost / e.layout.size, "gap_by_channel": parts}
@@ -55,13 +63,13 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = standings(found, gates)
     effects = named(found, found.best, stand)
-    if chance(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.enough:
+    if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.enough:
         why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.enough) for n in effects}
-    spoilt = lesser(found, effects, stand, doubts, gates)
+    spoilt = negligible(found, effects, stand, doubts, gates)
     checks |= unseen(e, found)
     wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
@@ -76,7 +84,7 @@ def decide(e: Evidence, found: Found, gates: Gates) -> Verdict:
     return Verdict(answer, reason=reason, **whole)
 
 
-def pinned(e: Evidence, names) -> bool:
+def pinned(e: Likelihood, names) -> bool:
     """Whether all that was found explains anything only where a value is right to a fraction of a per cent.
 
     That stands in for nothing, and its form may be wrong: a command in steps jumps between the right values, though no two
@@ -91,7 +99,7 @@ def _rival(name: str, rival: Rival) -> dict:
 
 
 def _answer(
-    checks: dict, gates: Gates, kept, stand: dict[str, Standing], rivals, warnings, shrinks: bool = True
+    checks: dict, gates: Gates, kept, stand: dict[str, Support], rivals, warnings, shrinks: bool = True
 ) -> tuple[str, str]:
     """(answer, reason) once something was found. shrinks: the gap gets smaller with it."""
     told = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the gap"
@@ -119,7 +127,7 @@ def _answer(
     return "NAMED", f"{does}, and nothing else does"
 
 
-def unseen(e: Evidence, found: Found) -> dict[str, float]:
+def unseen(e: Likelihood, found: Selection) -> dict[str, float]:
     """Gates on records that are predicted without their fold: gain, closure, rest, transfer."""
     parts = found.fitted.unseen(found.folds)
     before = sum(e.part(f).loss(found.base.row) for f in found.folds)
@@ -130,7 +138,7 @@ def unseen(e: Evidence, found: Found) -> dict[str, float]:
     return {"gain": before - after, "closure": closed, "rest": left / e.layout.size, "transfer": transfer(e, found)}
 
 
-def transfer(e: Evidence, found: Found) -> float:
+def transfer(e: Likelihood, found: Selection) -> float:
     """Share of the records that do not get less likely, but for chance and a little of what all of them gain.
 
     Each is predicted by a fit without its fold, and with what the others tell of the constants: a joint gain is no one record's.
@@ -149,11 +157,11 @@ def transfer(e: Evidence, found: Found) -> float:
     return float(np.mean(rise < np.maximum(allowed, -SLIGHT * np.sum(rise))))
 
 
-def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named, ...]:
+def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
     e = found.near
     doubted = e.doubted(c.row)
-    value, spread = estimate(doubted, polished(doubted.part(doubted.everything), c))
+    value, spread = estimate(doubted, refine(doubted.part(doubted.everything), c))
     near, base = e.part(e.everything), found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
     closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
@@ -170,7 +178,7 @@ def named(found: Found, c: Candidate, stand: dict[str, Standing]) -> tuple[Named
     return tuple(out)
 
 
-def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
+def sanity(e: Likelihood, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
     """What is not believable about the values of one effect. little: what it gains could be that of any."""
     _, _, size = bounds(e.plant)
     effect = next(x for x in e.plant.active.effects if x.name == n.name)
@@ -179,13 +187,13 @@ def sanity(e: Evidence, c: Candidate, n: Named, little: bool = True) -> tuple[st
         place = e.plant.index(n.name, p.name)
         if any(b != p.null and abs(c.row[place] - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
             out.append(f"{title(n.name)}: {title(p.name)} = {quantity(c.row[place], p.unit)} lies on its bound")
-    first, *others = sizes(effect)
+    first, *others = size_parameters(effect)
     main = n.parameters[first.name]
     if small(e, n, SMALL):
         out.append(f"{title(n.name)} is far smaller than it is anywhere known: it may stand in for something else")
-    if not others and vague(first, main):
+    if not others and poorly_determined(first, main):
         out.append(f"{title(n.name)}: the records disagree about its size by more than {percent(SPREAD)}")
-    if little and others and untold((first, *others), n.parameters):
+    if little and others and insignificant((first, *others), n.parameters):
         out.append(f"{title(n.name)}: the records do not tell any of its values from none")
     return tuple(out)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.effect_fitter import Candidate, bounds
-from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.likelihood import Likelihood
 
 STEP = 0.02  # of the typical size
 FORM = 0.08
@@ -22,7 +22,7 @@ MANY, FEW = 6, 3.0  # with fewer records a jackknife is noise: it may widen the 
 HALF = 1.645  # standard deviations of a 90 % interval
 
 
-def estimate(e: Evidence, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
+def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """(values (K,), standard deviations (K,)) of a candidate's parameters."""
     search = e.part(np.ones(len(e.records), bool))
     low, high, size = bounds(e.plant)
@@ -46,7 +46,7 @@ def estimate(e: Evidence, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     return values, np.sqrt(spurious.var(0) + sure**2 + form**2)
 
 
-def of_null(e: Evidence, slopes: np.ndarray) -> np.ndarray:
+def of_null(e: Likelihood, slopes: np.ndarray) -> np.ndarray:
     """(n, K) what each null run would make of the parameters whose slopes (K, m) are given."""
     n = e.runs
     factors, b = e.factors / e.d, slopes / e.d

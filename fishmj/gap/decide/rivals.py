@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.effects.classes import containing
+from fishmj.effects.ambiguity import containing
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.effect_fitter import Candidate, Search, bounds
-from fishmj.gap.search.refit import moved, without
-from fishmj.gap.search.stepwise import Found
+from fishmj.gap.search.effect_fitter import Candidate, EffectFitter, bounds
+from fishmj.gap.search.refit import drop_effect, on_records
+from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates
 
 ON_BOUND = 1e-3  # of the typical size
@@ -29,7 +29,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Standing:
+class Support:
     """How firm one effect stands."""
 
     gain: float
@@ -37,20 +37,20 @@ class Standing:
     rivals: tuple[Rival, ...]
 
 
-def standings(found: Found, gates: Gates) -> dict[str, Standing]:
+def standings(found: Selection, gates: Gates) -> dict[str, Support]:
     """Every effect of what was found."""
     whole = found.near.part(found.near.everything)
-    best = moved(whole, found.best)
+    best = on_records(whole, found.best)
     rivals = [c for step in found.steps if step.accepted for c in step.ranked]
     return {name: standing(whole, best, name, rivals, gates) for name in best.names}
 
 
-def standing(whole: Search, best: Candidate, name: str, ranked, gates: Gates) -> Standing:
+def standing(whole: EffectFitter, best: Candidate, name: str, ranked, gates: Gates) -> Support:
     """One effect against the finalists of all rounds.
 
     A set in which a parameter came to rest on a bound is no rival: it is a limiting form that mimics the best.
     """
-    gain = max(without(whole, best, name).cost - best.cost, 1e-9)
+    gain = max(drop_effect(whole, best, name).cost - best.cost, 1e-9)
     tried = (replaced(whole, best, name, c) for c in ranked if name not in c.names)
     others = list({frozenset(c.names): c for c in (*tried, *alike(whole, best, name)) if c is not None}.values())
     polished = whole.refine([best, *others], 2)
@@ -62,17 +62,17 @@ def standing(whole: Search, best: Candidate, name: str, ranked, gates: Gates) ->
         behind = (c.cost - ours.cost) / gain
         if behind < min(gates.margin, gates.ahead / gain) or p > 1 - gates.p_best:
             rivals.append(Rival(c.names[-1], float(p), float(behind)))
-    return Standing(gain, float(share[0]), tuple(rivals))
+    return Support(gain, float(share[0]), tuple(rivals))
 
 
-def alike(whole: Search, best: Candidate, name: str) -> list[Candidate]:
+def alike(whole: EffectFitter, best: Candidate, name: str) -> list[Candidate]:
     """`best` with the effect replaced by those that are known to look the same."""
     twins = {twin for kind in containing(name) for twin in kind.effects} - {*best.names, name}
     effects = [x for x in whole.plant.active.effects if x.name in twins]
-    return whole.screen(without(whole, best, name), effects) if effects else []
+    return whole.screen(drop_effect(whole, best, name), effects) if effects else []
 
 
-def replaced(whole: Search, best: Candidate, name: str, other: Candidate) -> Candidate | None:
+def replaced(whole: EffectFitter, best: Candidate, name: str, other: Candidate) -> Candidate | None:
     """`best` with the effect `name` at its null and the newest effect of `other` as it was there; None if it is there already."""
     newest = other.names[-1]
     if newest in best.names:

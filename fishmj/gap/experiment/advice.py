@@ -10,12 +10,12 @@ import numpy as np
 
 from fishmj.gap.decide.intervals import HALF, estimate
 from fishmj.gap.decide.rivals import replaced
-from fishmj.gap.experiment.discrimination import Prospect, Side, evenly, hinted, prospects
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis, experiment_scores, hinted, normalised
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.effect_fitter import Candidate
-from fishmj.gap.search.likelihood import Evidence
-from fishmj.gap.search.stepwise import Found
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import title
@@ -26,21 +26,21 @@ WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (meas
 OPEN = ("CLASS", "UNEXPLAINED")
 
 
-def advised(e: Evidence, found: Found, verdict: Verdict, null: Null, bars: Bars = silent) -> Verdict:
+def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent) -> Verdict:
     """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
-    sides = evenly(sides_of(e, found, verdict))
+    sides = normalised(sides_of(e, found, verdict))
     if verdict.answer not in OPEN or len(sides) < 2:
         return verdict
-    quick = prospects(e.plant, sides, e.records[0], hinted(sides), null, bars=bars)
+    quick = experiment_scores(e.plant, sides, e.records[0], hinted(sides), null, bars=bars)
     known = {s.names: written(e.plant, s) for s in sides[1:]}
     listed = {names[-1]: values for names, values in known.items()}
     rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
     return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.plant, quick, sides))
 
 
-def advice(plant, found: list[Prospect], sides: list[Side]) -> str:
+def advice(plant, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
-    from fishmj.effects.classes import together
+    from fishmj.effects.ambiguity import together
 
     best = next((p for p in found if p.sigma >= ENOUGH), None)
     if best:
@@ -56,7 +56,7 @@ def advice(plant, found: list[Prospect], sides: list[Side]) -> str:
     return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
 
 
-def sides_of(e: Evidence, found: Found, verdict: Verdict) -> list[Side]:
+def sides_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothesis]:
     """What is left: the best, then each listed rival in its place; where none is listed, the next of the last round."""
     if not found.steps:
         return []
@@ -76,15 +76,15 @@ def sides_of(e: Evidence, found: Found, verdict: Verdict) -> list[Side]:
     return [side(near, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
 
 
-def side(e: Evidence, c: Candidate, weight: float) -> Side:
+def side(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
     """A candidate with how far its parameters may be off."""
     moves = np.repeat(c.row[None], len(c.places), 0)
     for k, (place, spread) in enumerate(zip(c.places, estimate(e, c)[1], strict=True)):
         moves[k, place] += spread
-    return Side(c.names, c.row, moves, weight)
+    return Hypothesis(c.names, c.row, moves, weight)
 
 
-def written(plant, s: Side) -> dict:
+def written(plant, s: Hypothesis) -> dict:
     """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
     out: dict = {}
     entries = [(x, p) for x in plant.active.effects if x.name in s.names for p in x.parameters]
@@ -95,7 +95,7 @@ def written(plant, s: Side) -> dict:
     return out
 
 
-def read(plant, values: dict, weight: float) -> Side:
+def read(plant, values: dict, weight: float) -> Hypothesis:
     """The side that `written` wrote."""
     row, moves = plant.null.copy(), []
     for name, entries in values.items():
@@ -105,4 +105,4 @@ def read(plant, values: dict, weight: float) -> Side:
     rows = np.repeat(row[None], len(moves), 0)
     for k, (place, spread) in enumerate(moves):
         rows[k, place] += spread
-    return Side(tuple(values), row, rows, weight)
+    return Hypothesis(tuple(values), row, rows, weight)

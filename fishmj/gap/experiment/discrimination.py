@@ -14,20 +14,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import excitation
-from fishmj.effects.classes import together
+from fishmj.effects.ambiguity import together
 from fishmj.excitation import Excitation
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import smooth, whitening
 from fishmj.gap.records.records import Record, Sensor
-from fishmj.gap.records.residual import Layout
-from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import title
 
 HINTS = 6  # experiments that a quick look tries
 
 
-class Side(NamedTuple):
+class Hypothesis(NamedTuple):
     """One explanation that is still possible."""
 
     names: tuple[str, ...]
@@ -40,7 +40,7 @@ class Side(NamedTuple):
         return " + ".join(self.names)
 
 
-class Prospect(NamedTuple):
+class ExperimentScore(NamedTuple):
     """What one experiment promises."""
 
     excitation: str
@@ -58,7 +58,9 @@ class Prospect(NamedTuple):
         )
 
 
-def prospects(plant, sides: list[Side], like: Record, runs, null: Null, form: float = 0.1, bars: Bars = silent) -> list[Prospect]:
+def experiment_scores(
+    plant, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, form: float = 0.1, bars: Bars = silent
+) -> list[ExperimentScore]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
     plans = [planned(excitation.get(name), like) for name in filter(null.holds, runs)]
     null.prepare(plant, plans, bars)
@@ -70,10 +72,10 @@ def prospects(plant, sides: list[Side], like: Record, runs, null: Null, form: fl
     return sorted(out, key=lambda p: -p.worth)
 
 
-def prospect(plant, sides: list[Side], record: Record, null: Null, form: float) -> Prospect:
+def prospect(plant, sides: list[Hypothesis], record: Record, null: SimulatedNull, form: float) -> ExperimentScore:
     """One experiment."""
-    layout = Layout([record])
-    e = Evidence(plant, [record], null.residuals(plant, [record], layout), form)
+    layout = ResidualLayout([record])
+    e = Likelihood(plant, [record], null.residuals(plant, [record], layout), form)
     rows = np.concatenate([plant.null[None], *(np.concatenate([s.row[None], s.moves]) for s in sides)])
     seen = -layout.residuals(plant.predict([record], rows))  # predictions, up to what was measured
     spots = np.cumsum([1, *(1 + len(s.moves) for s in sides)])
@@ -88,7 +90,7 @@ def prospect(plant, sides: list[Side], record: Record, null: Null, form: float) 
         worth += sides[i].weight * sides[j].weight * sigma**2
         if i == 0 and sigma > best[0]:
             best = (sigma, (sides[i].label, sides[j].label))
-    return Prospect(record.excitation, record.seconds, *best, worth / record.seconds)
+    return ExperimentScore(record.excitation, record.seconds, *best, worth / record.seconds)
 
 
 def planned(run: Excitation, like: Record) -> Record:
@@ -119,7 +121,7 @@ def planned(run: Excitation, like: Record) -> Record:
     )
 
 
-def hinted(sides: list[Side], most: int = HINTS) -> tuple[str, ...]:
+def hinted(sides: list[Hypothesis], most: int = HINTS) -> tuple[str, ...]:
     """A handful of experiments worth a look: what the catalogue says separates the sides, then those of the standard session."""
     from fishmj import effects
 
@@ -133,7 +135,7 @@ def hinted(sides: list[Side], most: int = HINTS) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*first, *excitation.DESIGNED]))[: max(most, len(first))]
 
 
-def evenly(sides: list[Side]) -> list[Side]:
+def normalised(sides: list[Hypothesis]) -> list[Hypothesis]:
     """The same with weights that add up to 1, none below a twentieth before: a rival that is listed is possible."""
     weights = np.maximum([s.weight for s in sides], 0.05)
     return [s._replace(weight=float(w)) for s, w in zip(sides, weights / weights.sum(), strict=True)]

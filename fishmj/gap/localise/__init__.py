@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.gap.localise.comparison import Comparison, compared
-from fishmj.gap.localise.harmonics import Beat, Rates, beat, by_rate
+from fishmj.gap.localise.error_by_regime import KINDS, kinds, shares
+from fishmj.gap.localise.harmonics import Beat, BeatRates, beat, by_rate
 from fishmj.gap.localise.lags import Lags, lags
-from fishmj.gap.localise.regimes import KINDS, kinds, shares
 from fishmj.gap.localise.world_or_body import Frame, Side, frame, side, stretches
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]
@@ -45,7 +45,7 @@ class Localisation:
     side: Side | None
     thirds: dict[str, np.ndarray]
     session: dict[str, float]
-    rates: Rates | None
+    rates: BeatRates | None
     bias: np.ndarray
     residual_rms: dict[str, tuple[float, float]]
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 
 
 class Comparison(NamedTuple):
@@ -17,7 +17,7 @@ class Comparison(NamedTuple):
 
     plant: Any
     records: list[Record]
-    layout: Layout
+    layout: ResidualLayout
     scale: np.ndarray
     rows: np.ndarray
     predictions: list[dict]
@@ -43,9 +43,9 @@ class Comparison(NamedTuple):
         return out
 
 
-def compared(plant, records: list[Record], scale: np.ndarray, before, after, layout: Layout | None = None) -> Comparison:
+def compared(plant, records: list[Record], scale: np.ndarray, before, after, layout: ResidualLayout | None = None) -> Comparison:
     """Roll both rows out over the records."""
-    layout = Layout(records) if layout is None else layout
+    layout = ResidualLayout(records) if layout is None else layout
     rows = np.stack([np.asarray(before, float), np.asarray(after, float)])
     predictions = plant.predict(records, rows)
     return Comparison(plant, records, layout, scale, rows, predictions, layout.residuals(predictions))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import Record, Sensor
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)  # s
@@ -24,7 +24,7 @@ CHANNELS = {"joint": "rad", "position": "m", "heading": "rad"}
 DRAWS = 200
 
 
-class Late(NamedTuple):
+class Latencies(NamedTuple):
     """How long ago what a stamp reports happened, s; and how long a command takes to the servo."""
 
     command: float
@@ -32,7 +32,7 @@ class Late(NamedTuple):
     pose: float
 
 
-class State(NamedTuple):
+class RestartState(NamedTuple):
     """A measured state: value and rate with their standard deviations, (C,) each."""
 
     value: np.ndarray
@@ -41,17 +41,17 @@ class State(NamedTuple):
     rate_sd: np.ndarray
 
 
-class Segment(NamedTuple):
+class GrowthSegment(NamedTuple):
     """A record cut out of another, in mid-swing. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
 
     record: Record
     swing: np.ndarray
-    joint: State
-    pose: State
+    joint: RestartState
+    pose: RestartState
 
 
 @dataclass(frozen=True)
-class Curve:
+class GrowthCurve:
     """One channel. before, after, start: (H,) rms error of the model as it was, with what was found, and what the start's own
     uncertainty makes at most. slope, low, high: of what was found, or of the whole error when nothing was, with a 90 % interval;
     NaN when it does not rise above the start."""
@@ -79,10 +79,10 @@ class Curve:
         return names[whole]
 
 
-class Restart(Fish):
+class RestartedModel(SwimmingFish):
     """A fish that starts in mid-swing, with commands that have already waited."""
 
-    def __init__(self, plant: Fish, segments: list[Segment], late: Late):
+    def __init__(self, plant: SwimmingFish, segments: list[GrowthSegment], late: Latencies):
         self.__dict__.update(plant.__dict__)
         self.latency = plant.latency - late.command  # cut() has shifted them
         self.swings = {s.record.name: s.swing for s in segments}
@@ -94,14 +94,14 @@ class Restart(Fish):
         return state
 
 
-def lateness(plant: Fish, row: np.ndarray) -> Late:
+def latencies(plant: SwimmingFish, row: np.ndarray) -> Latencies:
     """Of a parameter row: nominal and what its effects add."""
     values = list(row[len(plant.constants) :])
     command, joint, pose = (float(plant.active.delay(np, values, clock)) for clock in ("command", "joint", "pose"))
-    return Late(plant.latency + command, joint, plant.camera + pose)
+    return Latencies(plant.latency + command, joint, plant.camera + pose)
 
 
-def cut(record: Record, t0: float, seconds: float, late: Late) -> Segment | None:
+def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSegment | None:
     """The stretch of a record from t0 on, started from what was measured there; None where the stamps do not suffice.
 
     t0: when things happened, s since the record's start; stamps that tell of it come `late`.
@@ -130,10 +130,10 @@ def cut(record: Record, t0: float, seconds: float, late: Late) -> Segment | None
         joints=joint.value,
         session=record.session + t0,
     )
-    return Segment(part, joint.rate, joint, pose)
+    return GrowthSegment(part, joint.rate, joint, pose)
 
 
-def state_at(sensor: Sensor, t: float, half: float) -> State | None:
+def state_at(sensor: Sensor, t: float, half: float) -> RestartState | None:
     """Parabola through the stamps within `half` s of t; None when fewer than five, or none on one side."""
     some = np.abs(sensor.t - t) <= half
     if some.sum() < 5 or sensor.t[some][0] > t - 0.4 * half or sensor.t[some][-1] < t + 0.4 * half:
@@ -143,10 +143,10 @@ def state_at(sensor: Sensor, t: float, half: float) -> State | None:
     fit = inverse @ columns.T @ sensor.values[some]
     rest = sensor.values[some] - columns @ fit
     sigma = np.where(np.isfinite(sensor.sigma), sensor.sigma, np.sqrt(np.sum(rest**2, 0) / (some.sum() - 3)))
-    return State(fit[0], fit[1], sigma * np.sqrt(inverse[0, 0]), sigma * np.sqrt(inverse[1, 1]))
+    return RestartState(fit[0], fit[1], sigma * np.sqrt(inverse[0, 0]), sigma * np.sqrt(inverse[1, 1]))
 
 
-def _clocks(record: Record, late: Late):
+def _clocks(record: Record, late: Latencies):
     return ((record.joint, "joint", late.joint), (record.pose, "pose", late.pose))
 
 
@@ -155,7 +155,7 @@ def _later(sensor: Sensor, t0: float, until: float) -> Sensor:
     return Sensor(sensor.t[some] - t0, sensor.values[some], sensor.sigma)
 
 
-def segments(records: list[Record], late: Late, every: float = EVERY) -> list[tuple[int, Segment]]:
+def segments(records: list[Record], late: Latencies, every: float = EVERY) -> list[tuple[int, GrowthSegment]]:
     """Restarts of all records: (record, segment), as long as the record allows, the longest horizon at most."""
     out = []
     for i, record in enumerate(records):
@@ -167,17 +167,17 @@ def segments(records: list[Record], late: Late, every: float = EVERY) -> list[tu
     return out
 
 
-def errors(plant: Fish, records: list[Record], row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def errors(plant: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Restart under one parameter row: record of each restart (S,), errors (S, H, J + 3), what the start makes (S, H, J + 3).
 
     Where a record ends before the horizon there is NaN.
     """
-    late = lateness(plant, row)
+    late = latencies(plant, row)
     found = segments(records, late)
     if not found:
         return np.zeros(0, int), *np.zeros((2, 0, len(HORIZONS), plant.joints + 3))
     parts = [s for _, s in found]
-    predictions = Restart(plant, parts, late).predict([s.record for s in parts], row)
+    predictions = RestartedModel(plant, parts, late).predict([s.record for s in parts], row)
     error, start = np.full((2, len(parts), len(HORIZONS), plant.joints + 3), np.nan)
     for s, (part, predicted) in enumerate(zip(parts, predictions, strict=True)):
         for sensor, name, wait in _clocks(part.record, late):
@@ -193,9 +193,9 @@ def errors(plant: Fish, records: list[Record], row: np.ndarray) -> tuple[np.ndar
     return np.array([i for i, _ in found]), error, start
 
 
-def curves(plant: Fish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[Curve, ...]:
+def curves(plant: SwimmingFish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[GrowthCurve, ...]:
     """Growth of each channel's error; empty when no record can be cut (no pose, no joints, stamps too far apart)."""
-    if not isinstance(plant, Fish):
+    if not isinstance(plant, SwimmingFish):
         return ()
     owner, first, start = errors(plant, records, before)
     if not len(owner):
@@ -209,7 +209,7 @@ def curves(plant: Fish, records: list[Record], before: np.ndarray, after: np.nda
         made = _squares(start[..., columns], channel)
         rms = [np.sqrt(np.nanmean(sq, 0)) for sq in (one, two, made)]
         slope, low, high = _slope(owner, one, other, two, made, changed)
-        out.append(Curve(channel, unit, HORIZONS, rms[0], rms[1], rms[2], len(owner), slope, low, high))
+        out.append(GrowthCurve(channel, unit, HORIZONS, rms[0], rms[1], rms[2], len(owner), slope, low, high))
     return tuple(out)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from fishmj.gap.localise.comparison import Comparison
-from fishmj.gap.localise.regimes import beat_of
+from fishmj.gap.localise.error_by_regime import beat_of
 
 LEAST = 0.05  # rad, standard deviation of a command that beats
 BINS = 5
@@ -27,7 +27,7 @@ class Beat(NamedTuple):
     windows: int
 
 
-class Rates(NamedTuple):
+class BeatRates(NamedTuple):
     """Mean square of the joint residual, × floor, by speed of the command: middle (BINS,) rad/s, level (BINS,)."""
 
     middle: np.ndarray
@@ -82,7 +82,7 @@ def analytic(values: np.ndarray) -> np.ndarray:
     return np.fft.ifft(spectrum)[:n]
 
 
-def by_rate(c: Comparison) -> Rates | None:
+def by_rate(c: Comparison) -> BeatRates | None:
     """Joint residual by the fastest command of the last RECENT seconds; None without joints or when nothing is commanded."""
     speed, level = [], []
     for b in c.layout.blocks:
@@ -103,4 +103,4 @@ def by_rate(c: Comparison) -> Rates | None:
     place = np.clip(np.searchsorted(edges, rate[moving], side="right") - 1, 0, BINS - 1)
     bins = [place == k for k in range(BINS)]
     middle = np.array([np.median(rate[moving][b]) for b in bins])
-    return Rates(middle, np.array([np.mean(ratio[moving][b]) for b in bins]))
+    return BeatRates(middle, np.array([np.mean(ratio[moving][b]) for b in bins]))

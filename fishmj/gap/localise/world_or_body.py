@@ -59,7 +59,7 @@ class Side(NamedTuple):
     right: float
 
 
-class Stretch(NamedTuple):
+class Interval(NamedTuple):
     """Rates over one stretch of a record."""
 
     record: int
@@ -73,9 +73,9 @@ class Stretch(NamedTuple):
     spin_weight: float
 
 
-def stretches(c: Comparison) -> list[Stretch]:
+def stretches(c: Comparison) -> list[Interval]:
     """Every stretch of every record that has a pose."""
-    out: list[Stretch] = []
+    out: list[Interval] = []
     for i, record in enumerate(c.records):
         blocks = [b for b in c.layout.blocks if b.record == i and b.sensor == "pose"]
         if len(blocks) != 3 or record.pose is None:
@@ -94,11 +94,11 @@ def stretches(c: Comparison) -> list[Stretch]:
             place = (i, int(start // BLOCK), float(yaw[some].mean()), turning)
             first, last = (round(edge / record.dt) for edge in (start, start + STRETCH))
             beats = float(record.commands[first:last].std(0).max()) > MOVES
-            out.append(Stretch(*place, drift, spin, beats, 2.0 / (floor[0] + floor[1]), 1.0 / floor[2]))
+            out.append(Interval(*place, drift, spin, beats, 2.0 / (floor[0] + floor[1]), 1.0 / floor[2]))
     return out
 
 
-def frame(found: list[Stretch]) -> Frame | None:
+def frame(found: list[Interval]) -> Frame | None:
     """World against body; None without a pose."""
     if len(found) < 4:
         return None
@@ -119,7 +119,7 @@ def frame(found: list[Stretch]) -> Frame | None:
     return Frame(value[:2], sd[:2], value[2:], sd[2:], by_world, by_body, mean, count)
 
 
-def side(found: list[Stretch]) -> Side | None:
+def side(found: list[Interval]) -> Side | None:
     """Even and odd part of the turn's residual where the joints move: what is at rest shows no side; None without a pose."""
     found = [s for s in found if s.beats]
     if len(found) < 4:
@@ -142,7 +142,7 @@ def _slope(t: np.ndarray, values: np.ndarray) -> float:
     return float((weight * t) @ values / ((weight * t) @ t))
 
 
-def _blocks(found: list[Stretch]) -> np.ndarray:
+def _blocks(found: list[Interval]) -> np.ndarray:
     """(n,) which block a stretch belongs to, 0.. ."""
     keys = [(s.record, s.block) for s in found]
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}

@@ -21,7 +21,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.effects import sites
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Constants, Place, Seen
+from fishmj.effects.sites import Constants, FlowAt, Measured
 from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
@@ -48,7 +48,7 @@ class Hull(NamedTuple):
     yaw_drag: float
 
 
-class Swim(NamedTuple):
+class MeanGait(NamedTuple):
     """K short runs under one condition.
 
     starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the plant's
@@ -68,10 +68,10 @@ class Swim(NamedTuple):
 
 
 # what effects see, with what the tail does sideways in the mean: A^2 b, rad^3
-Beaten: Any = namedtuple("Beaten", (*sites.Body._fields, "push"))  # type: ignore[misc]
+Beaten: Any = namedtuple("Beaten", (*sites.BodyMotion._fields, "push"))  # type: ignore[misc]
 
 
-class Link(NamedTuple):
+class HullLink(NamedTuple):
     """The whole body as the one link of a chain, for effects that change masses."""
 
     mass: tuple
@@ -79,19 +79,19 @@ class Link(NamedTuple):
     com: tuple
 
 
-class Share(NamedTuple):
+class Transfer(NamedTuple):
     """Factors on the link."""
 
     mass: list
 
 
-class Body:
+class PlanarBody:
     """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here."""
 
     def __init__(self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, dt=0.02):
         self.hull, self.constants, self.dt = hull, constants, dt
         chosen = acting() if catalogue is None else list(catalogue)
-        self.active = effects.Active(chosen, joints=1)
+        self.active = effects.EffectStack(chosen, joints=1)
 
     @property
     def null(self) -> np.ndarray:
@@ -116,9 +116,9 @@ class Body:
         x, y, yaw, gu, gw, r = state[:MOTION]
         session = self.active.begin(jnp, row[len(self.constants) :], state[MOTION:])
         c, s = jnp.cos(yaw), jnp.sin(yaw)
-        water = session.flow(Place(x, y, session.time, 0.0, 0.0))
+        water = session.flow(FlowAt(x, y, session.time, 0.0, 0.0))
         u, w = gu - (c * water.u + s * water.v), gw - (c * water.v - s * water.u)
-        link = session.fish(Constants(Link((h.mass,), (h.inertia,), (0.0,)), Share([1.0])))
+        link = session.fish(Constants(HullLink((h.mass,), (h.inertia,), (0.0,)), Transfer([1.0])))
         mass, inertia, com = h.mass * link.swimmer.mass[0], link.chain.inertia[0], link.chain.com[0]
         beat = command[0] * command[0]
         push = beat * command[1]
@@ -128,7 +128,7 @@ class Body:
         n = -h.torque * push - h.yaw_drag * jnp.abs(r) * r
         forces = dict(fx=fx, fy=fy, n=n, mx=h.surge_added, my=h.sway_added, mn=h.yaw_added, push=push)
         where = dict(u=u, w=w, r=r, heading=yaw, x=x, y=y, time=session.time, tail=0.0, wet=1.0)
-        rest = dict.fromkeys(sites.Body._fields, 0.0)  # what a lone body does not have
+        rest = dict.fromkeys(sites.BodyMotion._fields, 0.0)  # what a lone body does not have
         b = Beaten(**rest | where | forces | dict(sway_mass=h.sway_added, drag=h.drag))
         b = session.body(b, k)
         # forces = masses times accelerations seen from the ground; the centre of mass lies `com` ahead
@@ -150,17 +150,17 @@ class Body:
         factors = {constant.name: row[i] for i, constant in enumerate(self.constants)}
         return self.hull._replace(**{name: getattr(self.hull, name) * f for name, f in factors.items()})
 
-    def predict(self, records: list[Swim], rows) -> list[dict]:
+    def predict(self, records: list[MeanGait], rows) -> list[dict]:
         """Where every run ends, for every parameter row (R, P): {"pose": (R, K, 3)} a record, in the frame of each start."""
         rows = np.atleast_2d(np.asarray(rows, float))
         return [{"pose": self._covered(r, end, rows)} for r, end in zip(records, self.ends(records, rows), strict=True)]
 
-    def ends(self, records: list[Swim], rows) -> list[np.ndarray]:
+    def ends(self, records: list[MeanGait], rows) -> list[np.ndarray]:
         """(R, K, 6) motion at the end of every run of each record."""
         common = int(np.gcd.reduce([round(r.span / self.dt) for r in records]))
         return [track[:, :, -1] for track in self.tracks(records, rows, common)]
 
-    def tracks(self, records: list[Swim], rows, stride: int = 1) -> list[np.ndarray]:
+    def tracks(self, records: list[MeanGait], rows, stride: int = 1) -> list[np.ndarray]:
         """(R, K, N, 6) motion over every run of each record, every `stride` of the plant's steps from its start to its end."""
         rows = np.atleast_2d(np.asarray(rows, float))
         runs = [len(r.starts) for r in records]
@@ -176,7 +176,7 @@ class Body:
         each = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
         return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]
 
-    def _covered(self, record: Swim, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def _covered(self, record: MeanGait, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(R, K, 3) what a camera saw covered."""
         parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
         before = self._seen(parameters, np.broadcast_to(record.starts, end.shape), 0.0)
@@ -186,7 +186,7 @@ class Body:
     def _seen(self, parameters, motion, t) -> np.ndarray:
         """(R, K, 3) reported pose."""
         flat = np.zeros(motion.shape[:-1])
-        seen = Seen(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
+        seen = Measured(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
         seen = self.active.measure(np, parameters, seen)
         return np.stack([seen.x, seen.y, seen.yaw], -1)
 

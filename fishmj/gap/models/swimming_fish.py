@@ -12,7 +12,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects.sites import Seen
+from fishmj.effects.sites import Measured
 from fishmj.gap.models.interpolation import hermite, linear
 from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.records import mass_properties
@@ -44,7 +44,7 @@ CONSTANTS = (
 )
 
 
-class Fish:
+class SwimmingFish:
     """Args: robot: description, path or name. catalogue: effects; default, all that change the mean of a log."""
 
     def __init__(self, robot: "Robot | str" = "fish", catalogue=None):
@@ -52,7 +52,7 @@ class Fish:
         self.dt = self.robot.timing.physics_dt
         self.joints = self.robot.n_joints
         chosen = effects.catalogue().values() if catalogue is None else catalogue
-        self.active = effects.Active([e for e in chosen if not e.stochastic], self.joints)
+        self.active = effects.EffectStack([e for e in chosen if not e.stochastic], self.joints)
         self.constants: tuple[Constant, ...] = CONSTANTS
         self.chain = planar_chain.chain_of(self.robot)
         self.nominal = planar_chain.nominal(self.robot)
@@ -159,7 +159,7 @@ class Fish:
         true, at = shown.copy(), np.zeros((rows, 1))
         for _ in range(2):
             x, y, yaw = (true[:, i : i + 1] for i in range(3))
-            seen = self.active.measure(np, parameters, Seen(t=at, x=x, y=y, yaw=yaw, joint=true[:, None, 3:], power=at))
+            seen = self.active.measure(np, parameters, Measured(t=at, x=x, y=y, yaw=yaw, joint=true[:, None, 3:], power=at))
             joint = np.broadcast_to(seen.joint, (rows, 1, self.joints))[:, 0]
             seen = np.concatenate([np.broadcast_to(v, (rows, 1)) for v in (seen.x, seen.y, seen.yaw)] + [joint], 1)
             true = true + (shown - seen)
@@ -193,7 +193,7 @@ class Fish:
             if clock == "power":
                 energy = out[..., -1]
                 power = (linear(energy, h, t) - linear(energy, h, t - h)) / h + self.robot.servo.idle_power
-            report = Seen(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
+            report = Measured(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
             report = self.active.measure(np, parameters, report)
             if clock == "pose":
                 seen[clock] = np.stack([report.x, report.y, report.yaw], -1)
@@ -209,6 +209,6 @@ class Fish:
         """(R, 1, 3) what the camera would show of a fish at rest where it was meant to start."""
         x, y, yaw = np.broadcast_to(record.place, (rows, 1, 3)).transpose(2, 0, 1)
         none = np.zeros((rows, 1))
-        still = Seen(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
+        still = Measured(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
         seen = self.active.measure(np, parameters, still)
         return np.stack([seen.x, seen.y, seen.yaw], -1)

@@ -14,7 +14,7 @@ from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.gap.models import swimming_fish
-from fishmj.gap.models.swimming_fish import Constant, Fish
+from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot
 from fishmj.units import G
@@ -44,7 +44,7 @@ class Hung(Effects):
         rhs[2] = rhs[2] - dry * (TWIST * q[2] + TWIST_DAMPING * k.omega[0])
 
 
-class Bench(Fish):
+class TestStand(SwimmingFish):
     """Args: robot: description, path or name. `delays`: rows may shift the commands and the camera against the robot's own."""
 
     def __init__(self, robot: "Robot | str" = "fish"):
@@ -91,7 +91,7 @@ class Bench(Fish):
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
 
     def predict(self, records: list[Record], rows) -> list[dict]:
-        """As `Fish.predict`; `wet` follows each record's medium, and a thread hangs at the origin."""
+        """As `SwimmingFish.predict`; `wet` follows each record's medium, and a thread hangs at the origin."""
         rows = np.atleast_2d(np.asarray(rows, float)).copy()
         out: list[dict] = [{} for _ in records]
         for medium, wet in (("air", 0.0), ("water", 1.0)):

@@ -7,7 +7,7 @@ The other effects leave the null runs as they are: what they change in them is a
 
 import numpy as np
 
-from fishmj.effects.sites import Seen
+from fishmj.effects.sites import Measured
 
 SENSORS = ("pose", "placed")
 
@@ -36,6 +36,6 @@ def sensed(plant, row: np.ndarray) -> bool:
 def look(active, values, pose: np.ndarray) -> np.ndarray:
     """(3, n, k) what a camera makes of poses (3, n, k)."""
     none = np.zeros((1, 1))
-    seen = Seen(t=none, x=pose[0], y=pose[1], yaw=pose[2], joint=np.zeros((1, 1, active.joints)), power=none)
+    seen = Measured(t=none, x=pose[0], y=pose[1], yaw=pose[2], joint=np.zeros((1, 1, active.joints)), power=none)
     seen = active.measure(np, [np.full((1, 1), v) for v in values], seen)
     return np.stack([np.broadcast_to(a, pose[0].shape) for a in (seen.x, seen.y, seen.yaw)])

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 
 RIDGE = 1e-9  # of the largest eigenvalue
 FLOOR = 0.5  # of the sensors' noise: D never goes below
@@ -51,7 +51,7 @@ def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
     return Whitening(d, u, 1.0 / np.sqrt(1.0 + square[keep]))
 
 
-def turned(plant, records, layout: Layout, row) -> tuple[np.ndarray, np.ndarray]:
+def turned(plant, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
     """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the plant does to it."""
     sigma = np.array([constant.sigma for constant in plant.constants])
     rows = np.tile(row, (1 + len(sigma), 1))
@@ -60,7 +60,7 @@ def turned(plant, records, layout: Layout, row) -> tuple[np.ndarray, np.ndarray]
     return residuals[0], residuals[1:] - residuals[0]
 
 
-def leftover(residuals: np.ndarray, layout: Layout, rounds: int = 3) -> np.ndarray:
+def leftover(residuals: np.ndarray, layout: ResidualLayout, rounds: int = 3) -> np.ndarray:
     """D^1/2 (m,): standard deviation of what the other null runs do not explain of one, smooth over time in each block.
 
     Starts from the sensors' noise; a few rounds settle it, because D decides how far the others are trusted.
@@ -90,7 +90,7 @@ def unexplained(residuals: np.ndarray, d: np.ndarray) -> np.ndarray:
     return residuals - (weights @ factors) * d
 
 
-def smooth(values: np.ndarray, layout: Layout) -> np.ndarray:
+def smooth(values: np.ndarray, layout: ResidualLayout) -> np.ndarray:
     """Running root mean square over a second in each block."""
     out = values.copy()
     for b in layout.blocks:

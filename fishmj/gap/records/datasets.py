@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
-from fishmj.gap.null.recorded import Sets
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.recorded_null import RecordedNull
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.log import Trial, check, measurements
+from fishmj.log import Trial, measurements, trial_check
 from fishmj.log.compact import read_bundle
 from fishmj.log.dataset import Taken, take
 from fishmj.log.npz_tables import row_place
@@ -74,9 +74,9 @@ def _bundle(data: Path) -> Taken:
         if not isinstance(trial.name, str) or not isinstance(trial.meta, dict):
             raise StoreError(f"{data}: not a bundle of trials (a name that is no text, or no meta data); write it again")
         try:
-            check.check_meta(trial.meta, f"{data}: {trial.name}")
+            trial_check.check_meta(trial.meta, f"{data}: {trial.name}")
             for name, table in trial.tables.items():
-                check.check_table(name, table, row_place(data / trial.name / name))
+                trial_check.check_table(name, table, row_place(data / trial.name / name))
         except FishmjError as error:
             broken[trial.name] = str(error)
             continue
@@ -105,7 +105,7 @@ def digest(data: Path) -> str:
     return take(data).sha256
 
 
-def null_of(drawn: dict) -> Null:
+def null_of(drawn: dict) -> SimulatedNull:
     """As a report or a version says how null runs are drawn: runs, noise, seed; folder, where they were swum elsewhere.
 
     Raises:
@@ -115,7 +115,7 @@ def null_of(drawn: dict) -> Null:
         if key not in DRAWN or not isinstance(value, DRAWN[key]) or isinstance(value, bool):
             expected = "runs, noise, seed and folder"
             raise ConfigError(f"null runs: {str(key)[:40]} = {str(value)[:40]!r}; expected {expected}, as gap find writes them")
-    given = Null(**{key: value for key, value in drawn.items() if key != "folder"})
+    given = SimulatedNull(**{key: value for key, value in drawn.items() if key != "folder"})
     if not (FEWEST_RUNS <= given.runs <= MOST_RUNS and 0 <= given.noise <= LOUDEST and 0 <= given.seed <= LAST_SEED):
         raise ConfigError(f"null runs: runs {given.runs}, noise {given.noise}, seed {given.seed}; out of range")
-    return Sets(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else given
+    return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else given

@@ -21,7 +21,7 @@ CHANNELS = {
 }
 
 
-class Block(NamedTuple):
+class ChannelBlock(NamedTuple):
     """A stretch of the vector: one column of one sensor of one record."""
 
     record: int
@@ -36,7 +36,7 @@ class Block(NamedTuple):
     sigma: float  # of one measurement, NaN unknown
 
 
-class Layout:
+class ResidualLayout:
     """Where everything lies, for a set of records. `size` is the length of the vector."""
 
     def __init__(self, records: list[Record]):
@@ -54,7 +54,7 @@ class Layout:
                     channel = CHANNELS[sensor][column % len(CHANNELS[sensor])]
                     where = slice(self.size, self.size + len(counts))
                     sigma = float(given.sigma[column])
-                    self.blocks.append(Block(i, sensor, column, channel, t, window, where, first, counts, sigma))
+                    self.blocks.append(ChannelBlock(i, sensor, column, channel, t, window, where, first, counts, sigma))
                     self.size = where.stop
         self.record = np.concatenate([np.full(len(b.t), b.record) for b in self.blocks])
         self.channel = np.concatenate([np.full(len(b.t), b.channel) for b in self.blocks])
@@ -75,7 +75,7 @@ class Layout:
             out[:, b.where] = np.add.reduceat(values, b.first, axis=1) / b.counts
         return out
 
-    def aligned(self, other: "Layout", vector: np.ndarray) -> np.ndarray:
+    def aligned(self, other: "ResidualLayout", vector: np.ndarray) -> np.ndarray:
         """A vector of `other`, the same experiments with their own stamps, at this layout's windows.
 
         A window that `other` lacks takes its neighbours' straight line.

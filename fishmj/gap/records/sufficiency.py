@@ -19,7 +19,7 @@ NEXT = 4  # excitations to suggest
 
 
 @dataclass(frozen=True)
-class Shortage:
+class InsufficientData:
     """Why nothing can be told. confounded: effects that these records cannot tell apart. record: excitations to do next."""
 
     reason: str
@@ -32,7 +32,7 @@ class Shortage:
         return f"{self.reason}\nconfounded: {names}\nrecord next: {todo} (fishmj.excitation; two runs of each)"
 
 
-def shortage(records: list[Record], catalogue) -> "Shortage | None":
+def insufficient_data(records: list[Record], catalogue) -> "InsufficientData | None":
     """What is missing, or None."""
     moved = max((float(np.ptp(r.commands, 0).max()) for r in records), default=0.0)
     alone = not any(np.any(r.push) or np.any(r.flow) for r in records)
@@ -49,7 +49,7 @@ def shortage(records: list[Record], catalogue) -> "Shortage | None":
     seen = [e for e in catalogue if measured & set(e.shows)]
     names = {e.name for e in seen}
     votes = Counter(x for e in seen for c in e.confusions if c.other in names for x in c.excitations)
-    return Shortage(reason, tuple(sorted(names)), tuple(x for x, _ in votes.most_common(NEXT)))
+    return InsufficientData(reason, tuple(sorted(names)), tuple(x for x, _ in votes.most_common(NEXT)))
 
 
 def channels(records: list[Record]) -> set[str]:
@@ -59,6 +59,6 @@ def channels(records: list[Record]) -> set[str]:
     return found | ({"position", "heading"} if has("pose") else set()) | ({"power"} if has("power") else set())
 
 
-def everything() -> list:
+def deterministic_effects() -> list:
     """All effects that change the mean of a log."""
     return [e for e in effects.catalogue().values() if not e.stochastic]

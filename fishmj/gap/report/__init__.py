@@ -6,13 +6,13 @@ write(inquiry, folder)          report.html, report.json, verdict.json
 
 from pathlib import Path
 
-from fishmj.gap.report.report_data import Material, gathered, plain
+from fishmj.gap.report.report_data import ReportData, gathered, plain
 from fishmj.gap.report.sections import html
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.workflow import Inquiry
 from fishmj.store import write_json, write_text
 
-__all__ = ["Material", "gathered", "page", "write"]
+__all__ = ["ReportData", "gathered", "page", "write"]
 
 
 def page(inquiry: Inquiry, gates: Gates | None = None) -> str:

@@ -5,16 +5,16 @@ import math
 import numpy as np
 
 from fishmj.gap.localise import Localisation
-from fishmj.gap.localise.error_growth import Curve
-from fishmj.gap.report.drawing import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
-from fishmj.gap.report.report_data import Part, Round
+from fishmj.gap.localise.error_growth import GrowthCurve
+from fishmj.gap.report.report_data import ReportPart, Round
+from fishmj.gap.report.svg import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
 from fishmj.gap.report.words import LETTERS
 from fishmj.gap.wording import level, number
 
 ANGLE = {"rad": (math.degrees(1.0), "deg"), "m": (1e3, "mm")}
 
 
-def gaps(parts: tuple[Part, ...], changed: bool) -> str:
+def gaps(parts: tuple[ReportPart, ...], changed: bool) -> str:
     """Before and after on every part of the records, with the floor."""
     figure, axes = canvas(1, 1, (6.2, 0.72 * len(parts) + 0.85))
     axis = axes[0, 0]
@@ -43,7 +43,7 @@ def gaps(parts: tuple[Part, ...], changed: bool) -> str:
     return svg(figure, "Gap before and after on every part of the records")
 
 
-def growth(found: tuple[Curve, ...], changed: bool) -> str:
+def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
     """Error after a restart against the time since it."""
     figure, axes = canvas(1, len(found), (10.9, 2.75))
     for axis, c in zip(axes[0], found, strict=True):

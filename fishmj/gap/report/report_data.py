@@ -7,7 +7,7 @@ import numpy as np
 from fishmj import console
 from fishmj.gap.decide.rivals import on_bound
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
-from fishmj.gap.localise.error_growth import Curve, curves
+from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.effect_fitter import Candidate
@@ -17,7 +17,7 @@ from fishmj.gap.workflow import Inquiry
 
 
 @dataclass(frozen=True)
-class Part:
+class ReportPart:
     """The gap on one part of the records, before and after; low, high: between these lie nine of ten null runs, NaN unknown."""
 
     name: str
@@ -31,7 +31,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Row:
+class ReportRow:
     """One finalist of a round. values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival).
     behind: how much less likely than the one that was tried it makes the records, each in the evidence around itself, as a share
     of what that one gains; below zero, ahead; None where that gains nothing. tried: whether it is that one."""
@@ -48,12 +48,12 @@ class Row:
 class Round:
     """The finalists of one round, the largest P(best) first. alike: (n, n) cosine between what they change, whitened."""
 
-    table: tuple[Row, ...]
+    table: tuple[ReportRow, ...]
     alike: np.ndarray
 
 
 @dataclass(frozen=True)
-class Blind:
+class Undetectable:
     """An effect that these records would not have shown. ratio: of |dz|^2 at its typical size to what a name needs."""
 
     name: str
@@ -62,28 +62,28 @@ class Blind:
 
 
 @dataclass(frozen=True)
-class Material:
+class ReportData:
     """All of it."""
 
     inquiry: Inquiry
     gates: Gates
     comparison: Comparison
     place: Localisation
-    growth: tuple[Curve, ...]
-    parts: tuple[Part, ...]
+    growth: tuple[GrowthCurve, ...]
+    parts: tuple[ReportPart, ...]
     rounds: tuple[Round, ...]
-    blind: tuple[Blind, ...]
+    blind: tuple[Undetectable, ...]
     weighed: str
 
 
-def gathered(inquiry: Inquiry, gates: Gates | None = None) -> Material:
+def gathered(inquiry: Inquiry, gates: Gates | None = None) -> ReportData:
     """Compute everything. gates: the thresholds of the search; default, the frozen ones."""
     gates = gates or frozen()
     e, found = inquiry.evidence, inquiry.found
     logs = [r._replace(weighed=None) for r in e.records]
     c = compared(e.plant, logs, e.scale[e.layout.channel != mass_properties.CHANNEL], found.base.row, after(inquiry))
     growth, weighed = curves(e.plant, logs, *c.rows), mass_properties.told(e.plant, e.records)
-    return Material(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
+    return ReportData(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
@@ -91,7 +91,7 @@ def after(inquiry: Inquiry) -> np.ndarray:
     return (inquiry.found.best if inquiry.verdict.taken else inquiry.found.base).row
 
 
-def parts(inquiry: Inquiry) -> tuple[Part, ...]:
+def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
     """Fitted, held out, never used."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
     found_without = found.fitted.fits[0] if v.taken else found.base
@@ -111,11 +111,11 @@ def parts(inquiry: Inquiry) -> tuple[Part, ...]:
         reached = [mean(channels(e.layout, (r / e.scale) ** 2, keep)) for r in null]
         low, high = (float(q) for q in np.quantile(reached, [0.05, 0.95]))
         both = {k: (by[0][k], by[1][k]) for k in by[0]}
-        out.append(Part(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
+        out.append(ReportPart(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
     if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
         what = "no decision ever saw these"
         ended = v.gap_after_unseen if v.taken else v.gap_unseen_before
-        last = Part("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
+        last = ReportPart("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
         if inquiry.apart is not None:
             one, two = (inquiry.apart.gap(row)[1] for row in (found.base.row, after(inquiry)))
             last = replace(last, by_channel={name: (one[name], two[name]) for name in one})
@@ -158,7 +158,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
             p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
             p = given.get(name, p)  # the verdict polished its rivals: one may have left its bound
             behind = float((c.cost - best.cost) / gained) if gained > 0 else None
-            rows.append(Row(name, values(e.plant, c, name), behind, p, name in against, c is best))
+            rows.append(ReportRow(name, values(e.plant, c, name), behind, p, name in against, c is best))
         order = listed(rows)
         signatures = (np.stack(sides) - z)[order]
         unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
@@ -167,7 +167,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
     return tuple(out)
 
 
-def listed(rows: list[Row]) -> list[int]:
+def listed(rows: list[ReportRow]) -> list[int]:
     """The order of a table: the largest P(best) first, of the same the one that was tried; last what lies on a bound."""
     return sorted(range(len(rows)), key=lambda i: (-1.0 if (p := rows[i].p_best) is None else p, rows[i].tried), reverse=True)
 
@@ -180,7 +180,7 @@ def values(plant, c: Candidate, name: str) -> dict:
     return {key(e, p): (float(c.row[plant.index(e.name, p.name)]), p.unit) for e, p in mine}
 
 
-def blind(inquiry: Inquiry, gates: Gates) -> tuple[Blind, ...]:
+def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
     """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
     e = inquiry.evidence
     whole = e.part(np.ones(len(e.records), bool))
@@ -203,11 +203,11 @@ def blind(inquiry: Inquiry, gates: Gates) -> tuple[Blind, ...]:
         ratio = max(float(x) for x, o in zip(change, owners, strict=True) if o.name == effect) / gates.gain
         if ratio < 1.0:
             p = next(o for o in owners if o.name == effect).parameters[0]
-            out.append(Blind(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
+            out.append(Undetectable(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
     return tuple(sorted(out, key=lambda b: -b.ratio))
 
 
-def plain(m: Material) -> dict:
+def plain(m: ReportData) -> dict:
     """The page's figures for JSON."""
     place = asdict(m.place) | {"text": m.place.text, "lags": {k: v and v.as_dict() for k, v in m.place.lags._asdict().items()}}
     place["frame"] = m.place.frame and m.place.frame._asdict()

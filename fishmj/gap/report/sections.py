@@ -7,9 +7,9 @@ import numpy as np
 from fishmj import __version__
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
-from fishmj.gap.report.drawing import style
-from fishmj.gap.report.report_data import Material, Round, parted
+from fishmj.gap.report.report_data import ReportData, Round, parted
 from fishmj.gap.report.style import ANSWERS, SHEET
+from fishmj.gap.report.svg import style
 from fishmj.gap.report.traces import traces
 from fishmj.gap.report.words import CONTRACT, LETTERS, gates, headline, meaning, next_step
 from fishmj.gap.verdict import LIKELIHOOD, said
@@ -18,7 +18,7 @@ from fishmj.pages import document
 from fishmj.pages import escaped as escape
 
 
-def html(m: Material) -> str:
+def html(m: ReportData) -> str:
     """Everything in one text."""
     v = m.inquiry.verdict
     with style():
@@ -40,7 +40,7 @@ def html(m: Material) -> str:
     return document(headline(v), f"{body}\n{footer(m)}</main>", tone)
 
 
-def answer(m: Material) -> str:
+def answer(m: ReportData) -> str:
     """The answer, its value, what it means, what to do next, the figures that carry it."""
     v = m.inquiry.verdict
     value = ""
@@ -60,7 +60,7 @@ def answer(m: Material) -> str:
     )
 
 
-def figures(m: Material) -> list[str]:
+def figures(m: ReportData) -> list[str]:
     """The few numbers that one asks for first."""
     v, last = m.inquiry.verdict, m.parts[-1]
     out = []
@@ -77,7 +77,7 @@ def figures(m: Material) -> list[str]:
     return [f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in out]
 
 
-def gap(m: Material) -> str:
+def gap(m: ReportData) -> str:
     """Before and after."""
     channels = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
     pair = lambda both: f"{level(both[0])} → {level(both[1])}" if m.comparison.changed else level(both[0])
@@ -99,7 +99,7 @@ def gap(m: Material) -> str:
     return section("The gap" + (", before and after" if m.comparison.changed else ""), about, inside)
 
 
-def warnings(m: Material) -> str:
+def warnings(m: ReportData) -> str:
     """Why to be careful, before anything else is read."""
     notes, quiet = list(m.inquiry.verdict.warnings), ""
     for n in m.inquiry.verdict.tentative if m.inquiry.verdict.taken else ():
@@ -116,7 +116,7 @@ def warnings(m: Material) -> str:
     )
 
 
-def where(m: Material) -> str:
+def where(m: ReportData) -> str:
     """Localisation."""
     p = m.place
     text = " ".join(filter(None, (p.text, m.weighed)))
@@ -133,14 +133,14 @@ def where(m: Material) -> str:
     return section("Where it is", about, f'<p class="place">{told(text)}</p>{drawn}{more}{keys}')
 
 
-def seen(m: Material) -> str:
+def seen(m: ReportData) -> str:
     """Traces."""
     use = [part for part, unseen in zip(parted(m.inquiry), m.inquiry.unseen, strict=True) if not unseen]
     about = "The records in which most of the gap lies, one for each channel. The model runs free from the measured start."
     return section("The records that tell most", about, f"<figure>{traces(m.comparison, use)}</figure>")
 
 
-def growth(m: Material) -> str:
+def growth(m: ReportData) -> str:
     """Growth curves."""
     if not m.growth:
         return ""
@@ -152,7 +152,7 @@ def growth(m: Material) -> str:
     return section("How it grows", about, f"<figure>{pictures.growth(m.growth, m.comparison.changed)}</figure>")
 
 
-def candidates(m: Material) -> str:
+def candidates(m: ReportData) -> str:
     """Ranked tables and confusion maps."""
     v = m.inquiry.verdict
     if not m.rounds:
@@ -169,7 +169,7 @@ def candidates(m: Material) -> str:
     return section("What came closest" if v.answer == "AGREES" else "What it could be", about, "".join(blocks) + rounds(m))
 
 
-def forces(m: Material) -> str:
+def forces(m: ReportData) -> str:
     """What the gap looks like as a force, where no effect explains it."""
     if not m.inquiry.verdict.terms:
         return ""
@@ -213,7 +213,7 @@ def ranked(r: Round, place: int, count: int) -> str:
     return f'{head}<div class="rank"><div>{table}</div><div>{drawn}</div></div>'
 
 
-def rounds(m: Material) -> str:
+def rounds(m: ReportData) -> str:
     """What each round did."""
     items = "".join(
         f"<li>{escape(title('+'.join(s.ranked[0].names)))}: {said(s.accepted, s.gain, s.gap)}</li>" for s in m.inquiry.found.steps
@@ -225,7 +225,7 @@ def _bar(share: float) -> str:
     return f'<span class="bar"><i style="width:{100 * share:.0f}%"></i></span>{share:.2f}'
 
 
-def checks(m: Material) -> str:
+def checks(m: ReportData) -> str:
     """Gates."""
     rows = "".join(
         f'<tr><td class="name">{g.name}</td><td>{escape(g.question)}</td><td class="n">{escape(g.value)}</td>'
@@ -237,7 +237,7 @@ def checks(m: Material) -> str:
     return section("Why this answer", about, f"<table><thead>{heads}</thead><tbody>{rows}</tbody></table>")
 
 
-def invisible(m: Material) -> str:
+def invisible(m: ReportData) -> str:
     """What these records could not have shown."""
     if not m.blind:
         return ""
@@ -249,7 +249,7 @@ def invisible(m: Material) -> str:
     return section("What these records cannot show", about, f'<ul class="plain columns">{items}</ul>')
 
 
-def records(m: Material) -> str:
+def records(m: ReportData) -> str:
     """What went in."""
     use = dict(zip([r.name for r in m.inquiry.records], parted(m.inquiry), strict=True))
     ratio = m.comparison.ratio
@@ -289,7 +289,7 @@ def section(name: str, about: str, inside: str) -> str:
     return f"<section><h2>{escape(name)}</h2>{line}{inside}</section>"
 
 
-def footer(m: Material) -> str:
+def footer(m: ReportData) -> str:
     """How it was made."""
     e = m.inquiry.evidence
     count = e.runs

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.localise import Comparison
-from fishmj.gap.records.residual import Block
-from fishmj.gap.report.drawing import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
+from fishmj.gap.records.residual import ChannelBlock
+from fishmj.gap.report.svg import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
 from fishmj.pages import drawn
 
 HALF = 1.645  # of a 90 % band
@@ -19,7 +19,7 @@ UNITS = {"joint": (math.degrees(1), "deg"), "heading": (math.degrees(1), "deg"),
 class Chosen(NamedTuple):
     """One panel: a column of a record, and the stretch shown."""
 
-    block: Block
+    block: ChannelBlock
     start: float
     stop: float
 
@@ -27,7 +27,7 @@ class Chosen(NamedTuple):
 def chosen(c: Comparison) -> list[Chosen]:
     """The block of each channel in which most of the gap lies, biggest first; one record twice only when there is no other."""
     weights = c.weights()
-    best: dict[str, tuple[float, Block]] = {}
+    best: dict[str, tuple[float, ChannelBlock]] = {}
     for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
         excess = float(np.sum((weights * (c.ratio[0] - 1.0))[b.where]))
         if b.channel not in best or excess > best[b.channel][0]:
@@ -36,7 +36,7 @@ def chosen(c: Comparison) -> list[Chosen]:
     return [Chosen(b, *stretch(c, b)) for _, b in order]
 
 
-def stretch(c: Comparison, b: Block) -> tuple[float, float]:
+def stretch(c: Comparison, b: ChannelBlock) -> tuple[float, float]:
     """Where a channel is shown: all of it, or the seconds that differ most."""
     length = ZOOM.get(b.channel, math.inf)
     end = float(b.t[-1])

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
-from fishmj.gap.report.report_data import Material
+from fishmj.gap.report.report_data import ReportData
 from fishmj.gap.search.outlier_records import misformed
 from fishmj.gap.terms.stronger import LEAD, outdone
 from fishmj.gap.thresholds import rest_allowed
@@ -47,7 +47,7 @@ def headline(v: Verdict) -> str:
     return "Model and records agree"
 
 
-def meaning(m: Material) -> str:
+def meaning(m: ReportData) -> str:
     """One sentence on what it means."""
     v = m.inquiry.verdict
     known = {e.name: e for e in m.inquiry.evidence.plant.active.effects}
@@ -64,7 +64,7 @@ def meaning(m: Material) -> str:
     return f"{sentence(v.reason)}"
 
 
-def next_step(m: Material) -> str:
+def next_step(m: ReportData) -> str:
     """One sentence on what to do."""
     v = m.inquiry.verdict
     if v.next_experiment:
@@ -101,7 +101,7 @@ def separation(known: dict[str, Effect], a: str, b: str) -> str:
     return ""
 
 
-def gates(m: Material) -> list[Gate]:
+def gates(m: ReportData) -> list[Gate]:
     """Every gate with its figure and its threshold; after the first that stops the search, none is asked."""
     v, g, first = m.inquiry.verdict, m.gates, m.inquiry.found.steps[0] if m.inquiry.found.steps else None
     checks, accepted = v.gates, bool(first and first.accepted)

@@ -11,20 +11,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.records.records import Record
-from fishmj.gap.search.effect_fitter import PRIOR, Candidate, Search, bounds
-from fishmj.gap.search.likelihood import Evidence, gap
+from fishmj.gap.search.effect_fitter import PRIOR, Candidate, EffectFitter, bounds
+from fishmj.gap.search.likelihood import Likelihood, gap
 
 FOLDS = 3
 
 
-class Fitted(NamedTuple):
+class CrossValidated(NamedTuple):
     """A set of effects. near: the evidence around it. best: on all records. fits: without each fold."""
 
-    near: Evidence
+    near: Likelihood
     best: Candidate
     fits: tuple[Candidate, ...]
 
-    def unseen(self, folds: np.ndarray) -> list[tuple[Search, Candidate]]:
+    def unseen(self, folds: np.ndarray) -> list[tuple[EffectFitter, Candidate]]:
         """Each fold (F, L) with the fit that did not see it."""
         given = zip(folds, self.fits, self.left_open(folds), strict=True)
         searches = [(self.near.part(f, more[:, f[self.near.layout.record]]), c) for f, c, more in given]
@@ -33,7 +33,7 @@ class Fitted(NamedTuple):
     def left_open(self, folds: np.ndarray) -> list[np.ndarray]:
         """For each fold (F, L) factors of S (K + 1, m): what the others leave open of the parameters."""
         slopes = self.near.slopes(self.best) if self.best.places else np.zeros((0, self.near.layout.size))
-        return [left_open(self.near, f, c, self.best, slopes) for f, c in zip(folds, self.fits, strict=True)]
+        return [parameter_uncertainty_factors(self.near, f, c, self.best, slopes) for f, c in zip(folds, self.fits, strict=True)]
 
     def loss(self, folds: np.ndarray) -> float:
         """Over all records, each unseen."""
@@ -56,7 +56,9 @@ class Fitted(NamedTuple):
         return gap(mine, self.near.scale, layout)
 
 
-def left_open(e: Evidence, fold: np.ndarray, fit: Candidate, best: Candidate, slopes: np.ndarray) -> np.ndarray:
+def parameter_uncertainty_factors(
+    e: Likelihood, fold: np.ndarray, fit: Candidate, best: Candidate, slopes: np.ndarray
+) -> np.ndarray:
     """Factors (K + 1, m) about the fit without one fold (L,). slopes: (K, m) of the parameters, per typical size.
 
     The last is the bend: on the way to where all records lead, what is not linear, over the standard deviations that the others

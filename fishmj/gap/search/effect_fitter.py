@@ -36,7 +36,7 @@ class Candidate:
     z: np.ndarray
 
 
-class Search:
+class EffectFitter:
     """Candidates on one set of records.
 
     Args:

@@ -14,16 +14,16 @@ from fishmj.gap.null.through_sensors import sensed, through
 from fishmj.gap.null.whitening import leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import Layout
-from fishmj.gap.search.effect_fitter import STEP, Candidate, Search, bounds
-from fishmj.gap.search.model_error import Changed, Error
+from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.search.effect_fitter import STEP, Candidate, EffectFitter, bounds
+from fishmj.gap.search.model_error import ModelError, ModelResponse
 
 DRAWS = 2000
 TURNS = 16  # draws of the constants, to see what is not linear in them
 FORM = 0.1  # relative error of a formula where the records have not told
 
 
-class Evidence:
+class Likelihood:
     """Records with their null, and searches on any part of them.
 
     null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of what the effects
@@ -33,20 +33,20 @@ class Evidence:
     def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = FORM):
         self.plant, self.records, self.form, self.origin = plant, records, form, self
         self.runs = len(null)
-        self.layout = Layout(records)
+        self.layout = ResidualLayout(records)
         self._draws = np.random.default_rng(0).standard_normal((TURNS, len(plant.constants)))
         self._held, self._bent = self._constants(getattr(plant, "nothing", plant.null))
         self.factors = null / np.sqrt(len(null))
         self.d = leftover(null, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
-        self.changed = Changed(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
+        self.changed = ModelResponse(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
 
     @property
     def everything(self) -> np.ndarray:
         """(L,) bool: all records."""
         return np.ones(len(self.records), bool)
 
-    def on(self, plant) -> "Evidence":
+    def on(self, plant) -> "Likelihood":
         """The same records and null with other effects in question; `plant` at its null is the same model."""
         there = copy(self.origin)
         there.plant, there.origin = plant, there
@@ -68,7 +68,7 @@ class Evidence:
     def _residuals(self, rows) -> np.ndarray:
         return np.nan_to_num(self.layout.residuals(self.plant.predict(self.records, rows)))
 
-    def around(self, row: np.ndarray, form: float | None = None) -> "Evidence":
+    def around(self, row: np.ndarray, form: float | None = None) -> "Likelihood":
         """The same for a fish that has the effects of `row`, right to within `form` of what they change at each moment.
 
         D also grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them,
@@ -80,7 +80,7 @@ class Evidence:
         known = start.d**2 + np.maximum(bent - self._bent, 0.0)
         change = self.change(row, self.plant.null) * (self.layout.channel != mass_properties.CHANNEL)
         there = copy(self)
-        there.factors, there.changed = factors, Changed(factors, known, change, smooth(change, self.layout))
+        there.factors, there.changed = factors, ModelResponse(factors, known, change, smooth(change, self.layout))
         return there.within(start.form if form is None else form)
 
     def _seen(self, row: np.ndarray) -> np.ndarray:
@@ -91,35 +91,35 @@ class Evidence:
         shown = self.layout.measured - self._residuals(row[None])[0]
         return through(self.plant, self.layout, row, shown, null * root) / root
 
-    def within(self, form: float) -> "Evidence":
+    def within(self, form: float) -> "Likelihood":
         """The same effects, trusted to within another relative error."""
         there = copy(self)
         there.form, there.d = form, self.changed.d(form)
         return there
 
-    def trusted(self, row: np.ndarray) -> "Evidence":
+    def trusted(self, row: np.ndarray) -> "Likelihood":
         """Evidence around a row with the form error that makes the records most likely: how far a formula holds is measured."""
         there = self.around(row)
         return there.within(there.changed.likely(self._residuals(row[None])[0]))
 
-    def doubted(self, row: np.ndarray) -> "Evidence":
+    def doubted(self, row: np.ndarray) -> "Likelihood":
         """For values: what the constants do is no better known than the formulas, F also gets their tangents times `form`."""
         there = copy(self)
         there.factors = np.concatenate([self.factors, self.form * self._constants(row)[0]])
         return there
 
-    def error(self, row: np.ndarray, most: float, keep: np.ndarray | None = None) -> Error:
+    def error(self, row: np.ndarray, most: float, keep: np.ndarray | None = None) -> ModelError:
         """How wrong the formulas of the row are, around which this is. most: form error that they should have. keep: (m,) bool,
         samples that count; default, all."""
         return self.changed.error(self._residuals(row[None])[0], self.layout, most, keep)
 
-    def part(self, keep: np.ndarray, more: np.ndarray | None = None) -> Search:
+    def part(self, keep: np.ndarray, more: np.ndarray | None = None) -> EffectFitter:
         """A search on the records where keep (L,) is true. more: (K, n) further factors of S there."""
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
         factors = self.factors[:, columns]
         factors = factors if more is None else np.concatenate([factors, more])
-        return Search(self.plant, records, Layout(records), whitening(factors, self.d[columns]))
+        return EffectFitter(self.plant, records, ResidualLayout(records), whitening(factors, self.d[columns]))
 
     def loss(self, row: np.ndarray) -> float:
         """Twice the negative log likelihood of all records, of one parameter row."""

@@ -19,7 +19,7 @@ FORMS = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)  # those that are t
 SIZES = (0.0, 0.05, 0.1, 0.2)
 
 
-class Error(NamedTuple):
+class ModelError(NamedTuple):
     """Of the formulas of a candidate. form: of each sample, where sizes may be wrong. resized: root mean square over channels and
     records of what the sizes are wrong by, each as heavy as it can be told. strain: what |z|^2 + log det S gains by a `form` that
     is larger than it should be."""
@@ -29,7 +29,7 @@ class Error(NamedTuple):
     strain: float
 
 
-class Changed(NamedTuple):
+class ModelResponse(NamedTuple):
     """What is known without the effects, and what they change.
 
     factors (K, m), known (m,): F and D. change, scatter (m,): what they change, and its running root mean square.
@@ -40,9 +40,9 @@ class Changed(NamedTuple):
     change: np.ndarray
     scatter: np.ndarray
 
-    def on(self, columns: np.ndarray) -> "Changed":
+    def on(self, columns: np.ndarray) -> "ModelResponse":
         """The same on a part of the samples, columns (m,) bool."""
-        return Changed(*(values[..., columns] for values in self))
+        return ModelResponse(*(values[..., columns] for values in self))
 
     def d(self, form: float) -> np.ndarray:
         """D^1/2 (m,)."""
@@ -65,19 +65,19 @@ class Changed(NamedTuple):
         """The form error that makes a residual (m,) most likely, sizes taken as right."""
         return FORMS[int(np.argmin(self.unlikely(residual)))]
 
-    def error(self, residual: np.ndarray, layout, most: float, keep: np.ndarray | None = None) -> Error:
+    def error(self, residual: np.ndarray, layout, most: float, keep: np.ndarray | None = None) -> ModelError:
         """Both errors that a residual (m,) asks for. most: form error that there should be. keep: (m,) bool, samples that count;
         default, all."""
         if keep is not None:
             return self.on(keep)._error(residual[keep], parts(layout, self.change * keep)[:, keep], most)
         return self._error(residual, parts(layout, self.change), most)
 
-    def _error(self, residual: np.ndarray, given: np.ndarray, most: float) -> Error:
+    def _error(self, residual: np.ndarray, given: np.ndarray, most: float) -> ModelError:
         """The same, of parts (B, m)."""
         losses = self.unlikely(residual, FORMS, SIZES, given)
         i, j = np.unravel_index(np.argmin(losses), losses.shape)
         within = self.unlikely(residual, (most,), SIZES, given).min() if FORMS[j] > most else losses[i, j]
-        return Error(FORMS[j], self._resized(residual, given, FORMS[j], SIZES[i]), float(max(within - losses[i, j], 0.0)))
+        return ModelError(FORMS[j], self._resized(residual, given, FORMS[j], SIZES[i]), float(max(within - losses[i, j], 0.0)))
 
     def _resized(self, residual: np.ndarray, given: np.ndarray, form: float, size: float) -> float:
         """Root mean square of the parts' coefficients, each as heavy as everything else lets it be told."""

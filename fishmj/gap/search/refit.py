@@ -2,20 +2,20 @@
 
 import numpy as np
 
-from fishmj.gap.search.cross_validation import Fitted
-from fishmj.gap.search.effect_fitter import Candidate, Search
-from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.search.cross_validation import CrossValidated
+from fishmj.gap.search.effect_fitter import Candidate, EffectFitter
+from fishmj.gap.search.likelihood import Likelihood
 
 SETTLE = 2  # times that the constants' tolerance is carried to where the effects have moved
 
 
-def settled(e: Evidence, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> Fitted:
+def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> CrossValidated:
     """A candidate and its fits without each fold, in the evidence around it."""
-    near, best = nearest(e, best)
-    return Fitted(near, best, tuple(polished(near.part(~f), c) for f, c in zip(folds, fits, strict=True)))
+    near, best = relinearise(e, best)
+    return CrossValidated(near, best, tuple(refine(near.part(~f), c) for f, c in zip(folds, fits, strict=True)))
 
 
-def nearest(e: Evidence, best: Candidate, times: int = SETTLE) -> tuple[Evidence, Candidate]:
+def relinearise(e: Likelihood, best: Candidate, times: int = SETTLE) -> tuple[Likelihood, Candidate]:
     """(Evidence around the candidate, it at its best there): what the constants may do depends on the effects.
 
     A step that makes the candidate less likely in the evidence around itself is not taken.
@@ -23,26 +23,26 @@ def nearest(e: Evidence, best: Candidate, times: int = SETTLE) -> tuple[Evidence
     near = e.trusted(best.row)
     loss = near.loss(best.row)
     for _ in range(times):
-        ahead = polished(near.part(e.everything), best)
+        ahead = refine(near.part(e.everything), best)
         there = e.trusted(ahead.row)
         less = there.loss(ahead.row)
         if less > loss:
             break
         near, best, loss = there, ahead, less
-    return near, moved(near.part(e.everything), best)
+    return near, on_records(near.part(e.everything), best)
 
 
-def polished(search: Search, c: Candidate) -> Candidate:
+def refine(search: EffectFitter, c: Candidate) -> Candidate:
     """The candidate with its parameters at their best there."""
-    return search.refine([moved(search, c)], 3)[0] if c.places else moved(search, c)
+    return search.refine([on_records(search, c)], 3)[0] if c.places else on_records(search, c)
 
 
-def moved(search: Search, c: Candidate) -> Candidate:
+def on_records(search: EffectFitter, c: Candidate) -> Candidate:
     """The same effects and parameters on another part of the records."""
     return search.at(c.row, c.names, c.places)
 
 
-def without(search: Search, c: Candidate, name: str) -> Candidate:
+def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:
     """The candidate with one effect at its null."""
     effect = next(x for x in search.plant.active.effects if x.name == name)
     gone = {search.plant.index(name, p.name) for p in effect.parameters}

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.effects.classes import together
+from fishmj.effects.ambiguity import together
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.cross_validation import Fitted
-from fishmj.gap.search.effect_fitter import Candidate, Search
-from fishmj.gap.search.likelihood import Evidence
-from fishmj.gap.search.refit import moved, nearest, polished, without
+from fishmj.gap.search.cross_validation import CrossValidated
+from fishmj.gap.search.effect_fitter import Candidate, EffectFitter
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.refit import drop_effect, on_records, refine, relinearise
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.watch import Bar
 
@@ -29,7 +29,7 @@ LEAD = 0.5  # of the gain, by which the first is clear of all that are not its t
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One round.
 
     ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
@@ -39,13 +39,13 @@ class Step:
     """
 
     ranked: tuple[Candidate, ...]
-    fitted: Fitted | None
+    fitted: CrossValidated | None
     gain: float
     accepted: bool
     gap: tuple[float, float] | None = None
 
 
-class Part(NamedTuple):
+class RoundProgress(NamedTuple):
     """Where a round stands on a bar of rounds. before: rounds done."""
 
     bar: Bar | None = None
@@ -57,28 +57,33 @@ class Part(NamedTuple):
             self.bar.update(self.before + share)
 
 
-def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: float, part: Part = Part()) -> Step:  # noqa: B008
+NO_BAR = RoundProgress()
+
+
+def round_of(
+    known: CrossValidated, folds: np.ndarray, effects, gates: Gates, gained: float, part: RoundProgress = NO_BAR
+) -> SelectionStep:
     """Candidates one effect larger than `known`, and where it pays, with an earlier choice swapped. gained: in earlier rounds."""
     whole = known.near.part(known.near.everything)
-    base = moved(whole, known.best)
+    base = on_records(whole, known.best)
     short = shortlist(known.near, base, effects, gates)
     part.at(0.4)
     seen = base.cost - short[0].cost
-    if seen < HOPE * asked(gates, known, gained, True):
-        return Step(tuple(short[: gates.finalists]), None, 0.0, False)
+    if seen < HOPE * required_gain(gates, known, gained, True):
+        return SelectionStep(tuple(short[: gates.finalists]), None, 0.0, False)
     judged = []
     for i, c in enumerate(short[: gates.finalists]):
-        judged += [nearest(known.near.origin, c, 1)] if base.cost - c.cost > FAR * seen else []
+        judged += [relinearise(known.near.origin, c, 1)] if base.cost - c.cost > FAR * seen else []
         part.at(0.4 + 0.3 * (i + 1) / gates.finalists)
     loss = [near.loss(best.row) for near, best in judged]
     order = np.argsort(loss)
     before, tried = known.loss(folds), []
     for i in order[:CHANCES]:
         near, best = judged[i]
-        fitted = Fitted(near, best, tuple(polished(near.part(~f), best) for f in folds))
+        fitted = CrossValidated(near, best, tuple(refine(near.part(~f), best) for f in folds))
         tried.append((i, fitted, before - fitted.loss(folds)))
         part.at(0.7 + 0.3 * len(tried) / CHANCES)
-        if tried[-1][2] > asked(gates, known, gained, True):
+        if tried[-1][2] > required_gain(gates, known, gained, True):
             break
     else:
         tried = tried[:1]
@@ -86,20 +91,20 @@ def round_of(known: Fitted, folds: np.ndarray, effects, gates: Gates, gained: fl
     newest = [best.names[-1] for _, best in judged]
     ahead = min((loss[j] for j in order if j != first and not together(newest[first], newest[j])), default=np.inf) - loss[first]
     ranked = [replace(judged[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
-    accepted = gain > asked(gates, known, gained, ahead > LEAD * gain)
+    accepted = gain > required_gain(gates, known, gained, ahead > LEAD * gain)
     if not accepted and not known.best.names:
         joint = min(whole.loss(known.best.row) - loss[first], known.given(folds) - fitted.given(folds))
         accepted, gain = (True, joint) if joint > gates.joint else (False, gain)
-    return Step(tuple(ranked), fitted, gain, accepted, gap_of(known, fitted, folds) if accepted else None)
+    return SelectionStep(tuple(ranked), fitted, gain, accepted, gap_of(known, fitted, folds) if accepted else None)
 
 
-def gap_of(known: Fitted, fitted: Fitted, folds: np.ndarray) -> tuple[float, float]:
-    """What `Step.gap` holds."""
+def gap_of(known: CrossValidated, fitted: CrossValidated, folds: np.ndarray) -> tuple[float, float]:
+    """What `SelectionStep.gap` holds."""
     as_it_is = known.near.gap(known.near.plant.null)[0]
     return min(as_it_is, known.gap(folds)), fitted.gap(folds)
 
 
-def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:
+def required_gain(gates: Gates, known: CrossValidated, gained: float, clear: bool) -> float:
     """Gain that a round must bring. clear: nothing else comes near its best."""
     if not known.best.names:
         return gates.gain
@@ -107,20 +112,20 @@ def asked(gates: Gates, known: Fitted, gained: float, clear: bool) -> float:
     return max(gates.gain + share * gates.again * known.near.layout.size, min(gates.beside * gained, gates.enough))
 
 
-def shortlist(e: Evidence, base: Candidate, effects, gates: Gates) -> list[Candidate]:
+def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
-    whole, few = e.part(e.everything), e.part(telling(base, e.layout))
-    one = e.part(telling(base, e.layout, 1))
-    fine = one.scan(moved(one, base), effects)
-    likely = few.screen(moved(few, base), effects, fine)[: 2 * gates.shortlist]
-    likely = sorted((moved(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
+    whole, few = e.part(e.everything), e.part(informative_records(base, e.layout))
+    one = e.part(informative_records(base, e.layout, 1))
+    fine = one.scan(on_records(one, base), effects)
+    likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]
+    likely = sorted((on_records(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
     short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
     if not base.names:
         return short
     return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
 
 
-def telling(c: Candidate, layout, most: int = TELLING) -> np.ndarray:
+def informative_records(c: Candidate, layout, most: int = TELLING) -> np.ndarray:
     """(L,) bool: the records in which most is unexpected."""
     excess = likelihood.costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
     keep = np.zeros(len(layout.records), bool)
@@ -128,12 +133,12 @@ def telling(c: Candidate, layout, most: int = TELLING) -> np.ndarray:
     return keep
 
 
-def swaps(whole: Search, few: Search, short: list[Candidate], effects, gates: Gates, fine: dict) -> list[Candidate]:
+def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effects, gates: Gates, fine: dict) -> list[Candidate]:
     """The best new sets with an earlier effect replaced by another: what was taken first may have stood in for a pair."""
     out = []
     last = short[0]
     for old in last.names[:-1]:
         free = [x for x in effects if x.name not in last.names]
-        tried = few.screen(moved(few, without(whole, last, old)), free, fine)[: gates.finalists]
-        out += whole.refine([moved(whole, c) for c in tried], 3)
+        tried = few.screen(on_records(few, drop_effect(whole, last, old)), free, fine)[: gates.finalists]
+        out += whole.refine([on_records(whole, c) for c in tried], 3)
     return [c for c in out if set(c.names) not in [set(s.names) for s in short]]

@@ -38,10 +38,10 @@ def challenged(plant, e, found, verdict):
 
 def _with_terms(plant):
     """The fish with the library in place of the catalogue; None for a plant that is no swimming fish."""
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
     from fishmj.gap.terms.model_with_terms import termed
 
-    return termed(plant.robot) if isinstance(plant, Fish) else None
+    return termed(plant.robot) if isinstance(plant, SwimmingFish) else None
 
 
 __all__ = ["Term", "challenged", "described", "terms_of"]

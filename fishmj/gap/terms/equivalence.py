@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Body, Gear, Seen, Servo
+from fishmj.effects.sites import BodyMotion, Gear, Measured, ServoDrive
 from fishmj.gap.terms.regressors import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor
 
 STATES = 200
@@ -33,8 +33,8 @@ def pushes(effect: Effect) -> np.ndarray:
     if effect.body is None:
         return np.zeros(3 * STATES)
     u, w, r, swing, bend = drawn(SURGE, SWAY, YAW, TAIL, BEND)
-    still = dict.fromkeys(Body._fields, 0.0) | {"sway_mass": 1.0, "drag": 1.0, "wet": 1.0, "added": 1.0}
-    state = Body(**still | {"u": np.abs(u), "w": w, "r": r, "swing": swing, "bend": bend})
+    still = dict.fromkeys(BodyMotion._fields, 0.0) | {"sway_mass": 1.0, "drag": 1.0, "wet": 1.0, "added": 1.0}
+    state = BodyMotion(**still | {"u": np.abs(u), "w": w, "r": r, "swing": swing, "bend": bend})
     pushed, _ = effect.body(np, usual(effect), state, effect.memory, STEP)
     return np.concatenate([np.broadcast_to(x, STATES) for x in (pushed.fx, pushed.fy, pushed.n / LENGTH)])
 
@@ -56,11 +56,11 @@ def rests(effect: Effect) -> np.ndarray:
     if effect.command is not None:
         shift = effect.command(np, values, asked, effect.memory, STEP)[0] - asked
     if effect.servo is not None:
-        state = Servo(shift, asked, rate=0.0, kp=1.0, kv=0.0, kb=0.1, limit=1.6, current=0.0, time=0.0)
+        state = ServoDrive(shift, asked, rate=0.0, kp=1.0, kv=0.0, kb=0.1, limit=1.6, current=0.0, time=0.0)
         shift = effect.servo(np, values, state, effect.memory, STEP)[0].error
     if effect.measure is not None:
-        still = dict.fromkeys(Seen._fields, np.zeros(STATES))
-        told = effect.measure(np, values, Seen(**still | {"joint": asked[:, None]})).joint[:, 0]
+        still = dict.fromkeys(Measured._fields, np.zeros(STATES))
+        told = effect.measure(np, values, Measured(**still | {"joint": asked[:, None]})).joint[:, 0]
     return np.concatenate([np.broadcast_to(x, STATES) for x in (shift, shift + told - asked)])
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from fishmj.effects.effect import Effect
 from fishmj.gap.null.whitening import leftover, whitening
 from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import Layout
-from fishmj.gap.search.effect_fitter import Candidate, Search, bounds
-from fishmj.gap.search.likelihood import Evidence
+from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.search.effect_fitter import Candidate, EffectFitter, bounds
+from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.terms.library import library, name_of, one_sided
 
 PROBE = 0.1  # of the usual coefficient
@@ -75,7 +75,7 @@ def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     Args:
         plant: the fish with the library in it (plant.py). null: (n, m) residuals of null runs at the windows of `records`.
     """
-    e = Evidence(plant, records, null)
+    e = Likelihood(plant, records, null)
     whole = e.part(np.ones(len(records), bool))
     terms = [x for x in plant.active.effects if x in library()]
     base = whole.base()
@@ -101,7 +101,7 @@ def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
     return list(dict.fromkeys([*np.argsort(-net)[:FINALISTS], *np.argsort(probed)[:FINALISTS]]))
 
 
-def crossed_at(whole: Search, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
+def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
     """(F,) gain of fitted terms on records left out: about each optimum c, c(-l) = c - sum_k g_k z_k / sum_k g_k^2, k not l."""
     _, _, size = bounds(whole.plant)
     rows, steps = [], []
@@ -140,7 +140,7 @@ def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
     )
 
 
-def signatures(whole: Search, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
+def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """(K, m) change of z for the usual coefficient of each term, to first order; (K,) least |z|^2 at a few finite ones."""
     plant, sizes = whole.plant, (PROBE, -PROBE, *PROBES)
     rows = np.tile(plant.null, (len(terms), len(sizes), 1))
@@ -153,7 +153,7 @@ def signatures(whole: Search, terms: list[Effect]) -> tuple[np.ndarray, np.ndarr
     return g, np.einsum("kpm,kpm->kp", z, z).min(1)
 
 
-def groups(layout: Layout, pieces: int) -> np.ndarray:
+def groups(layout: ResidualLayout, pieces: int) -> np.ndarray:
     """(m, L pieces) which entries belong to which record, or to which of its equal parts in time."""
     onto = np.zeros((layout.size, pieces * len(layout.records)))
     for b in layout.blocks:
@@ -178,7 +178,7 @@ def crossed(b: np.ndarray, a: np.ndarray) -> np.ndarray:
     return np.sum(2 * c * b - c * c * a, 1)
 
 
-def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
+def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """(K,) what each term may gain on null runs, those of one half whitened by the other half's scatter.
 
     The 95 % point of its own gain, times what the luckiest of all terms exceeds its own by in 95 % of the runs.
@@ -197,7 +197,7 @@ def null_gains(e: Evidence, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -
     return each * max(1.0, float(np.percentile(luckiest, 95)))
 
 
-def decoy_gains(z: np.ndarray, g: np.ndarray, layout: Layout, onto: np.ndarray, rng, draws: int = DECOYS) -> np.ndarray:
+def decoy_gains(z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng, draws: int = DECOYS) -> np.ndarray:
     """(draws K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
     out = []
     for _ in range(draws):

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 
-class Curve(NamedTuple):
+class ReadingCurve(NamedTuple):
     """f. value, slope: from the array namespace and the angle [rad]. parity: +1 even. size: usual in a session."""
 
     name: str
@@ -28,20 +28,20 @@ class Curve(NamedTuple):
     size: float
 
 
-def harmonic(k: int) -> Curve:
+def harmonic(k: int) -> ReadingCurve:
     """The sine of k times the angle."""
-    return Curve(f"sine of {k} x angle", lambda xp, a: xp.sin(k * a), lambda xp, a: k * xp.cos(k * a), -1, 0.7)
+    return ReadingCurve(f"sine of {k} x angle", lambda xp, a: xp.sin(k * a), lambda xp, a: k * xp.cos(k * a), -1, 0.7)
 
 
 CURVES = (
-    Curve("angle", lambda xp, a: a, lambda xp, a: 1.0, -1, 0.4),
-    Curve("angle squared", lambda xp, a: a * a, lambda xp, a: 2.0 * a, 1, 0.16),
-    Curve("angle cubed", lambda xp, a: a * a * a, lambda xp, a: 3.0 * a * a, -1, 0.064),
+    ReadingCurve("angle", lambda xp, a: a, lambda xp, a: 1.0, -1, 0.4),
+    ReadingCurve("angle squared", lambda xp, a: a * a, lambda xp, a: 2.0 * a, 1, 0.16),
+    ReadingCurve("angle cubed", lambda xp, a: a * a * a, lambda xp, a: 3.0 * a * a, -1, 0.064),
     *(harmonic(k) for k in (2, 3, 4)),
 )
 
 
-def in_the_loop(curve: Curve) -> dict[str, Callable]:
+def in_the_loop(curve: ReadingCurve) -> dict[str, Callable]:
     """The sites of a servo reading."""
 
     def servo(xp, p, s, memory, h):
@@ -51,7 +51,7 @@ def in_the_loop(curve: Curve) -> dict[str, Callable]:
     return {"servo": servo}
 
 
-def in_the_log_too(curve: Curve) -> dict[str, Callable]:
+def in_the_log_too(curve: ReadingCurve) -> dict[str, Callable]:
     """The sites of an encoder reading."""
 
     def measure(xp, p, seen):

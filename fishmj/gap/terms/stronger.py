@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.search.cross_validation import Fitted
+from fishmj.gap.search.cross_validation import CrossValidated
 from fishmj.gap.search.effect_fitter import Candidate
-from fishmj.gap.search.likelihood import FORM, Evidence
-from fishmj.gap.search.refit import moved, nearest, polished
-from fishmj.gap.search.stepwise import Found
-from fishmj.gap.search.stepwise_rounds import telling
+from fishmj.gap.search.likelihood import FORM, Likelihood
+from fishmj.gap.search.refit import on_records, refine, relinearise
+from fishmj.gap.search.stepwise import Selection
+from fishmj.gap.search.stepwise_rounds import informative_records
 from fishmj.gap.terms.equivalence import own
 from fishmj.gap.terms.library import library, name_of
 from fishmj.gap.terms.select import shortlist, signatures
@@ -31,7 +31,7 @@ HALF = 0.5  # of the form error of what was found, that a term may have at most,
 SCREENED, FITTED, TRIED = 6, 3, 2  # terms screened, of these fitted to all records, and of these judged around themselves
 
 
-class Free(NamedTuple):
+class StrongerTerm(NamedTuple):
     """The best term. name: "sway force ~ yaw rate x tail rate". gain: on records unseen. form: its form error."""
 
     name: str
@@ -40,7 +40,7 @@ class Free(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def challenged(plant, e: Evidence, found: Found, verdict: Verdict) -> Verdict:
+def challenged(plant, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     """The verdict, with the lead of the best free term; UNEXPLAINED where that is more than chance.
 
     Args:
@@ -62,26 +62,26 @@ def outdone(checks: dict) -> bool:
     return checks.get("lead", 0.0) > LEAD and checks["believed"]
 
 
-def best(plant, e: Evidence, found: Found) -> Free:
+def best(plant, e: Likelihood, found: Selection) -> StrongerTerm:
     """The term that explains most of the records of `e`, but for those that what was found is itself (own.py)."""
     start, folds = e.on(plant), found.folds
     named = [x for x in e.plant.active.effects if x.name in found.best.names]
     terms = {x.name: x for x in plant.active.effects if x in library() and not any(own(n, x) for n in named)}
-    tried = (nearest(start, c, 1) for c in likely(start, list(terms.values())))
+    tried = (relinearise(start, c, 1) for c in likely(start, list(terms.values())))
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
-    fitted = Fitted(near, c, tuple(polished(near.part(~f), c) for f in folds))
+    fitted = CrossValidated(near, c, tuple(refine(near.part(~f), c) for f in folds))
     before = sum(e.part(f).loss(found.base.row) for f in folds)
-    return Free(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
+    return StrongerTerm(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
 
 
-def likely(start: Evidence, terms: list) -> list[Candidate]:
+def likely(start: Likelihood, terms: list) -> list[Candidate]:
     """The best terms by |z|^2: found on the few records in which most is unexpected, fitted to all."""
     whole = start.part(start.everything)
     base = whole.base()
-    few = start.part(telling(base, start.layout))
-    here = moved(few, base)
+    few = start.part(informative_records(base, start.layout))
+    here = on_records(few, base)
     g, probed = signatures(few, terms)
     straight = (g @ here.z) ** 2 / (np.sum(g * g, 1) + 1e-12)
     screened = few.screen(here, [terms[k] for k in shortlist(straight, probed)])[:SCREENED]
-    fitted = sorted((moved(whole, c) for c in screened), key=lambda c: c.cost)[:FITTED]
+    fitted = sorted((on_records(whole, c) for c in screened), key=lambda c: c.cost)[:FITTED]
     return whole.refine(fitted, 3)[:TRIED]

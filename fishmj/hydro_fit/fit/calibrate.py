@@ -16,16 +16,16 @@ import numpy as np
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import prediction_interval
-from fishmj.hydro_fit.fit.rollout import Swim, fleet_of, is_free, recorded
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.fit.rollout import SwimWindow, fish_batch_of, is_free, recorded
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 LEAST = 40  # swims: with fewer the factor hangs on the worst few
 
 
-def calibrated(model: HydroModel, robot: Robot, records: Sequence[Record], about: dict) -> HydroModel:
+def calibrated(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord], about: dict) -> HydroModel:
     """The model with calibrated bands, with its residual and alone.
 
     Args:
@@ -43,9 +43,9 @@ def calibrated(model: HydroModel, robot: Robot, records: Sequence[Record], about
     return replace(model, band=made, band_alone=alone, calibration=about | {"swims": len(swims)})
 
 
-def _scaled(model: HydroModel, robot: Robot, swims: Sequence[Record]) -> dict[str, list[float]]:
+def _scaled(model: HydroModel, robot: Robot, swims: Sequence[SegmentRecord]) -> dict[str, list[float]]:
     ch = planar_chain.chain_of(robot)
-    swim, fleet = Swim(ch, model.swimmer(robot)), fleet_of(ch, robot, swims, seconds=1e6)
+    swim, fleet = SwimWindow(ch, model.swimmer(robot)), fish_batch_of(ch, robot, swims, seconds=1e6)
     mean = prediction_interval.means(swim.run(fleet, flat(model.base), model.learnt), fleet)
     members = prediction_interval.of_members(swim, fleet, model.members, model.learnt)
     seen, out = prediction_interval.means(recorded(fleet), fleet), {}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2]
 ROOMS = ("dynamics", "water", "hydro_fit", "hydro_fit/fit")
-QUIET = {"__main__.py", "report.py", "figures.py", "online_correction.py"}  # what only asks or tells
+QUIET = {"__main__.py", "report.py", "fit_figures.py", "online_correction.py"}  # what only asks or tells
 
 
 @cache

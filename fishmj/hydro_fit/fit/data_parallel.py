@@ -47,7 +47,7 @@ def quick(platform: str) -> dict | None:
     return options
 
 
-def dealt(loss: Callable, among: Sequence) -> Callable:
+def sharded(loss: Callable, among: Sequence) -> Callable:
     """(net, *arrays with one row a device) -> mean value and slope of loss(net, *rows)."""
 
     def mean(net, *hand):

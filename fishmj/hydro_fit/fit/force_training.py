@@ -17,7 +17,7 @@ from jax import lax
 
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.fit.descent import Loop
-from fishmj.hydro_fit.fit.training_windows import Lessons, taken
+from fishmj.hydro_fit.fit.training_windows import TrainingWindows, taken
 from fishmj.water import residual_network
 
 NOISE = 0.01  # of the features
@@ -27,7 +27,7 @@ RATE, BATCH = 4e-3, 40  # pieces a step
 THIN = 2  # forces are looked at in every second row, from a random one on
 
 
-class Schooling(NamedTuple):
+class ForceFit(NamedTuple):
     """Weights and the losses on the way."""
 
     net: residual_network.Net
@@ -66,7 +66,7 @@ def forces(net: residual_network.Net, p: residual_network.Panels, rho: float, x,
     return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * push[None, :, None]
 
 
-def loss(net: residual_network.Net, lessons: Lessons, b, p: residual_network.Panels, rho: float, first: int = 0):
+def loss(net: residual_network.Net, lessons: TrainingWindows, b, p: residual_network.Panels, rho: float, first: int = 0):
     """The force part of L; b (E, P). `first`: row from which every `THIN`th counts."""
     z, _ = wakes(net, lessons.x, lessons.speed, lessons.step)
     thin = lambda a: a[first::THIN]
@@ -91,9 +91,9 @@ def adam(rate: float, steps: int) -> optax.GradientTransformation:
 
 
 def learn(
-    ch: planar_chain.Chain, lessons: Lessons, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
+    ch: planar_chain.Chain, lessons: TrainingWindows, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
     left: dict | None = None, report: Callable | None = None, loop: Loop | None = None,
-) -> Schooling:  # fmt: skip
+) -> ForceFit:  # fmt: skip
     """Teach forces.
 
     Args:
@@ -126,4 +126,4 @@ def learn(
             if report is not None:
                 report(k + 1, steps, losses[k // 20])
         loop.after(k + 1, (net, state, losses))
-    return Schooling(residual_network.without(jax.tree.map(np.asarray, net), **told), losses)
+    return ForceFit(residual_network.without(jax.tree.map(np.asarray, net), **told), losses)

@@ -15,10 +15,10 @@ from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.hydro_fit.fit import wake_warmup
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
-from fishmj.hydro_fit.fit.regression_rows import Rows, attachment, base_force
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track, is_free, recorded, repeated, windows
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, is_free, recorded, repeated, windows
 from fishmj.hydro_fit.fit.tolerance import TOLERANCE
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.prior import Prior, flat, names_of, prior_of, unflat
 
@@ -81,7 +81,7 @@ class Match:
 
     _push: np.ndarray | None  # (3, N, M) force of the residual on held fish
 
-    def __init__(self, swim: Swim, fleet: Fleet, tick: float, held: Rows | None, drag: float, learnt=None):
+    def __init__(self, swim: SwimWindow, fleet: FishBatch, tick: float, held: RegressionRows | None, drag: float, learnt=None):
         self.swim, self.fleet, self.tick = swim, fleet, tick
         self.held, self.drag, self.learnt = held, drag, learnt
         self.seen = windows(recorded(fleet), fleet, tick)
@@ -102,11 +102,11 @@ class Match:
         track = self.swim.run(fleet, np.repeat(waters, size, 0), self.learnt)
         out = []
         for i, water in enumerate(waters):
-            part = Track(*(a[i * size : (i + 1) * size] for a in track))
+            part = SwimTrack(*(a[i * size : (i + 1) * size] for a in track))
             out.append(np.concatenate([self.swum(part), self.pushed(water)]))
         return np.stack(out) if count else np.zeros((0, 0))
 
-    def swum(self, track: Track) -> np.ndarray:
+    def swum(self, track: SwimTrack) -> np.ndarray:
         """Errors of the windows of all swims."""
         view, seen, errors = windows(track, self.fleet, self.tick), self.seen, []
         speed = np.hypot(seen.surge, seen.sway)
@@ -130,7 +130,7 @@ class Match:
         c = unflat(water.tolist())
         s = self.swim.chain.strips
         if self.learnt is not None and self._push is None:  # it hangs on the movement, next to nothing on the coefficients
-            self._push = wake_warmup.walk(self.swim.chain, self.held, c, self.learnt, self.tick).force
+            self._push = wake_warmup.warm_up(self.swim.chain, self.held, c, self.learnt, self.tick).force
         force = base_force(self.held, s, c, attachment(self.held, s, c, self.tick))
         got = thrusts(self.held, force if self._push is None else force + self._push)
         return calmed((got - self.thrust) / (THRUST * self.drag))
@@ -144,12 +144,12 @@ def calmed(error: np.ndarray) -> np.ndarray:
     return np.sign(error) * CLIP * np.sqrt(2.0 * (np.sqrt(1.0 + (error / CLIP) ** 2) - 1.0))
 
 
-def flaps(record: Record) -> bool:
+def flaps(record: SegmentRecord) -> bool:
     """A held fish that beats its tail: what is judged by its thrust."""
     return record.meta["block"] in FLAPPING and not is_free(record)
 
 
-def thrusts(rows: Rows, force: np.ndarray) -> np.ndarray:
+def thrusts(rows: RegressionRows, force: np.ndarray) -> np.ndarray:
     """Mean force along the links' own axes, sum over the links, of every record: (R,) N."""
     along = force[0].sum(0)
     return np.array([along[span].mean() for span in rows.spans()])

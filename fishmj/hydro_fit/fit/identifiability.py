@@ -18,7 +18,7 @@ CLOSE = 0.7  # correlation from which a partner is named
 
 
 @dataclass(frozen=True)
-class Parameter:
+class IdentifiedParameter:
     """What a fit says about one parameter."""
 
     name: str
@@ -35,7 +35,7 @@ class Parameter:
 class Identified:
     """All parameters of one fit; `condition`: of H in units of the prior."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[IdentifiedParameter, ...]
     condition: float
 
     @property
@@ -44,7 +44,7 @@ class Identified:
         return {p.name: p.value for p in self.parameters if p.status == "identified"}
 
     @property
-    def doubtful(self) -> dict[str, Parameter]:
+    def doubtful(self) -> dict[str, IdentifiedParameter]:
         """The rest, by name."""
         return {p.name: p for p in self.parameters if p.status != "identified"}
 
@@ -77,7 +77,7 @@ def identify(prior: Prior, value: np.ndarray, hessian: np.ndarray) -> Identified
         status = "on bound" if bound else "not identified" if shrunk > SHRINK else "identified"
         doubt = status != "identified"
         found.append(
-            Parameter(
+            IdentifiedParameter(
                 name=name,
                 value=float(value[i]),
                 sd=shrunk * float(prior.sd[i]),
@@ -93,7 +93,7 @@ def identify(prior: Prior, value: np.ndarray, hessian: np.ndarray) -> Identified
 
 def merged(*stages: Identified) -> Identified:
     """Several fits one after the other: the last word on each parameter, the worst condition."""
-    last: dict[str, Parameter] = {}
+    last: dict[str, IdentifiedParameter] = {}
     for stage in stages:
         last |= {p.name: p for p in stage.parameters}
     return Identified(tuple(last.values()), max(stage.condition for stage in stages))

@@ -16,31 +16,31 @@ import numpy as np
 
 from fishmj.hydro_fit.fit import wake_warmup
 from fishmj.hydro_fit.fit.gauss_newton import groups
-from fishmj.hydro_fit.fit.pipeline import Fit, Settings
+from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.serialise import packed, unpacked
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
 STEPS = 100  # of learning by swims; the first fit had more of them, from forces alone
 
 
-class Again(Fit):
+class Refit(FitPipeline):
     """One more fit of a model.
 
     Args:
         train: records at the model's slip ratio. val: those of the first fit, and new ones, which count for half however few
-            they are: what was added is what the model is fitted again for. dataset, folder: as in `Fit`.
+            they are: what was added is what the model is fitted again for. dataset, folder: as in `FitPipeline`.
     """
 
     def __init__(
-        self, robot: Robot, model: HydroModel, train: Sequence[Record], val: tuple[Sequence[Record], Sequence[Record]], *,
-        dataset: dict, folder: Path | None = None,
+        self, robot: Robot, model: HydroModel, train: Sequence[SegmentRecord],
+        val: tuple[Sequence[SegmentRecord], Sequence[SegmentRecord]], *, dataset: dict, folder: Path | None = None,
     ):  # fmt: skip
-        settings = Settings(members=len(model.members), residual=model.learnt is not None, swims=STEPS)
+        settings = FitSettings(members=len(model.members), residual=model.learnt is not None, swims=STEPS)
         super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings, folder=folder)
         self.model, self.parts = model, [self._match(part, None) for part in val if part]
         sums = [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in self._first().values()]

@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
-from fishmj.hydro_fit.fit.regression_rows import Rows, added, attachment, mean3
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, added, attachment, mean3
 from fishmj.mjcf.description import Robot
 from fishmj.water.prior import Prior, names_of, prior_of
 
@@ -36,7 +36,7 @@ class LinearFit(NamedTuple):
     objective: float
 
 
-def fit_linear(robot: Robot, ch: planar_chain.Chain, data: Rows, tick: float, *, stall: bool = True) -> LinearFit:
+def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick: float, *, stall: bool = True) -> LinearFit:
     """Fit all linear coefficients; with `stall`, the stall angle and lag on a grid as well.
 
     Raises:
@@ -82,7 +82,7 @@ def _prior(robot: Robot, links: int) -> Prior:
     )
 
 
-def _known(data: Rows, s: strip_forces.Strips) -> np.ndarray:
+def _known(data: RegressionRows, s: strip_forces.Strips) -> np.ndarray:
     """Forces without a coefficient: the stream's acceleration on the displaced water, (3, N, M)."""
     out = np.zeros_like(data.force)
     for i, (d, b) in enumerate(zip(s.displaced, s.buoyancy, strict=True)):
@@ -90,7 +90,7 @@ def _known(data: Rows, s: strip_forces.Strips) -> np.ndarray:
     return out
 
 
-def _block(data: Rows, s: strip_forces.Strips, i: int) -> dict[str, np.ndarray]:
+def _block(data: RegressionRows, s: strip_forces.Strips, i: int) -> dict[str, np.ndarray]:
     """Force on link i for a unit of each of its own coefficients, (3, M) by name."""
     n, motion = len(s.mu), data.of(i)
     unit = strip_forces.Coefficients([1.0] * n, [1.0] * n, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.6, 0.1, 3.0, 0.0)
@@ -109,7 +109,7 @@ def _block(data: Rows, s: strip_forces.Strips, i: int) -> dict[str, np.ndarray]:
     return out
 
 
-def _edge(data: Rows, s: strip_forces.Strips, attached: np.ndarray) -> dict[str, np.ndarray]:
+def _edge(data: RegressionRows, s: strip_forces.Strips, attached: np.ndarray) -> dict[str, np.ndarray]:
     """The trailing edge's three columns on the last link."""
     n = len(s.mu)
     u, w, omega = data.of(n - 1)

@@ -35,14 +35,14 @@ from fishmj.hydro_fit.fit import (
 )
 from fishmj.hydro_fit.fit.code_hash import code
 from fishmj.hydro_fit.fit.descent import Loop
-from fishmj.hydro_fit.fit.regression_rows import Rows, rows_of
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
 from fishmj.hydro_fit.fit.serialise import packed, unpacked
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 from fishmj.water import residual_hooks
 from fishmj.water import residual_network as residual
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
@@ -50,7 +50,7 @@ TYPICAL = dict(zip(STAGES, (4.0, 25.0, 12.0, 204.0, 17.0, 30.0), strict=True))  
 
 
 @dataclass(frozen=True)
-class Settings:
+class FitSettings:
     """What a fit may be told.
 
     steps, swims: of learning by forces and by free swims.
@@ -76,7 +76,7 @@ def quiet(stage: str, share: float, figures: dict) -> None:
     """Say nothing."""
 
 
-class Fit:
+class FitPipeline:
     """One fit of one robot.
 
     Args:
@@ -87,16 +87,16 @@ class Fit:
     """
 
     def __init__(
-        self, robot: Robot, train: Sequence[Record], val: Sequence[Record], *, dataset: dict, settings: Settings | None = None,
-        folder: Path | None = None, report: Report = quiet,
+        self, robot: Robot, train: Sequence[SegmentRecord], val: Sequence[SegmentRecord], *, dataset: dict,
+        settings: FitSettings | None = None, folder: Path | None = None, report: Report = quiet,
     ):  # fmt: skip
         if not train or not val:
             raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
         self.robot, self.chain, self.folder, self.report = robot, planar_chain.chain_of(robot), folder, report
-        self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or Settings()
+        self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or FitSettings()
         self.taught = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
         self.tick = self.train[0].tick
-        self.swim = rollout.Swim(self.chain, planar_chain.nominal(robot))
+        self.swim = rollout.SwimWindow(self.chain, planar_chain.nominal(robot))
         self.limits = prior_of(robot)
         believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
         self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset, "code": code()}
@@ -199,9 +199,9 @@ class Fit:
             return {}
         s, c = self.settings, unflat(water.tolist())
         taught, held = self._lessons(water), swims.held_of(self.chain, self.train, c)
-        pieces = swims.pieces_of(self.chain, self.robot, self.train, c)
+        pieces = swims.windows_of(self.chain, self.robot, self.train, c)
         told = lambda k, n, cost: self._tell("swims", k / n, loss=cost)
-        school = swims.School(self.robot, self.swim, pieces, held, taught, water, left=self._left)
+        school = swims.RolloutTrainer(self.robot, self.swim, pieces, held, taught, water, left=self._left)
         net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told, loop=self.loop)
         return packed(self._reached(net, water))
 
@@ -213,7 +213,9 @@ class Fit:
         """The net with the range that it was taught in, and a note on how it swims."""
         rows = rows_of(self.chain, self.taught)
         reach = residual_hooks.fitted(*wake_warmup.features(self.chain, rows), 1e6)
-        spread = wake_warmup.walk(self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick).spread
+        spread = wake_warmup.warm_up(
+            self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
+        ).spread
         learnt = residual_hooks.Residual(net, reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6)))
         before, after = self.score(water, None), self.score(water, learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
@@ -233,7 +235,7 @@ class Fit:
                 learnt, water = None, state["alone"]
                 state = {**state, "factors": state["alone_factors"]}
         swims = [r for r in [*self.train, *self.val] if rollout.is_free(r)]
-        fleet = rollout.fleet_of(self.chain, self.robot, swims, seconds=1e6)
+        fleet = rollout.fish_batch_of(self.chain, self.robot, swims, seconds=1e6)
         members, bands = [], []
         for w, factors, r in ((water, state["factors"], learnt), (state["alone"], state["alone_factors"], None)):
             waters = np.stack([gauss_newton.scaled(w, row, self.chain.n, self.limits) for row in factors])
@@ -269,18 +271,18 @@ class Fit:
     def _validation(self) -> gauss_newton.Match:
         return self._match(self.val, None)
 
-    def _lessons(self, water: np.ndarray) -> training_windows.Lessons:
-        return training_windows.lessons_of(self.chain, self.taught, unflat(water.tolist()))
+    def _lessons(self, water: np.ndarray) -> training_windows.TrainingWindows:
+        return training_windows.training_windows_of(self.chain, self.taught, unflat(water.tolist()))
 
     def _match(self, records, learnt) -> gauss_newton.Match:
-        fleet = rollout.fleet_of(self.chain, self.robot, records)
+        fleet = rollout.fish_batch_of(self.chain, self.robot, records)
         most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
         if len(fleet.q) > most:
             rng = np.random.default_rng([59, self.settings.seed])
             share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
         held = [r for r in records if gauss_newton.flaps(r)]
-        rows: Rows | None = rows_of(self.chain, held) if held else None
+        rows: RegressionRows | None = rows_of(self.chain, held) if held else None
         return gauss_newton.Match(self.swim, fleet, self.tick, rows, gauss_newton.tow_drag(self.chain, self.robot), learnt)
 
     def _tell(self, stage: str, part: float, **figures) -> None:

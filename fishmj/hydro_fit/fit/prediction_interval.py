@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim, Track
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow
 from fishmj.water import residual_hooks
 
 CHANNELS = ("speed", "yaw_rate", "power")
@@ -28,7 +28,7 @@ class Means(NamedTuple):
     power: np.ndarray
 
 
-def means(track: Track, fleet: Fleet) -> Means:
+def means(track: SwimTrack, fleet: FishBatch) -> Means:
     """Over what was recorded of each piece; speed is that along the body."""
     yaw = track.q[..., 2]
     surge = np.cos(yaw) * track.v[..., 0] + np.sin(yaw) * track.v[..., 1]
@@ -36,7 +36,7 @@ def means(track: Track, fleet: Fleet) -> Means:
     return Means(over(surge), over(track.v[..., 2]), over(track.power))
 
 
-def of_members(swim: Swim, fleet: Fleet, waters, learnt) -> list[Means]:
+def of_members(swim: SwimWindow, fleet: FishBatch, waters, learnt) -> list[Means]:
     """Those of every member of the ensemble: waters (E, P), each with its own part of the residual where there is one."""
     return [means(swim.run(fleet, row, learnt and residual_hooks.member(learnt, e)), fleet) for e, row in enumerate(waters)]
 

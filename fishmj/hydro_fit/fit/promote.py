@@ -5,10 +5,10 @@ from pathlib import Path
 from fishmj import console
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.store import sha256
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 
 
-def keep(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
+def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
     """Write `model` to `folder`, or beside it as `rejected-<hash>` when the standing model does better on the same validation.
 
     Args:

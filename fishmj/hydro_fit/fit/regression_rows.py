@@ -11,12 +11,12 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6
 
 
-class Rows(NamedTuple):
+class RegressionRows(NamedTuple):
     """M ticks of N links. `u`, `w`, `omega`: (3, N, M) at start, middle and end; the rest are means, (N, M)."""
 
     u: np.ndarray  # m/s
@@ -37,12 +37,12 @@ class Rows(NamedTuple):
         edges = [0, *(np.flatnonzero(np.diff(self.record)) + 1).tolist(), len(self.record)]
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
-    def take(self, keep: np.ndarray) -> "Rows":
+    def take(self, keep: np.ndarray) -> "RegressionRows":
         """Some of the rows, boolean (M,)."""
-        return Rows(*(value[..., keep] for value in self))
+        return RegressionRows(*(value[..., keep] for value in self))
 
 
-def ambient_of(record: Record) -> np.ndarray:
+def ambient_of(record: SegmentRecord) -> np.ndarray:
     """DU/Dt over every tick, (T, 2) m/s2: of gusts only, which are uniform in space."""
     flow = record.flow.mean(1)
     if record.meta.get("segment", {}).get("flow", {}).get("turbulence") != "gust" or len(flow) < 2:
@@ -50,7 +50,7 @@ def ambient_of(record: Record) -> np.ndarray:
     return np.diff(flow, axis=0, append=flow[-1:]) / record.tick
 
 
-def rows_of(ch: planar_chain.Chain, records: Iterable[Record]) -> Rows:
+def rows_of(ch: planar_chain.Chain, records: Iterable[SegmentRecord]) -> RegressionRows:
     """All ticks of some records, one after the other.
 
     Raises:
@@ -63,10 +63,10 @@ def rows_of(ch: planar_chain.Chain, records: Iterable[Record]) -> Rows:
         parts.append(_one(ch, record, number))
     if not parts:
         raise DatasetError("no records to fit: the split is empty; collect first")
-    return Rows(*(np.concatenate(column, -1) for column in zip(*parts, strict=True)))
+    return RegressionRows(*(np.concatenate(column, -1) for column in zip(*parts, strict=True)))
 
 
-def _one(ch: planar_chain.Chain, record: Record, number: int) -> Rows:
+def _one(ch: planar_chain.Chain, record: SegmentRecord, number: int) -> RegressionRows:
     q0, v0 = record.before
     q = np.stack([q0, (q0 + record.q) / 2, record.q]).transpose(2, 0, 1)  # (nv, 3, T)
     v = np.stack([v0, (v0 + record.v) / 2, record.v]).transpose(2, 0, 1)
@@ -94,7 +94,7 @@ def _one(ch: planar_chain.Chain, record: Record, number: int) -> Rows:
         fx, fy = cp[1] * fx + sp[1] * fy, cp[1] * fy - sp[1] * fx
         mid = lambda value: np.broadcast_to(value, shape)[1]
         force.append((fx * mid(tx) + fy * mid(ty), fx * mid(nx) + fy * mid(ny), moment))
-    return Rows(
+    return RegressionRows(
         whole(k.u),
         whole(k.w),
         whole(k.omega),
@@ -116,7 +116,9 @@ def mean3(parts) -> np.ndarray:
     return np.stack([_mean(p, shape) for p in parts])
 
 
-def attachment(rows: Rows, s: strip_forces.Strips, c: strip_forces.Coefficients, tick: float, start: float = 0.5) -> np.ndarray:
+def attachment(
+    rows: RegressionRows, s: strip_forces.Strips, c: strip_forces.Coefficients, tick: float, start: float = 0.5
+) -> np.ndarray:
     """Attachment of the tail in the middle of every tick, (M,), by exact steps; `start` at the first row of a record."""
     spans = rows.spans()
     longest = max(span.stop - span.start for span in spans)
@@ -131,7 +133,7 @@ def attachment(rows: Rows, s: strip_forces.Strips, c: strip_forces.Coefficients,
     return np.concatenate([out[: span.stop - span.start, j] for j, span in enumerate(spans)])
 
 
-def added(rows: Rows, s: strip_forces.Strips, i: int) -> np.ndarray:
+def added(rows: RegressionRows, s: strip_forces.Strips, i: int) -> np.ndarray:
     """Force of the link's acceleration on its added mass for k = 1, (3, M): what is taken off before drags are compared."""
     m0, m1, m2 = s.mu[i]
     a, alpha = rows.normal[i], rows.alpha[i]
@@ -139,7 +141,7 @@ def added(rows: Rows, s: strip_forces.Strips, i: int) -> np.ndarray:
 
 
 def base_force(
-    rows: Rows, s: strip_forces.Strips, c: strip_forces.Coefficients, attached: np.ndarray, *, inertial: bool = True
+    rows: RegressionRows, s: strip_forces.Strips, c: strip_forces.Coefficients, attached: np.ndarray, *, inertial: bool = True
 ) -> np.ndarray:
     """What the strip model says about every row, (3, N, M); `inertial` with the force of the acceleration."""
     out = []

@@ -19,7 +19,7 @@ from jax import lax
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit.regression_rows import ambient_of
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
 from fishmj.water.prior import unflat
@@ -28,7 +28,7 @@ WINDOW = 2.0  # s, over which velocities are averaged
 LEAST = 128  # fish swum at once, the last one repeated: a step of them costs as much as one of ten, a compilation 5 s
 
 
-class Fleet(NamedTuple):
+class FishBatch(NamedTuple):
     """B pieces of T ticks; `mask` (B, T) is 0 behind the end of a shorter one. World frame, SI."""
 
     q: np.ndarray  # (B, 1 + T, nv) recorded, row 0 at the start
@@ -41,7 +41,7 @@ class Fleet(NamedTuple):
     source: tuple  # B pairs of (number of the record, first tick)
 
 
-class Track(NamedTuple):
+class SwimTrack(NamedTuple):
     """What the model's fish did, (B, T, ..), at the ends of ticks; `memory` (B, M) at the end, `outside` (B,) share of steps."""
 
     q: Any
@@ -50,15 +50,15 @@ class Track(NamedTuple):
     outside: Any
 
 
-def is_free(record: Record) -> bool:
+def is_free(record: SegmentRecord) -> bool:
     """Driven by its servos alone."""
     held = record.meta["prescribed"]
     return not (held["joints"] or held["root"])
 
 
-def fleet_of(
-    ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], *, seconds: float = 10.0, least: float = 2.0
-) -> Fleet:
+def fish_batch_of(
+    ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], *, seconds: float = 10.0, least: float = 2.0
+) -> FishBatch:
     """Free swims cut into pieces of `seconds`; a rest shorter than `least` is left out.
 
     Raises:
@@ -77,14 +77,16 @@ def fleet_of(
     return cut(ch, robot, records, pieces)
 
 
-def cut(ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], pieces: Sequence[tuple[int, int, int]]) -> Fleet:
+def cut(
+    ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], pieces: Sequence[tuple[int, int, int]]
+) -> FishBatch:
     """These pieces, (number of the record, first tick, end)."""
     longest = max(b - a for _, a, b in pieces)
     columns = [_piece(ch, robot, records[n], a, b, longest) for n, a, b in pieces]
-    return Fleet._make([*(np.stack(c) for c in zip(*columns, strict=True)), tuple((n, a) for n, a, _ in pieces)])
+    return FishBatch._make([*(np.stack(c) for c in zip(*columns, strict=True)), tuple((n, a) for n, a, _ in pieces)])
 
 
-def _piece(ch: planar_chain.Chain, robot: Robot, record: Record, a: int, b: int, longest: int) -> tuple:
+def _piece(ch: planar_chain.Chain, robot: Robot, record: SegmentRecord, a: int, b: int, longest: int) -> tuple:
     q0, v0 = record.before
     steps, more = round(record.tick / ch.dt), longest - (b - a)
     delay = round(record.meta.get("latency", robot.timing.command_latency) / ch.dt)
@@ -104,32 +106,32 @@ def _piece(ch: planar_chain.Chain, robot: Robot, record: Record, a: int, b: int,
     return (*(pad(x) for x in states), *(pad(x) for x in rest), mask)
 
 
-def recorded(fleet: Fleet) -> Track:
+def recorded(fleet: FishBatch) -> SwimTrack:
     """The recorded swims in the same shape."""
-    return Track(fleet.q[:, 1:], fleet.v[:, 1:], fleet.power, np.zeros(len(fleet.q)))
+    return SwimTrack(fleet.q[:, 1:], fleet.v[:, 1:], fleet.power, np.zeros(len(fleet.q)))
 
 
-def repeated(fleet: Fleet, times: int) -> Fleet:
+def repeated(fleet: FishBatch, times: int) -> FishBatch:
     """The fleet `times` after itself, for as many waters."""
-    return Fleet._make([*(np.concatenate([a] * times) for a in fleet[:-1]), fleet.source * times])
+    return FishBatch._make([*(np.concatenate([a] * times) for a in fleet[:-1]), fleet.source * times])
 
 
-def some(fleet: Fleet, keep) -> Fleet:
+def some(fleet: FishBatch, keep) -> FishBatch:
     """Pieces by number or boolean."""
     at = np.arange(len(fleet.q))[keep]
-    return Fleet._make([*(a[at] for a in fleet[:-1]), tuple(fleet.source[int(i)] for i in at)])
+    return FishBatch._make([*(a[at] for a in fleet[:-1]), tuple(fleet.source[int(i)] for i in at)])
 
 
-def padded(fleet: Fleet, like: Fleet) -> Fleet:
+def padded(fleet: FishBatch, like: FishBatch) -> FishBatch:
     """At least as many pieces and ticks as `like`, the rest masked: both then share one compilation."""
     more, ticks = max(0, len(like.q) - len(fleet.q)), max(0, like.mask.shape[1] - fleet.mask.shape[1])
     long = [np.concatenate([a, np.repeat(a[:, -1:], ticks, 1)], 1) for a in fleet[:-2]]
     mask = np.concatenate([fleet.mask, np.zeros((len(fleet.mask), ticks))], 1)
     whole = [np.concatenate([a, np.repeat(a[-1:], more, 0)]) for a in (*long, mask)]
-    return Fleet._make([*whole, fleet.source])
+    return FishBatch._make([*whole, fleet.source])
 
 
-class Swim:
+class SwimWindow:
     """Free swims of one robot in JAX.
 
     Args:
@@ -144,11 +146,11 @@ class Swim:
         return hash(self._key)
 
     def __eq__(self, other) -> bool:
-        return isinstance(other, Swim) and self._key == other._key
+        return isinstance(other, SwimWindow) and self._key == other._key
 
     def run(
-        self, fleet: Fleet, water: np.ndarray, learnt: "residual_hooks.Residual | None" = None, attached=None, memory=None
-    ) -> Track:
+        self, fleet: FishBatch, water: np.ndarray, learnt: "residual_hooks.Residual | None" = None, attached=None, memory=None
+    ) -> SwimTrack:
         """Swim every piece from its recorded start.
 
         Args:
@@ -166,7 +168,7 @@ class Swim:
         wide = [np.concatenate([a, np.repeat(a[-1:], size - batch, 0)]) for a in map(np.asarray, given)]
         single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
         out = self._run(*single(wide), None if learnt is None else single(learnt))
-        return Track(*(np.asarray(a[:batch], float) for a in out))
+        return SwimTrack(*(np.asarray(a[:batch], float) for a in out))
 
     @partial(jax.jit, static_argnums=0)
     def _run(self, q, v, target, flow, ambient, water, attached, memory, learnt):
@@ -185,7 +187,7 @@ class Swim:
 
             def step(state, aim):
                 q, v, x, memory, power = state
-                hooks = None if learnt is None else residual_hooks.Learned(jnp, ch, learnt, memory)
+                hooks = None if learnt is None else residual_hooks.LearnedResidual(jnp, ch, learnt, memory)
                 s = planar_chain.step(jnp, ch, sw, q, v, x, split(aim), stream, split(ambient), hooks)
                 memory = memory if learnt is None else tuple(s.memory)
                 return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
@@ -200,7 +202,7 @@ class Swim:
         return tuple(jnp.swapaxes(a, 0, 1) for a in out), state
 
 
-class View(NamedTuple):
+class WindowMeans(NamedTuple):
     """Means over windows of a swim, (B, K): velocity over ground in the body frame, yaw rate, servo power; nan behind the end."""
 
     surge: np.ndarray  # m/s
@@ -209,7 +211,7 @@ class View(NamedTuple):
     power: np.ndarray  # W
 
 
-def windows(track: Track, fleet: Fleet, tick: float, seconds: float = WINDOW) -> View:
+def windows(track: SwimTrack, fleet: FishBatch, tick: float, seconds: float = WINDOW) -> WindowMeans:
     """Means over whole windows of `seconds` from the start."""
     size = round(seconds / tick)
     count = max(1, track.q.shape[1] // size)
@@ -219,4 +221,4 @@ def windows(track: Track, fleet: Fleet, tick: float, seconds: float = WINDOW) ->
     shape = (len(yaw), count, size)
     whole = fleet.mask[:, : count * size].reshape(shape).min(-1) > 0
     mean = lambda a: np.where(whole, a[:, : count * size].reshape(shape).mean(-1), np.nan)
-    return View(mean(surge), mean(sway), mean(track.v[..., 2]), mean(track.power))
+    return WindowMeans(mean(surge), mean(sway), mean(track.v[..., 2]), mean(track.power))

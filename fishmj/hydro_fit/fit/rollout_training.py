@@ -23,14 +23,14 @@ import optax
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import force_training
-from fishmj.hydro_fit.fit.data_parallel import dealt, devices, quick, stacked
+from fishmj.hydro_fit.fit.data_parallel import devices, quick, sharded, stacked
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim, cut, is_free
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
 from fishmj.hydro_fit.fit.tolerance import TOLERANCE
-from fishmj.hydro_fit.fit.training_windows import EVERY, Lessons, motion_of, taken
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.fit.training_windows import EVERY, TrainingWindows, motion_of, taken
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
 
@@ -43,17 +43,17 @@ FLOORS, PART = 2.0, 0.25  # of the tolerances: times the floors in a window, tim
 TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
 
 
-class Pieces(NamedTuple):
+class Windows(NamedTuple):
     """P free swims of T ticks; x (T_b, F, P), speed (T_b, P): recorded motion before them, no speed where there is none."""
 
-    fleet: Fleet
+    fleet: FishBatch
     x: Any
     speed: Any
     attached: Any  # (P,)
     share: np.ndarray  # (P,) how often each is drawn, sum 1
 
 
-class Held(NamedTuple):
+class TetheredRecords(NamedTuple):
     """R held fish that flap, T rows as far apart as those of lessons; thrusts are means over a record, (R,) N."""
 
     x: Any  # (T, F, R)
@@ -64,7 +64,7 @@ class Held(NamedTuple):
     seen: Any  # as recorded
 
 
-def pieces_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], c: strip_forces.Coefficients) -> Pieces:
+def windows_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> Windows:
     """Overlapping pieces of all free swims.
 
     Raises:
@@ -89,7 +89,7 @@ def pieces_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[Record], c
             state.append(attached[span.start + a] if a else 0.5)
     fleet = cut(ch, robot, free, at)
     share = shares([free[number].meta["block"] for number, _, _ in at])
-    return Pieces(fleet, np.stack(x, -1), np.stack(speed, -1), np.array(state), share)
+    return Windows(fleet, np.stack(x, -1), np.stack(speed, -1), np.array(state), share)
 
 
 def shares(blocks: Sequence[str]) -> np.ndarray:
@@ -99,7 +99,7 @@ def shares(blocks: Sequence[str]) -> np.ndarray:
     return share / share.sum()
 
 
-def held_of(ch: planar_chain.Chain, records: Sequence[Record], c: strip_forces.Coefficients) -> Held | None:
+def held_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> TetheredRecords | None:
     """The held fish that flap, if any."""
     chosen = [r for r in records if flaps(r)]
     if not chosen:
@@ -117,13 +117,13 @@ def held_of(ch: planar_chain.Chain, records: Sequence[Record], c: strip_forces.C
     weight = wide(np.ones(len(rows.record)))[::EVERY]
     pushed = (thrusts(rows, force) for force in (strips, rows.force))
     motion = (wide(np.asarray(values))[::EVERY] for values in (m.x, m.speed, m.push))
-    return Held._make([*motion, weight / weight.sum(0), *pushed])
+    return TetheredRecords._make([*motion, weight / weight.sum(0), *pushed])
 
 
-def some(pieces: Pieces, at) -> Pieces:
+def some(pieces: Windows, at) -> Windows:
     """Some of the pieces; without their sources."""
-    fleet = Fleet._make([*(a[at] for a in pieces.fleet[:-1]), ()])
-    return Pieces(fleet, pieces.x[..., at], pieces.speed[..., at], pieces.attached[at], pieces.share[at])
+    fleet = FishBatch._make([*(a[at] for a in pieces.fleet[:-1]), ()])
+    return Windows(fleet, pieces.x[..., at], pieces.speed[..., at], pieces.attached[at], pieces.share[at])
 
 
 def huber(error):
@@ -131,7 +131,7 @@ def huber(error):
     return jnp.mean(2 * CLIP**2 * (jnp.sqrt(1 + (error / CLIP) ** 2) - 1))
 
 
-class School:
+class RolloutTrainer:
     """What a net is taught by.
 
     Args:
@@ -140,8 +140,8 @@ class School:
     """
 
     def __init__(
-        self, robot: Robot, swim: Swim, pieces: Pieces, held: Held | None, lessons: Lessons, water: np.ndarray, *,
-        left: dict | None = None,
+        self, robot: Robot, swim: SwimWindow, pieces: Windows, held: TetheredRecords | None, lessons: TrainingWindows,
+        water: np.ndarray, *, left: dict | None = None,
     ):  # fmt: skip
         self.swim, self.water, self.left = swim, np.asarray(water, np.float32), left or {}
         single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)
@@ -150,13 +150,13 @@ class School:
         self.ch, self.tick = swim.chain, lessons.step / EVERY
         self.panels, self.drag = residual_network.panels(self.ch), tow_drag(self.ch, robot)
 
-    def loss(self, net: residual_network.Net, part: Pieces, lessons: Lessons, weights, held: Held | None):
+    def loss(self, net: residual_network.Net, part: Windows, lessons: TrainingWindows, weights, held: TetheredRecords | None):
         """L of a batch."""
         net = residual_network.without(net, **self.left)
         total = self.swum(net, part) + force_training.loss(net, lessons, weights, self.panels, self.ch.strips.rho)
         return total if held is None else total + huber(self.pushed(net, held))
 
-    def swum(self, net: residual_network.Net, part: Pieces):
+    def swum(self, net: residual_network.Net, part: Windows):
         """What the swims are off by."""
         fleet, count = part.fleet, len(part.attached)
         _, wake = force_training.wakes(net, part.x, part.speed, self.tick)
@@ -168,7 +168,7 @@ class School:
         whole, (error, spent) = self.means(q, v, fleet), self.errors(q, v, power, fleet)
         return huber(error) + huber(whole) / PART**2 + POWER * huber(spent)
 
-    def errors(self, q, v, power, fleet: Fleet):
+    def errors(self, q, v, power, fleet: FishBatch):
         """Of movement (P, W, 3) and of power (P, W) over windows, in units of what is tolerated."""
         size = round(WINDOW / self.tick)
 
@@ -181,24 +181,24 @@ class School:
         off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
         return (got - seen) / _tolerated(seen, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
 
-    def means(self, q, v, fleet: Fleet):
+    def means(self, q, v, fleet: FishBatch):
         """Of movement over whole pieces, (P, 3), in the same units."""
         got, seen = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
         return (got - seen) / (_tolerated(seen, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
 
-    def pushed(self, net: residual_network.Net, held: Held):
+    def pushed(self, net: residual_network.Net, held: TetheredRecords):
         """Errors of the mean thrust of held fish, (R,), in what is asked for."""
         z, _ = force_training.wakes(net, held.x, held.speed, self.lessons.step)
         force = force_training.forces(net, self.panels, self.ch.strips.rho, held.x, held.push, z).mean(0)  # (T, 3, N, R)
         got = held.strips + (held.weight * force[:, 0].sum(1)).sum(0)
         return (got - held.seen) / (THRUST * self.drag)
 
-    def drawn_held(self, rng: np.random.Generator, most: int) -> Held | None:
+    def drawn_held(self, rng: np.random.Generator, most: int) -> TetheredRecords | None:
         """At most so many of the held fish, at random."""
         if self.held is None:
             return None
         at = rng.permutation(len(self.held.seen))[:most]
-        return Held._make(a[..., at] for a in self.held)
+        return TetheredRecords._make(a[..., at] for a in self.held)
 
     def learn(
         self, net: residual_network.Net, *, steps: int, seed: int = 0, report: Callable | None = None, loop: Loop | None = None
@@ -215,7 +215,7 @@ class School:
         drawn, count = force_training.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
         swims, told = (min(most, there) for most, there in ((BATCH, len(self.share)), (LESSONS, count)))
         among = devices(swims, told)
-        slope_of = dealt(self.loss, among)
+        slope_of = sharded(self.loss, among)
 
         @partial(jax.jit, compiler_options=quick(among[0].platform))
         def step(net, state, *hands):

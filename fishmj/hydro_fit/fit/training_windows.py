@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.hydro_fit.fit.regression_rows import Rows, attachment, base_force, rows_of
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force, rows_of
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.water import residual_network
 
 PIECE, BURN = 4.0, 1.0  # s; the wake of a piece that begins inside a record fills during `BURN`
 EVERY = 2  # ticks from row to row: neighbours say the same
 
 
-class Lessons(NamedTuple):
+class TrainingWindows(NamedTuple):
     """P pieces of T ticks for N links.
 
     left: force beyond the base, moment about the middle of the link. weight: 0 in burn-in and padding. size: rms of the force
@@ -31,18 +31,20 @@ class Lessons(NamedTuple):
     episode: np.ndarray  # (P,)
 
 
-def motion_of(p: residual_network.Panels, rows: Rows) -> residual_network.Motion:
+def motion_of(p: residual_network.Panels, rows: RegressionRows) -> residual_network.Motion:
     """Features in the middle of every tick; component lists of (M,)."""
     return residual_network.motion(np, p, links_of(rows))
 
 
-def links_of(rows: Rows) -> planar_chain.Links:
+def links_of(rows: RegressionRows) -> planar_chain.Links:
     """What the links did through the water in the middle of every tick."""
     u, w, omega = (list(value[1]) for value in (rows.u, rows.w, rows.omega))
     return planar_chain.Links([], [], omega, u, w, [])
 
 
-def remaining(ch: planar_chain.Chain, rows: Rows, c: strip_forces.Coefficients, tick: float) -> tuple[np.ndarray, np.ndarray]:
+def remaining(
+    ch: planar_chain.Chain, rows: RegressionRows, c: strip_forces.Coefficients, tick: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Force beyond the base and the base's force without the acceleration's part, (3, N, M); moments about the middle."""
     attached = attachment(rows, ch.strips, c, tick)
     left = rows.force - base_force(rows, ch.strips, c, attached)
@@ -53,7 +55,9 @@ def remaining(ch: planar_chain.Chain, rows: Rows, c: strip_forces.Coefficients, 
     return left, drag
 
 
-def lessons_of(ch: planar_chain.Chain, records: Sequence[Record], c: strip_forces.Coefficients) -> Lessons:
+def training_windows_of(
+    ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: strip_forces.Coefficients
+) -> TrainingWindows:
     """Pieces of all records."""
     tick = records[0].tick
     rows = rows_of(ch, records)
@@ -84,9 +88,9 @@ def lessons_of(ch: planar_chain.Chain, records: Sequence[Record], c: strip_force
     weight = ((time >= skips) & (time < ends)).astype(np.float32)
     episode = np.array([e for *_, e in pieces])
     features = (np.array(m.x), m.speed, np.array(m.push), left)
-    return Lessons._make([step, *(cut(values) for values in features), weight, size.astype(np.float32), episode])
+    return TrainingWindows._make([step, *(cut(values) for values in features), weight, size.astype(np.float32), episode])
 
 
-def taken(lessons: Lessons, at) -> Lessons:
+def taken(lessons: TrainingWindows, at) -> TrainingWindows:
     """Some of the pieces."""
-    return Lessons._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at]])
+    return TrainingWindows._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at]])

@@ -7,22 +7,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.hydro_fit.fit.rollout import Fleet, Swim, fleet_of, is_free, recorded, windows
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, fish_batch_of, is_free, recorded, windows
 from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 
 START = 2.0  # s
 SHARE = 0.9
 
 
-def begins_at_rest(record: Record) -> bool:
+def begins_at_rest(record: SegmentRecord) -> bool:
     """A free gait from rest in still water."""
     still = not np.any(record.meta["start"]["v"]) and float(np.abs(record.flow).max()) < 1e-6
     return record.meta["block"] == "gait" and is_free(record) and still and record.seconds >= START
 
 
-def from_rest(swim: Swim, robot: Robot, records: Sequence[Record], water: np.ndarray) -> float:
+def from_rest(swim: SwimWindow, robot: Robot, records: Sequence[SegmentRecord], water: np.ndarray) -> float:
     """What nine of ten such swims stay below, 1 at least: mean square difference over windows of `WINDOW` s, in tolerances.
 
     Of velocity ahead, to the left, and yaw rate.
@@ -31,8 +31,8 @@ def from_rest(swim: Swim, robot: Robot, records: Sequence[Record], water: np.nda
     if not chosen:
         return 1.0
     tick, size = chosen[0].tick, round(START / chosen[0].tick)
-    whole = fleet_of(swim.chain, robot, chosen, seconds=1e6)
-    fleet = Fleet._make([*(a[:, : size + 1] for a in whole[:2]), *(a[:, :size] for a in whole[2:-1]), whole.source])
+    whole = fish_batch_of(swim.chain, robot, chosen, seconds=1e6)
+    fleet = FishBatch._make([*(a[:, : size + 1] for a in whole[:2]), *(a[:, :size] for a in whole[2:-1]), whole.source])
     got, seen = (windows(track, fleet, tick, WINDOW) for track in (swim.run(fleet, water, None), recorded(fleet)))
     speed, turn = of_movement(seen.surge, seen.sway, seen.yaw_rate)
     wide = {"surge": speed, "sway": speed, "yaw_rate": turn}

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.hydro_fit.fit.regression_rows import Rows
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows
 from fishmj.hydro_fit.fit.training_windows import links_of
 from fishmj.water import residual_hooks, residual_network
 
 
-class Walk(NamedTuple):
+class WarmUp(NamedTuple):
     """A model along M recorded ticks."""
 
     force: np.ndarray  # (3, N, M) of the residual, N and N m about the link's origin
@@ -22,7 +22,9 @@ class Walk(NamedTuple):
     outside: np.ndarray  # (M,) 1 where a link was outside the fitted range
 
 
-def walk(ch: planar_chain.Chain, rows: Rows, c: strip_forces.Coefficients, learnt: residual_hooks.Residual, tick: float) -> Walk:
+def warm_up(
+    ch: planar_chain.Chain, rows: RegressionRows, c: strip_forces.Coefficients, learnt: residual_hooks.Residual, tick: float
+) -> WarmUp:
     """Along all records side by side, each from rest."""
     spans, n = rows.spans(), ch.n
     longest, count = max(span.stop - span.start for span in spans), len(spans)
@@ -34,17 +36,17 @@ def walk(ch: planar_chain.Chain, rows: Rows, c: strip_forces.Coefficients, learn
     kept: list[tuple] = []
     for k in range(longest):
         motion = planar_chain.Links([], [], list(wide[2, :, k]), list(wide[0, :, k]), list(wide[1, :, k]), [])
-        hooks = residual_hooks.Learned(np, ch, learnt, memory)
+        hooks = residual_hooks.LearnedResidual(np, ch, learnt, memory)
         force = np.array(hooks.advance(ch.strips, c, motion, tick))  # (N, 3, R)
         new = [value + np.zeros(count) for value in hooks.end(ch, None, None, None)]
         kept.append((force.transpose(1, 0, 2), np.array(memory), hooks.spread + np.zeros(count), new[-1] - memory[-1]))
         memory = new
     force, before, spread, outside = (np.stack(column, -2) for column in zip(*kept, strict=True))
     line = lambda a: np.concatenate([a[..., : s.stop - s.start, j] for j, s in enumerate(spans)], -1)
-    return Walk(line(force), line(before).T, line(spread), line(outside))
+    return WarmUp(line(force), line(before).T, line(spread), line(outside))
 
 
-def features(ch: planar_chain.Chain, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+def features(ch: planar_chain.Chain, rows: RegressionRows) -> tuple[np.ndarray, np.ndarray]:
     """xi (M, N, 5) and V_i (M, N) of every row: what the fitted range is made from."""
     p, k = residual_network.panels(ch), links_of(rows)
     xi, speed = residual_hooks.near(np, p, k, residual_network.motion(np, p, k))

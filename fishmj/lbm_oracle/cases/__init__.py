@@ -78,7 +78,7 @@ class Case(NamedTuple):
         return (self.solve.__doc__ or "").strip().partition("\n")[0]
 
 
-class Outcome(NamedTuple):
+class CaseResult(NamedTuple):
     """A case that was run."""
 
     case: Case
@@ -127,14 +127,14 @@ def pick(names: list[str], *, quick: bool = False, everything: bool = False, gpu
     return [case for case in table.values() if (everything and (gpu or not case.gpu)) or (case.quick and quick)]
 
 
-def solve(case: Case, device: str) -> Outcome:
+def solve(case: Case, device: str) -> CaseResult:
     """Run one case and take its time."""
     start = time.perf_counter()
     checks = tuple(case.solve(device))
-    return Outcome(case, checks, time.perf_counter() - start)
+    return CaseResult(case, checks, time.perf_counter() - start)
 
 
-def rows(outcome: Outcome) -> list[dict]:
+def rows(outcome: CaseResult) -> list[dict]:
     """The lines of the validation table."""
     return [
         {

@@ -12,24 +12,26 @@ from fishmj.lbm_oracle.cases import below, register, reported
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.immersed import momentum_budget
-from fishmj.lbm_oracle.immersed.body import Body
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 SHAPE = (56, 32, 20)
 LAG = np.radians(60.0) * np.arange(3)
 
 
-def pond(device: str, *, slip: float = 1.0, root: str = "planar", dx=0.02, dt=0.004, dtype="float32", **options) -> Coupled:
+def pond(
+    device: str, *, slip: float = 1.0, root: str = "planar", dx=0.02, dt=0.004, dtype="float32", **options
+) -> FluidStructure:
     """The default fish in the middle of a periodic box, at rest."""
     lattice = Lattice(dx=dx, dt=dt, corner=(0.0, 0.0, -SHAPE[2] * 0.01))
-    body = Body.of("fish", root, dt)
+    body = ImmersedBody.of("fish", root, dt)
     water = Fluid(lattice, tuple(round(n * 0.02 / dx) for n in SHAPE), device, dtype=dtype)
     body.place(np.concatenate([[0.6, 0.32], body.data.qpos[2:]]))
-    return Coupled(water, body, fish_markers("fish", dx, slip=slip), slip=slip, **options)
+    return FluidStructure(water, body, fish_markers("fish", dx, slip=slip), slip=slip, **options)
 
 
-def beat(coupled: Coupled, seconds: float, *, frequency: float = 1.0, amplitude: float = np.radians(30.0), every: int = 5):
+def beat(coupled: FluidStructure, seconds: float, *, frequency: float = 1.0, amplitude: float = np.radians(30.0), every: int = 5):
     """Servo-driven travelling wave, smooth start; the momentum every few steps."""
     history = [momentum_budget.momentum(coupled)]
     for n in range(round(seconds / coupled.body.dt)):

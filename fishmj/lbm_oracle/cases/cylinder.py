@@ -23,7 +23,7 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import Check, about, register, reported
 from fishmj.lbm_oracle.cases.cylinder_strip import cylinder
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import offset_of
 
 STREAM = 0.06  # lattice units: Mach 0.1
@@ -40,7 +40,7 @@ class Held(NamedTuple):
 
     force: np.ndarray
     interval: float
-    coupled: Coupled
+    coupled: FluidStructure
 
 
 def hold(cells: int, reynolds: float, times: float, device: str, *, stream=STREAM, box=BOX, kick: float = 0.0, **options) -> Held:

@@ -16,9 +16,9 @@ from fishmj.lbm_oracle.fluid.domain_faces import Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.immersed import kernels
-from fishmj.lbm_oracle.immersed.body import Body, Water
+from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import Markers, offset_of
 
 wp.set_module_options({"enable_backward": False})
@@ -53,7 +53,7 @@ def circle_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_
     return Markers.rigid(r * unit, unit, 2 * pi * r / n * dx)
 
 
-def rod(radius: float, lattice: Lattice, at=(0.0, 0.0)) -> Body:
+def rod(radius: float, lattice: Lattice, at=(0.0, 0.0)) -> ImmersedBody:
     """A cylinder of water's density and one cell of depth on slides along x and y, at `at` (2,) m."""
     mass = lattice.rho * pi * radius**2 * lattice.dx
     inertia = np.array([0.25, 0.25, 0.5]) * mass * radius**2
@@ -64,8 +64,8 @@ def rod(radius: float, lattice: Lattice, at=(0.0, 0.0)) -> Body:
     link.mass, link.inertia, link.ipos, link.explicitinertial = mass, inertia, [0, 0, 0], True
     for name, axis in zip("xy", np.eye(3), strict=False):
         link.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    water = Water(mass=np.array([mass]), centre=np.zeros((1, 3)), inertia=np.diag(inertia)[None])
-    body = Body(spec.compile(), water, lattice.dt)
+    water = DisplacedWater(mass=np.array([mass]), centre=np.zeros((1, 3)), inertia=np.diag(inertia)[None])
+    body = ImmersedBody(spec.compile(), water, lattice.dt)
     body.place(at)
     return body
 
@@ -82,7 +82,7 @@ def cylinder(
     flow: Flow | None = None,
     passes: int = 2,
     **options,
-) -> Coupled:
+) -> FluidStructure:
     """A cylinder of `cells` cells across without slip, in lattice units.
 
     Args:
@@ -94,6 +94,6 @@ def cylinder(
     water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=flow)
     centre = np.array(shape[:2]) * at + [0.2, -0.3]
     markers, body = circle_markers(cells / 2, 1.0, **options), rod(cells / 2, lattice, centre)
-    held = Coupled(water, body, markers, slip=0.0, passes=passes)
+    held = FluidStructure(water, body, markers, slip=0.0, passes=passes)
     held.boundary = Strip(markers, body, water, slip=0.0, passes=passes)
     return held

@@ -38,7 +38,7 @@ def drag(reynolds: float, cells: int, *, width: float = WIDTH, slip: bool = Fals
     shape = (side, side, ahead + round(BEHIND * width * cells))
     even = 1 / (0.5 + 3 * STREAM * cells / reynolds)
     odd = 1 / (0.5 + MAGIC / (1 / even - 0.5))
-    links = Links(shape, cells / 2, ahead - 0.5, slip)
+    links = DuctLinks(shape, cells / 2, ahead - 0.5, slip)
     held = np.zeros((Q, *(n + 2 for n in shape)), np.float32)  # one layer of nodes outside, for what comes from there
     inside = held[:, 1:-1, 1:-1, 1:-1]
     f = np.broadcast_to((3 * W * C[:, 2] * STREAM)[:, None, None, None], (Q, *shape)).astype(np.float32)
@@ -74,7 +74,7 @@ def collide(f: np.ndarray, even: float, odd: float) -> None:
         f[i + 1] -= whole - apart
 
 
-class Links:
+class DuctLinks:
     """What every node pulls from outside the water: places in the flat populations, sphere first."""
 
     def __init__(self, shape, radius: float, centre: float, slip: bool):

@@ -10,7 +10,7 @@ import numpy as np
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.run.domain import Domain, preset, tank
 from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 
 HEADINGS = (0.0, 30.0, 90.0)  # deg
 
@@ -18,7 +18,7 @@ HEADINGS = (0.0, 30.0, 90.0)  # deg
 def cruise(domain: Domain, device: str, *, heading: float = 0.0, seconds: float = 4.0, **options) -> float:
     """Speed over the last two beats of the calibration swim, m/s."""
     start = (-0.4 * np.cos(radians(heading)), -0.4 * np.sin(radians(heading)), radians(heading))
-    run, gait = Stage(domain=domain, device=device, pose=start, **options).run(latency=0.0), Gait.of_the_paper()
+    run, gait = SwimSetup(domain=domain, device=device, pose=start, **options).run(latency=0.0), Gait.of_the_paper()
     for _ in range(round(seconds / run.robot.timing.bus_dt)):
         run.tick(gait(run.time))
     truth = run.trial().table("truth")

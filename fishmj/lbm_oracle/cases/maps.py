@@ -25,7 +25,7 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import below, register, reported
 from fishmj.lbm_oracle.output.block_average import average
 from fishmj.lbm_oracle.run.domain import Domain, preset
-from fishmj.lbm_oracle.run.setup import Edge, Stage
+from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.stability import Watch
 
 SLIP = 1.0
@@ -47,7 +47,7 @@ class Load(NamedTuple):
         return np.array([self.x, self.y])
 
 
-class Plan(NamedTuple):
+class MapPlan(NamedTuple):
     """Box, seconds before and of the average at SPEED (more where slower), and the angles by which the grid is turned."""
 
     domain: Domain
@@ -55,13 +55,13 @@ class Plan(NamedTuple):
     seconds: float
 
 
-FULL = Plan(replace(preset("forcemap"), name="square", shape=(200, 200, 100)), 9.0, 20.0)
-FINE = Plan(replace(preset("forcemap").changed(dx=0.01, dt=0.002), name="square", shape=(320, 320, 160)), 6.0, 12.0)
-PREVIEW = Plan(replace(preset("laptop"), name="square", shape=(64, 64, 30)), 2.0, 2.0)
+FULL = MapPlan(replace(preset("forcemap"), name="square", shape=(200, 200, 100)), 9.0, 20.0)
+FINE = MapPlan(replace(preset("forcemap").changed(dx=0.01, dt=0.002), name="square", shape=(320, 320, 160)), 6.0, 12.0)
+PREVIEW = MapPlan(replace(preset("laptop"), name="square", shape=(64, 64, 30)), 2.0, 2.0)
 
 
 def load(
-    plan: Plan, device: str, *, aoa: float = AOA, speed: float = SPEED, turn: float = 0.0, towed: bool = False, at=(0.0, 0.0)
+    plan: MapPlan, device: str, *, aoa: float = AOA, speed: float = SPEED, turn: float = 0.0, towed: bool = False, at=(0.0, 0.0)
 ) -> Load:
     """Mean load on a straight fish in a stream of `speed` m/s from `aoa` deg, both turned by `turn` deg in the grid.
 
@@ -71,8 +71,8 @@ def load(
     flow = Flow() if towed else Flow(speed=speed, direction=pi + course)
     domain = replace(plan.domain, follows=True)  # held, too: one place of the fish in its box
     heading = course - radians(aoa)
-    held = Stage(domain=domain, flow=flow, slip=SLIP, pose=(*at, heading), device=device).coupled()
-    edge, watch = Edge(domain, heading), Watch()
+    held = SwimSetup(domain=domain, flow=flow, slip=SLIP, pose=(*at, heading), device=device).coupled()
+    edge, watch = DomainWatch(domain, heading), Watch()
     fixed, value = np.ones(held.body.dofs), np.zeros(held.body.dofs)
     if towed:
         value[:2] = speed * cos(course), speed * sin(course)
@@ -103,7 +103,7 @@ def apart(one: Load, other: Load) -> float:
     return float(np.linalg.norm(one.force - other.force) / max(np.linalg.norm(one.force), np.linalg.norm(other.force)))
 
 
-def checks(plan: Plan, device: str, judged: bool, reported_only: tuple[str, ...] = (), finer: bool = False):
+def checks(plan: MapPlan, device: str, judged: bool, reported_only: tuple[str, ...] = (), finer: bool = False):
     """The checks in one box; without `judged` they are reported, and those of `reported_only` in any case."""
 
     def within(quantity: str, value: float, limit: float):

@@ -21,7 +21,7 @@ from fishmj.lbm_oracle.cases import Check, below, register, reported
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.store import Manifest, read_tensors, write_tensors
 
 SCHEMA, NAME, STEPS = "fishmj.same-physics/1", "same_physics.safetensors", 200
@@ -40,7 +40,7 @@ def folder() -> Path:
 
 def run(device: str, **options) -> Run:
     """The swim, at its end; options change the stage."""
-    stage = replace(Stage(domain=DOMAIN, flow=FLOW, slip=SLIP, pose=(0.02, -0.02, 0.15), device=device), **options)
+    stage = replace(SwimSetup(domain=DOMAIN, flow=FLOW, slip=SLIP, pose=(0.02, -0.02, 0.15), device=device), **options)
     made, gait = stage.run(latency=0.0), Gait(ramp=0.2)
     while made.coupled.steps < STEPS:
         made.tick(gait(made.time))

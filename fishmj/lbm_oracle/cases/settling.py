@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.units import G
@@ -80,7 +80,7 @@ def fall(oil: Oil, cells: int, device: str, *, longest: float = inf, **options) 
     body.model.opt.gravity[:] = 0.0, 0.0, -G
     body.place(start)  # the forces of this gravity
     options = {"hydro_offset": retraction(cells, nu * dt / dx**2)} | options
-    free = Coupled(water, body, sphere_markers(DIAMETER / 2, dx, **options), slip=0.0)
+    free = FluidStructure(water, body, sphere_markers(DIAMETER / 2, dx, **options), slip=0.0)
     speed, gap, peak = [], [], 0.0
     while not gap or (gap[-1] > 3 * dx and speed[-1] > 0.99 * peak and len(gap) * dt < longest):
         speed.append(-free.step()[2])

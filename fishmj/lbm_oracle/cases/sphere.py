@@ -20,7 +20,7 @@ from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 
@@ -51,7 +51,7 @@ def drag(
     water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=flow)
     where = np.array(shape) * [0.4, 0.5, 0.5] + [0.2, -0.3, -0.4]  # off the nodes, as a fish is
     markers = sphere_markers(cells / 2, 1.0, slip=slip, **options)
-    held = Coupled(water, ball(cells / 2, lattice, at=where), markers, slip=slip)
+    held = FluidStructure(water, ball(cells / 2, lattice, at=where), markers, slip=slip)
     steps, tail = round(times * cells / STREAM), round(0.2 * times * cells / STREAM)
     for n in range(steps):
         if n == steps - tail:
@@ -69,7 +69,7 @@ def added_mass(radius: float, cells: int, device: str, *, slip: float = 1.0, pas
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-3)
     water = Fluid(lattice, (cells,) * 3, device, subgrid="none")
     body = ball(radius, lattice, at=np.full(3, cells / 2) + [0.3, 0.1, -0.2])
-    driven = Coupled(water, body, sphere_markers(radius, 1.0, slip=slip, **options), slip=slip, passes=passes)
+    driven = FluidStructure(water, body, sphere_markers(radius, 1.0, slip=slip, **options), slip=slip, passes=passes)
     a, speed, ramp, first, last = 1e-4, 0.0, 20, 30, 90
     for n in range(last):
         if n == first:
@@ -89,7 +89,7 @@ def virtual_mass(density: float, device: str, *, interior: bool = True, scheme: 
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-3)
     water = Fluid(lattice, (32,) * 3, device, subgrid="none")
     body = ball(5.0, lattice, density=density, at=(16.3, 16.1, 15.8))
-    free = Coupled(water, body, sphere_markers(5.0, 1.0), slip=0.0, passes=3, interior=interior, scheme=scheme)
+    free = FluidStructure(water, body, sphere_markers(5.0, 1.0), slip=0.0, passes=3, interior=interior, scheme=scheme)
     push, speed = 1e-4 * body.water.mass[0], []
     body.applied[0] = push
     for _ in range(steps):

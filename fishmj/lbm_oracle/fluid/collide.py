@@ -51,7 +51,7 @@ def momentum(f: vec19):
 
 
 @wp.func
-def departure(f: vec19, drho: float, u: wp.vec3):
+def non_equilibrium_stress(f: vec19, drho: float, u: wp.vec3):
     """P of the docstring, (xx, yy, zz, xy, xz, yz)."""
     a, b = f[7] + f[8], f[9] + f[10]
     c, d = f[11] + f[12], f[13] + f[14]
@@ -69,7 +69,7 @@ def departure(f: vec19, drho: float, u: wp.vec3):
 
 
 @wp.func
-def blended(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float):
+def hybrid_stress(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float):
     """P with a share of its traceless part replaced by what the slopes dx = d u / d x, ... of the velocity say."""
     a = share * _CS2 * rho_tau
     mean = _CS2 * (p[0] + p[1] + p[2])
@@ -102,7 +102,7 @@ def relaxed(p: vec6, omega: float, omega_bulk: float):
 
 
 @wp.func
-def populations(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
+def reconstruct(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
     """f_i - w_i from the moments: density, velocity before and after the force, relaxed P."""
     rho = 1.0 + drho
     j = rho * v

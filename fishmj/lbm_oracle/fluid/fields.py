@@ -4,17 +4,17 @@ from typing import Any
 
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.collide import density, momentum, populations, relaxed
+from fishmj.lbm_oracle.fluid.collide import density, momentum, reconstruct, relaxed
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
 from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19
-from fishmj.lbm_oracle.fluid.step import OPTIONS, Numbers, folded
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, folded
 from fishmj.lbm_oracle.fluid.storage import peek, poke
 
 wp.set_module_options(OPTIONS)
 
 
 @wp.func
-def _store(f: wp.array(dtype=Any), q: vec19, s: Numbers, x: int, y: int, z: int):
+def _store(f: wp.array(dtype=Any), q: vec19, s: Params, x: int, y: int, z: int):
     cells = s.nx * s.ny * s.nz
     here = (x * s.ny + y) * s.nz + z
     for i in range(wp.static(Q)):
@@ -23,7 +23,7 @@ def _store(f: wp.array(dtype=Any), q: vec19, s: Numbers, x: int, y: int, z: int)
 
 @wp.kernel
 def settle(
-    s: Numbers,
+    s: Params,
     flow: Inflow,
     low: wp.vec3i,
     clock: wp.array(dtype=int),
@@ -35,12 +35,12 @@ def settle(
     wx, wy, wz = low[0] + i, low[1] + j, low[2] + k
     x, y, z = folded(wx, s.nx), folded(wy, s.ny), folded(wz, s.nz)
     v = background(flow, wp.vec3(float(wx), float(wy), float(wz)), clock[0])
-    _store(f, populations(0.0, v, v, vec6()), s, x, y, z)
+    _store(f, reconstruct(0.0, v, v, vec6()), s, x, y, z)
     u[x, y, z] = v
 
 
 @wp.kernel
-def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=Any)):
+def impose(s: Params, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=Any)):
     """A given field with its viscous stress, P = -2 rho c_s^2 tau S, derivatives across the periodic box."""
     x, y, z = wp.tid()
     xm, xp = folded(x - 1, s.nx), folded(x + 1, s.nx)
@@ -53,11 +53,11 @@ def impose(s: Numbers, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec
     scale = -tau * (1.0 + drho[x, y, z]) / 3.0
     p = scale * vec6(2.0 * dx[0], 2.0 * dy[1], 2.0 * dz[2], dy[0] + dx[1], dz[0] + dx[2], dz[1] + dy[2])
     v = u[x, y, z]
-    _store(f, populations(drho[x, y, z], v, v, relaxed(p, 1.0 / tau, s.omega_bulk)), s, x, y, z)
+    _store(f, reconstruct(drho[x, y, z], v, v, relaxed(p, 1.0 / tau, s.omega_bulk)), s, x, y, z)
 
 
 @wp.func
-def _loaded(f: wp.array(dtype=Any), s: Numbers, x: int, y: int, z: int):
+def _loaded(f: wp.array(dtype=Any), s: Params, x: int, y: int, z: int):
     cells = s.nx * s.ny * s.nz
     here = (x * s.ny + y) * s.nz + z
     q = vec19()
@@ -67,14 +67,14 @@ def _loaded(f: wp.array(dtype=Any), s: Numbers, x: int, y: int, z: int):
 
 
 @wp.kernel
-def weigh(s: Numbers, f: wp.array(dtype=Any), drho: wp.array3d(dtype=float)):
+def weigh(s: Params, f: wp.array(dtype=Any), drho: wp.array3d(dtype=float)):
     """Density minus one at every memory node."""
     x, y, z = wp.tid()
     drho[x, y, z] = density(_loaded(f, s, x, y, z))
 
 
 @wp.kernel
-def derive(s: Numbers, f: wp.array(dtype=Any), u: wp.array3d(dtype=wp.vec3)):
+def derive(s: Params, f: wp.array(dtype=Any), u: wp.array3d(dtype=wp.vec3)):
     """Velocity from the populations, where the step does not keep it: u + G, the force's second half included."""
     x, y, z = wp.tid()
     q = _loaded(f, s, x, y, z)
@@ -83,7 +83,7 @@ def derive(s: Numbers, f: wp.array(dtype=Any), u: wp.array3d(dtype=wp.vec3)):
 
 @wp.kernel
 def survey(
-    s: Numbers,
+    s: Params,
     f: wp.array(dtype=Any),
     u: wp.array3d(dtype=wp.vec3),
     planes: int,
@@ -113,7 +113,7 @@ def survey(
 
 
 @wp.kernel
-def rest(low: wp.vec3i, s: Numbers, force: wp.array3d(dtype=wp.vec3)):
+def rest(low: wp.vec3i, s: Params, force: wp.array3d(dtype=wp.vec3)):
     """No force in a box of world nodes."""
     i, j, k = wp.tid()
     force[folded(low[0] + i, s.nx), folded(low[1] + j, s.ny), folded(low[2] + k, s.nz)] = wp.vec3()

@@ -20,7 +20,7 @@ from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.fluid.step import Numbers, box_array, kernels
+from fishmj.lbm_oracle.fluid.step import Params, box_array, kernels
 from fishmj.lbm_oracle.fluid.storage import STORAGE
 
 SUBGRID = ("wale", "none")
@@ -110,7 +110,7 @@ class Fluid:
         return self._clock[self.parity]
 
     @property
-    def numbers(self) -> Numbers:
+    def numbers(self) -> Params:
         return self._numbers
 
     @property
@@ -278,8 +278,8 @@ class Fluid:
         self.clock.fill_(self.steps)
 
 
-def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend) -> Numbers:
-    made = Numbers()
+def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend) -> Params:
+    made = Params()
     made.nx, made.ny, made.nz = shape
     made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
     share = blend * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity  # the same loss in a second

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.collide import blended, density, departure, momentum, populations, relaxed, wale
+from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, ramp, through
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
@@ -27,7 +27,7 @@ OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and qu
 
 
 @wp.struct
-class Numbers:
+class Params:
     """What every kernel needs to know, lattice units."""
 
     nx: int
@@ -115,7 +115,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
     opened = ["open" in axis for axis in faces]
 
     @wp.func
-    def pull(f: wp.array(dtype=number), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+    def pull(f: wp.array(dtype=number), s: Params, lx: int, ly: int, lz: int, x: int, y: int, z: int):
         """Populations that arrive at memory node (x, y, z), logical node (lx, ly, lz)."""
         ny, nz = s.ny, s.nz
         n = s.nx * ny * nz
@@ -166,7 +166,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
         return out
 
     @wp.func
-    def slopes(u: wp.array(dtype=wp.vec3), s: Numbers, lx: int, ly: int, lz: int, x: int, y: int, z: int):
+    def slopes(u: wp.array(dtype=wp.vec3), s: Params, lx: int, ly: int, lz: int, x: int, y: int, z: int):
         """d u / d x, d y, d z in rows, from the last step; at a face the node stands in for its missing neighbour."""
         xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
         ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
@@ -188,7 +188,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
     @wp.kernel(module=module, grid_stride=False)
     def advance(
         start: int,
-        s: Numbers,
+        s: Params,
         flow: Inflow,
         origin: wp.array(dtype=int),
         box: wp.array(dtype=int),
@@ -223,7 +223,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             q = pull(f, s, lx, ly, lz, x, y, z)
         drho = density(q)
         u = (1.0 / (1.0 + drho)) * momentum(q)
-        p = departure(q, drho, u)
+        p = non_equilibrium_stress(q, drho, u)
 
         sigma = float(0.0)  # noqa: UP018
         target = wp.vec3()
@@ -251,7 +251,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             d = slopes(u_old, s, lx, ly, lz, x, y, z)
             nu += wale(d[0], d[1], d[2], s.cw2)
             share = wp.where(bare, s.borrowed, s.borrowed_layer)
-            p = blended(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
+            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
         p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
         v = u + g
         if wp.static(any(opened)):
@@ -260,7 +260,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
                 u += sigma * (target - u)
                 v += sigma * (target - v)
                 p *= 1.0 - sigma
-        q = populations(drho, u, v, p)
+        q = reconstruct(drho, u, v, p)
         n_cells = s.nx * s.ny * s.nz
         for i in range(wp.static(Q)):
             # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
@@ -270,7 +270,7 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
 
     @wp.kernel(module=module)
     def predict(
-        s: Numbers,
+        s: Params,
         origin: wp.array(dtype=int),
         box: wp.array(dtype=int),
         f: wp.array(dtype=number),

@@ -30,7 +30,7 @@ EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
 
 
 @dataclass(frozen=True, kw_only=True)
-class Water:
+class DisplacedWater:
     """Displaced water of L links, in their body frames."""
 
     mass: np.ndarray  # (L,) kg
@@ -39,7 +39,7 @@ class Water:
     points: Points | None = None  # where it may slide along the links; None: it moves with them
 
     @classmethod
-    def of(cls, robot) -> "Water":
+    def of(cls, robot) -> "DisplacedWater":
         """The sections of a fish, full of water: the geometry's inertia scaled to the displaced mass."""
         g = geometry_of(robot)
         share = g.displaced / g.mass
@@ -52,7 +52,7 @@ class Water:
         )
 
 
-class Body:
+class ImmersedBody:
     """One articulated body: every moving MuJoCo body is a link, numbered as in the model.
 
     Args:
@@ -61,7 +61,7 @@ class Body:
         dt: step of the fluid, s; becomes the model's own.
     """
 
-    def __init__(self, model: mujoco.MjModel, water: Water, dt: float):
+    def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):
         self.model, self.data, self.water = model, mujoco.MjData(model), water
         self.links, self.dofs = model.nbody - 1, model.nv
         if len(water.mass) != self.links:
@@ -92,10 +92,10 @@ class Body:
         self._last[:] = self._now
 
     @classmethod
-    def of(cls, robot="fish", root: str = "planar", dt: float = 0.004) -> "Body":
+    def of(cls, robot="fish", root: str = "planar", dt: float = 0.004) -> "ImmersedBody":
         """The fish of a description, at rest and straight at the origin."""
         robot = load_robot(robot)
-        return cls(build(robot, root, bare=True), Water.of(robot), dt)
+        return cls(build(robot, root, bare=True), DisplacedWater.of(robot), dt)
 
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""
@@ -162,14 +162,14 @@ class Body:
         axes = axes.reshape(-1, 3, 3)
         inertia = np.einsum("lab,lb,lcb->lac", axes, m.body_inertia[1:], axes)
         found = np.zeros((self.links, 6))
-        solid = Water(mass=m.body_mass[1:], centre=m.body_ipos[1:], inertia=inertia)
+        solid = DisplacedWater(mass=m.body_mass[1:], centre=m.body_ipos[1:], inertia=inertia)
         self._follow(solid, centre=np.zeros((self.links, 3)), twist=np.zeros((self.links, 6)), now=found)[1].launch()
         return found
 
-    def _follow(self, mass: Water, **found: np.ndarray) -> tuple[link_dynamics.Links, link_dynamics.Recorded]:
+    def _follow(self, mass: DisplacedWater, **found: np.ndarray) -> tuple[link_dynamics.LinkArrays, link_dynamics.Recorded]:
         """What says how masses that sit in the links move: the arrays, and the launch that fills those in `found`."""
         m, d, n = self.model, self.data, self.dofs
-        s, share = link_dynamics.Links(), link_dynamics.shared
+        s, share = link_dynamics.LinkArrays(), link_dynamics.shared
         s.links, s.dofs = self.links, n
         s.place, s.turn = share(d.xpos[1:]), share(d.xmat[1:])
         s.mujoco_axis, s.mujoco_anchor, s.qpos, s.qvel = (share(a) for a in (d.xaxis, d.xanchor, d.qpos, d.qvel))
@@ -188,9 +188,9 @@ class Body:
         s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
         return s, link_dynamics.Recorded(link_dynamics.move, s)
 
-    def _equations(self, interior: int) -> link_dynamics.Balance:
+    def _equations(self, interior: int) -> link_dynamics.LinkDynamics:
         """The arrays of the step's equation."""
-        d, e, share = self.data, link_dynamics.Balance(), link_dynamics.shared
+        d, e, share = self.data, link_dynamics.LinkDynamics(), link_dynamics.shared
         e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
         e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)

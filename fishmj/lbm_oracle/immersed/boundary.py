@@ -228,8 +228,8 @@ def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
     return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"fresh": (1,)}
 
 
-def _layout(links: int, dofs: int) -> kernels.Layout:
-    at, place = kernels.Layout(), 0
+def _layout(links: int, dofs: int) -> kernels.CouplingArrays:
+    at, place = kernels.CouplingArrays(), 0
     at.links, at.dofs = links, dofs
     for name, shape in _shapes(links, dofs).items():
         setattr(at, name, place)

@@ -7,7 +7,7 @@
     host:    mj_step to v+                     ->  the next place
 
 The solve is implicit in the velocity of the joints, so that a body as light as water, or a thin light tail, is stable; the
-explicit scheme diverges there (docs/oracle_coupling.md). `Coupled.step` is the main loop.
+explicit scheme diverges there (docs/oracle_coupling.md). `FluidStructure.step` is the main loop.
 """
 
 from contextlib import nullcontext
@@ -17,7 +17,7 @@ import warp as wp
 
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.immersed.body import Body
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.markers import Markers
 
@@ -25,7 +25,7 @@ SCHEMES = ("implicit", "explicit")
 NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
 
 
-class Coupled:
+class FluidStructure:
     """One body in one fluid.
 
     Args:
@@ -39,7 +39,7 @@ class Coupled:
     """
 
     def __init__(
-        self, fluid: Fluid, body: Body, markers: Markers, *, slip=1.0, width=3, passes=2, scheme="implicit", interior=True
+        self, fluid: Fluid, body: ImmersedBody, markers: Markers, *, slip=1.0, width=3, passes=2, scheme="implicit", interior=True
     ):
         if scheme not in SCHEMES:
             raise UnknownName("coupling scheme", scheme, SCHEMES)
@@ -143,7 +143,7 @@ class Coupled:
 class _Graphs:
     """The three parts of a step, captured for each parity of the fluid's copies, on a stream of their own."""
 
-    def __init__(self, coupled: Coupled):
+    def __init__(self, coupled: FluidStructure):
         self.coupled, self.device = coupled, coupled.fluid.device
         self.stream, self.decided = wp.Stream(self.device), wp.Event(self.device)
         self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)

@@ -9,7 +9,7 @@ from functools import cache
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.storage import point3
-from fishmj.lbm_oracle.immersed.kernels import Layout
+from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,7 +59,7 @@ def solver(n: int) -> wp.Kernel:
     @wp.kernel(module=module)
     def solve(
         host: wp.array(dtype=wp.float64),
-        at: Layout,
+        at: CouplingArrays,
         water: wp.array2d(dtype=wp.float64),
         implicit: int,
         v: wp.array(dtype=wp.float64),
@@ -119,7 +119,7 @@ def wrench(
     volume: wp.array(dtype=float),
     final: wp.array(dtype=wp.vec3),
     host: wp.array(dtype=wp.float64),
-    at: Layout,
+    at: CouplingArrays,
     part: wp.array3d(dtype=wp.float64),
 ):
     """part[c, l] = impulse (3) of the water on link l and its moment (3) about the link's origin, before scaling to SI.
@@ -151,7 +151,7 @@ def add_wrench(
     part: wp.array3d(dtype=wp.float64),
     scale: wp.float64,
     host: wp.array(dtype=wp.float64),
-    at: Layout,
+    at: CouplingArrays,
     total: wp.array2d(dtype=wp.float64),
     heard: wp.array2d(dtype=wp.float64),
 ):

@@ -13,7 +13,7 @@ import warp as wp
 
 from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, point3
-from fishmj.lbm_oracle.immersed.kernels import Layout, pulled
+from fishmj.lbm_oracle.immersed.kernels import CouplingArrays, pulled
 from fishmj.mjcf.geometry import Geometry
 
 wp.set_module_options({"enable_backward": False, "max_unroll": Q})
@@ -42,7 +42,7 @@ class Points(NamedTuple):
 @wp.kernel
 def look(
     host: wp.array(dtype=wp.float64),
-    at: Layout,
+    at: CouplingArrays,
     place: wp.array(dtype=wp.vec3d),
     link: wp.array(dtype=int),
     f: wp.array(dtype=Any),

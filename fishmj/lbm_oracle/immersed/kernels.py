@@ -28,7 +28,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": Q})
 
 
 @wp.struct
-class Layout:
+class CouplingArrays:
     """Where things lie in the float64 block that the host sends every step; L links, n degrees of freedom."""
 
     links: int
@@ -51,7 +51,7 @@ class Layout:
 @wp.kernel
 def pose(
     host: wp.array(dtype=wp.float64),
-    at: Layout,
+    at: CouplingArrays,
     rest: wp.array(dtype=wp.vec3d),
     rest_normal: wp.array(dtype=wp.vec3d),
     pivot: wp.array(dtype=wp.vec3d),

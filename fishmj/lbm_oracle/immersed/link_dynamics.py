@@ -23,7 +23,7 @@ HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; or along one of the world
 
 
 @wp.struct
-class Links:
+class LinkArrays:
     """L links, n degrees of freedom, Q coordinates; all float64 but the tables of integers."""
 
     links: int
@@ -52,10 +52,10 @@ class Links:
 
 
 @wp.struct
-class Balance:
+class LinkDynamics:
     """What the equation of a step adds to them; `interior`: whether the inside water's gain counts."""
 
-    body: Links
+    body: LinkArrays
     interior: int
     dt: wp.array(dtype=wp.float64)  # 1
     damping: wp.array(dtype=wp.float64)  # n
@@ -82,7 +82,7 @@ def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
 
 
 @wp.kernel
-def move(s: Links):
+def move(s: LinkArrays):
     """Pose, centres, J, twists and momenta from what `mj_step1` left."""
     frames, angles = s.pose, 12 * s.links
     axes = angles + s.links
@@ -126,7 +126,7 @@ def move(s: Links):
 
 
 @wp.func
-def gained(e: Balance):
+def gained(e: LinkDynamics):
     """I: what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
     s = e.body
     for d in range(s.dofs):
@@ -140,12 +140,12 @@ def gained(e: Balance):
 
 
 @wp.kernel
-def gain(e: Balance):
+def gain(e: LinkDynamics):
     gained(e)
 
 
 @wp.kernel
-def balance(e: Balance):
+def balance(e: LinkDynamics):
     """M + dt D and the right-hand side."""
     gained(e)
     s = e.body
@@ -160,7 +160,7 @@ def balance(e: Balance):
 
 
 @wp.kernel
-def hand_back(e: Balance):
+def hand_back(e: LinkDynamics):
     """The force with which MuJoCo's own step ends at the velocity found: (M + dt D) (v+ - v) / dt - f."""
     n, greatest, lost = e.body.dofs, wp.float64(0.0), wp.float64(0.0)
     for i in range(n):
@@ -174,7 +174,7 @@ def hand_back(e: Balance):
 
 
 @wp.kernel
-def compare(e: Balance):
+def compare(e: LinkDynamics):
     """How far MuJoCo's step ended from it."""
     off, lost = wp.float64(0.0), wp.float64(0.0)
     for i in range(e.body.dofs):

@@ -14,7 +14,7 @@ import warp as wp
 
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES
 from fishmj.lbm_oracle.immersed import kernels
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 
 
 class Momentum(NamedTuple):
@@ -29,7 +29,7 @@ class Momentum(NamedTuple):
         return self.grid + self.solid - self.displaced
 
 
-def momentum(coupled: Coupled) -> Momentum:
+def momentum(coupled: FluidStructure) -> Momentum:
     """Now."""
     lattice, body = coupled.fluid.lattice, coupled.body
     f = coupled.fluid.f.numpy().reshape(len(VELOCITIES), -1).sum(1, dtype=float)
@@ -44,7 +44,7 @@ def drift(history: list[Momentum]) -> float:
     return float(np.linalg.norm(total - total[0], axis=1).max() / largest)
 
 
-def exchange(coupled: Coupled) -> tuple[np.ndarray, np.ndarray]:
+def exchange(coupled: FluidStructure) -> tuple[np.ndarray, np.ndarray]:
     """(sum rho G over the cells, sum V F over the markers) of the last step, (3,) each in lattice units: equal to round-off."""
     edge = coupled.boundary
     field = wp.zeros(edge.shape, dtype=wp.vec3, device=edge.device)

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.store import read_tensors, write_tensors
 
 SCHEMA = "fishmj.oracle-state/1"
 
 
-def snapshot(coupled: Coupled) -> dict[str, np.ndarray]:
+def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
     """Everything that the next step depends on."""
     body, data = coupled.body, coupled.body.data
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
@@ -30,7 +30,7 @@ def snapshot(coupled: Coupled) -> dict[str, np.ndarray]:
     return state | {"applied": body.applied.copy(), "wrench": coupled.boundary.wrench.numpy().copy()}
 
 
-def resume(coupled: Coupled, state: dict[str, np.ndarray]) -> None:
+def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
     """Continue from a snapshot.
 
     Raises:
@@ -49,7 +49,7 @@ def resume(coupled: Coupled, state: dict[str, np.ndarray]) -> None:
     coupled.boundary.wrench.assign(state["wrench"])
 
 
-def reseed(coupled: Coupled, qpos, qvel=None, *, water: dict[str, np.ndarray] | None = None) -> None:
+def reseed(coupled: FluidStructure, qpos, qvel=None, *, water: dict[str, np.ndarray] | None = None) -> None:
     """Start a segment with the fish at qpos (and qvel), in `water` (a fluid's snapshot), or in the water as it is."""
     if water is not None:
         coupled.fluid.restore(water)
@@ -58,14 +58,14 @@ def reseed(coupled: Coupled, qpos, qvel=None, *, water: dict[str, np.ndarray] | 
     coupled.boundary.wrench.zero_()
 
 
-def save(path: str | Path, coupled: Coupled, **notes) -> Path:
+def save(path: str | Path, coupled: FluidStructure, **notes) -> Path:
     """Write a snapshot as one file with its own checksum (safetensors, no pickle)."""
     lattice = coupled.fluid.lattice
     meta = {"schema": SCHEMA, "dx": lattice.dx, "dt": lattice.dt, "shape": list(coupled.fluid.shape), **notes}
     return write_tensors(path, snapshot(coupled), meta)
 
 
-def load(path: str | Path, coupled: Coupled) -> dict:
+def load(path: str | Path, coupled: FluidStructure) -> dict:
     """Continue a coupled run from a file; returns its notes.
 
     Raises:

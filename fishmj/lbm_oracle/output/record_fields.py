@@ -14,7 +14,7 @@ import numpy as np
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.output import vtk
 from fishmj.lbm_oracle.output.field_options import STRONG
-from fishmj.lbm_oracle.output.slice_plots import Picture
+from fishmj.lbm_oracle.output.slice_plots import SlicePicture
 from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, write_slice
 from fishmj.lbm_oracle.output.vorticity import plane_of, slice_of
 from fishmj.lbm_oracle.run.run import Run
@@ -25,7 +25,7 @@ KINDS = {"slices": ".npz", "vorticity": ".png", "volume": ".vti", "fish": ".vtp"
 SERIES = "volume.pvd"
 
 
-class Recorder:
+class FieldRecorder:
     """Writes the fields of one run into a folder.
 
     Args:
@@ -53,7 +53,7 @@ class Recorder:
         about |= {"every_s": every, "z_m": z, "dx_m": fluid.lattice.dx, "dt_s": fluid.lattice.dt, "shape": list(fluid.shape)}
         about |= {"slip": run.coupled.slip, "flow": {"speed": flow.speed, "direction": flow.direction, "seed": flow.seed}}
         write_json(self.folder / INDEX, about)
-        self.picture = Picture(strong)
+        self.picture = SlicePicture(strong)
         self.skin = skin(run.robot, smooth=True)
         self.series: list[tuple[float, list[str]]] = []
 

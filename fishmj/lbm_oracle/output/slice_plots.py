@@ -15,7 +15,7 @@ FISH, RIM, INK = "#2B3440", "#FFFFFF", "#3A4350"
 DPI = 110
 
 
-class Picture:
+class SlicePicture:
     """One figure that is drawn again for every frame: making the axes anew would take most of the time.
 
     strong: vorticity at the ends of the colour scale, 1/s, the same for a whole run.

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid.step import OPTIONS, Numbers, folded
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, folded
 from fishmj.lbm_oracle.output.map_plots import outline
 from fishmj.lbm_oracle.output.slices import Slice
 
@@ -15,7 +15,7 @@ wp.set_module_options(OPTIONS)
 
 
 @wp.func
-def _at(s: Numbers, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: int, k: int, share: float):
+def _at(s: Params, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: int, k: int, share: float):
     """Velocity of window node (i, j) between planes k and k + 1."""
     x, y = folded(origin[0] + i, s.nx), folded(origin[1] + j, s.ny)
     low = u[x, y, folded(origin[2] + k, s.nz)]
@@ -25,7 +25,7 @@ def _at(s: Numbers, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: i
 
 @wp.kernel
 def cut(
-    s: Numbers,
+    s: Params,
     u: wp.array3d(dtype=wp.vec3),
     origin: wp.vec3i,
     k: int,

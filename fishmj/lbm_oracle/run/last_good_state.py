@@ -9,15 +9,15 @@ from pathlib import Path
 
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.lbm_oracle.run.time_refinement import Checkpoint, checkpoint, restore
+from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
 
 
 class LastGood:
     """Keeps the last good state of one run: at most two looks of the watch old."""
 
     def __init__(self) -> None:
-        self.good: Checkpoint | None = None
-        self.candidate: Checkpoint | None = None
+        self.good: TickState | None = None
+        self.candidate: TickState | None = None
         self.looks = 0
 
     def look(self, run: Run) -> None:

@@ -18,10 +18,10 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
-from fishmj.lbm_oracle.immersed.coupling import Coupled
-from fishmj.lbm_oracle.run.actuation import Driver, Servos
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.run.joint_driver import JointDriver, Servos
 from fishmj.lbm_oracle.run.stability import MACH, Watch
-from fishmj.lbm_oracle.run.time_refinement import FACTORS, Checkpoint, checkpoint, finer, hand_over, restore
+from fishmj.lbm_oracle.run.time_refinement import FACTORS, TickState, checkpoint, finer, hand_over, restore
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.centres import link_centres
@@ -49,7 +49,7 @@ class Run:
         prescribed: joint angles as a function of time [s] -> (J,) rad, in place of the servos.
         latency: of commands, s; the robot's nominal one by default.
         follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
-            water in `Coupled.scope` only.
+            water in `FluidStructure.scope` only.
 
     Raises:
         ConfigError: the fluid's step does not divide the bus tick.
@@ -57,13 +57,13 @@ class Run:
 
     def __init__(
         self,
-        coupled: Coupled,
+        coupled: FluidStructure,
         robot="fish",
         *,
         tethered: bool = False,
         prescribed: Callable[[float], np.ndarray] | None = None,
         latency: float | None = None,
-        follow: Callable[[Coupled], None] | None = None,
+        follow: Callable[[FluidStructure], None] | None = None,
     ):
         self.coupled, self.robot = coupled, load_robot(robot)
         self.tethered, self.prescribed, self.follow = tethered, prescribed, follow
@@ -74,7 +74,7 @@ class Run:
             raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:g} s")
         self.delay = round((timing.command_latency if latency is None else latency) / dt)
         self.joints = self.robot.n_joints
-        self._finer: dict[int, Coupled] = {}
+        self._finer: dict[int, FluidStructure] = {}
         self.begin()
 
     def begin(self) -> None:
@@ -136,7 +136,7 @@ class Run:
         except (SimDiverged, OracleUnstable):
             if kept is None:
                 raise
-        power, raw, whole = done or (yield from self._again(cast(Checkpoint, kept)))  # a tick stops only where one was kept
+        power, raw, whole = done or (yield from self._again(cast(TickState, kept)))  # a tick stops only where one was kept
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -179,11 +179,11 @@ class Run:
         self.factor = factor
         return driver.power, *coupled.take_wrench(count * dt)
 
-    def _driver(self, coupled: Coupled, factor: int) -> Driver:
+    def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
         """Who moves the joints through one tick."""
         return Servos(self, coupled, factor)
 
-    def _again(self, kept: Checkpoint) -> Generator[None, None, Tick]:
+    def _again(self, kept: TickState) -> Generator[None, None, Tick]:
         """The tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises:

@@ -7,8 +7,8 @@ import numpy as np
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.immersed.body import Body
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, Follower, margin, preset
@@ -20,7 +20,7 @@ LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class SwimSetup:
     """What a run is made of.
 
     slip: ratio quoted at the paper's grid, 1 = the water slides along the hull. pose: (x, y, yaw) m, rad of the reference point.
@@ -41,7 +41,7 @@ class Stage:
     spacing: float = 1.0
     threads: int | None = None
 
-    def coupled(self) -> Coupled:
+    def coupled(self) -> FluidStructure:
         """Fish and water at t = 0: the undisturbed flow, the fish at rest over ground.
 
         Raises:
@@ -51,15 +51,15 @@ class Stage:
         fluid = Fluid(
             domain.lattice, domain.shape, self.device, boundaries=domain.boundaries, flow=self.flow, threads=self.threads
         )
-        body = Body.of(robot, self.root, domain.dt)
+        body = ImmersedBody.of(robot, self.root, domain.dt)
         joints = np.asarray(self.joints or np.zeros(robot.n_joints), float)
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
         body.place(reference_qpos(body.model, self.pose, joints))
         slip, width = self.slip, self.width
         markers = fish_markers(robot, domain.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
-        made = Coupled(fluid, body, markers, slip=slip, width=width, passes=self.passes)
-        edge = Edge(domain, self.pose[2])
+        made = FluidStructure(fluid, body, markers, slip=slip, width=width, passes=self.passes)
+        edge = DomainWatch(domain, self.pose[2])
         while edge.follow(made):  # a window starts round its fish
             pass
         room = margin(fluid, *body.bounds(made.boundary.corners))
@@ -68,16 +68,16 @@ class Stage:
 
     def run(self, **options) -> Run:
         """The same as a run by bus ticks; options are those of `Run`."""
-        return Run(self.coupled(), self.robot, follow=Edge(self.domain, self.pose[2]), **options)
+        return Run(self.coupled(), self.robot, follow=DomainWatch(self.domain, self.pose[2]), **options)
 
 
-class Edge:
+class DomainWatch:
     """What happens after every step: a window follows the fish, and a fish that comes too close to a face ends the run."""
 
     def __init__(self, domain: Domain, heading: float = 0.0):
         self.domain, self.follower = domain, Follower(replace(domain, dt=LOOK * domain.dt), heading)
 
-    def __call__(self, coupled: Coupled) -> None:
+    def __call__(self, coupled: FluidStructure) -> None:
         """Raises LeftDomain when a marker is nearer than the margin."""
         if coupled.steps % LOOK:
             return
@@ -93,7 +93,7 @@ class Edge:
                 f" {self.domain.name} domain; it needs {stability.CLEARANCE:g}. What was recorded before is kept"
             )
 
-    def follow(self, coupled: Coupled) -> bool:
+    def follow(self, coupled: FluidStructure) -> bool:
         """Move a window so that the middle of the fish sits where it should; True if it moved."""
         body = coupled.body
         low, high = body.bounds(coupled.boundary.corners)

@@ -21,12 +21,12 @@ from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.field_options import STRONG, add_fields
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.last_good_state import LastGood
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
 
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     stage = _stage(args)
     less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
-    cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
+    solver_cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
     run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         snapshot.load(args.start, run.coupled)
@@ -139,10 +139,10 @@ def _recorder(args, run: Run):
     """What writes the fields, or None."""
     if args.fields is None:
         return None
-    from fishmj.lbm_oracle.output.record_fields import Recorder
+    from fishmj.lbm_oracle.output.record_fields import FieldRecorder
 
     options = {"every": args.every, "z": args.slice, "whole": args.volume, "overwrite": args.overwrite}
-    return Recorder(args.fields, run, strong=args.strong, **options)
+    return FieldRecorder(args.fields, run, strong=args.strong, **options)
 
 
 def figures(run: Run, frequency: float) -> dict:
@@ -185,7 +185,7 @@ def _gait(args) -> Gait:
     )
 
 
-def _stage(args) -> Stage:
+def _stage(args) -> SwimSetup:
     domain = preset(args.preset)
     if args.depth is not None or args.dx is not None or args.dt is not None:
         domain = domain.changed(depth=args.depth, dx=args.dx, dt=args.dt)
@@ -199,7 +199,7 @@ def _stage(args) -> Stage:
         seed=args.seed,
     )
     x, y, yaw = args.pose
-    return Stage(
+    return SwimSetup(
         domain=domain,
         robot=args.robot,
         flow=flow,

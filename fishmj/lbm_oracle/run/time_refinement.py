@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.collide import density, departure, momentum, populations
+from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Q, vec19
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, poke
-from fishmj.lbm_oracle.immersed.coupling import Coupled
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 
 FACTORS = (2, 4)  # finer steps in one
 
@@ -43,7 +43,7 @@ def _rescale(dtype: type) -> wp.Kernel:
             q[i] = peek(f, i * cells + cell)
         drho = density(q)
         v = momentum(q) / (1.0 + drho)
-        q = populations(r * r * drho, r * v, r * v, r * departure(q, drho, v))
+        q = reconstruct(r * r * drho, r * v, r * v, r * non_equilibrium_stress(q, drho, v))
         for i in range(wp.static(Q)):
             poke(f_out, i * cells + cell, q[i])
         u_out[cell] = r * u[cell]
@@ -51,7 +51,7 @@ def _rescale(dtype: type) -> wp.Kernel:
     return rescale
 
 
-class Checkpoint(NamedTuple):
+class TickState(NamedTuple):
     """A coupled fish at the start of a tick, the water still on its device."""
 
     f: wp.array
@@ -65,16 +65,16 @@ class Checkpoint(NamedTuple):
     done: int
 
 
-def checkpoint(coupled: Coupled) -> Checkpoint:
+def checkpoint(coupled: FluidStructure) -> TickState:
     """Copy what the next step depends on."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.slide.copy()
     with coupled.scope():
         water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
-        return Checkpoint(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
+        return TickState(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
 
 
-def restore(coupled: Coupled, kept: Checkpoint) -> None:
+def restore(coupled: FluidStructure, kept: TickState) -> None:
     """Back to a checkpoint, and to the coupled fish's own time step."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     body.set_step(fluid.lattice.dt)
@@ -88,7 +88,7 @@ def restore(coupled: Coupled, kept: Checkpoint) -> None:
     body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
 
 
-def finer(coupled: Coupled, factor: int) -> Coupled:
+def finer(coupled: FluidStructure, factor: int) -> FluidStructure:
     """The same body in water of the same cells with a step `factor` times finer; its arrays are new, its state is not set."""
     old, edge = coupled.fluid, coupled.boundary
     lattice = old.lattice
@@ -105,10 +105,10 @@ def finer(coupled: Coupled, factor: int) -> Coupled:
     )
     coupled.body.set_step(fine.dt)
     options = {"slip": coupled.slip, "width": edge.width, "passes": edge.passes}
-    return Coupled(water, coupled.body, edge.markers, interior=coupled.interior, **options)
+    return FluidStructure(water, coupled.body, edge.markers, interior=coupled.interior, **options)
 
 
-def hand_over(giver: Coupled, taker: Coupled) -> None:
+def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     """Move fish and water from one time step to the other; wrenches stay where they were summed."""
     r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
     a, b = giver.fluid, taker.fluid

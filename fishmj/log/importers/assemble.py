@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log import check
+from fishmj.log import trial_check
 from fishmj.log.plausible import of_meta
 from fishmj.log.trial import Table, Trial
 
 Place = Callable[[int, str], str]
-Advised = Callable[[str, check.Implausible], str]  # (table, doubt) -> one line
+Advised = Callable[[str, trial_check.Implausible], str]  # (table, doubt) -> one line
 
 
 def trial_of(
@@ -26,11 +26,11 @@ def trial_of(
     found, bounds = list(notes), of_meta(meta, name)
     for table, (columns, place) in tables.items():
         try:
-            found += check.check_table(table, columns, place, bounds)
-        except check.Implausible as doubt:
+            found += trial_check.check_table(table, columns, place, bounds)
+        except trial_check.Implausible as doubt:
             raise doubt if advised is None else LogError(advised(table, doubt)) from doubt
     kept = {table: columns for table, (columns, _) in tables.items()}
-    return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *check.check_counts(kept)]))
+    return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *trial_check.check_counts(kept)]))
 
 
 def renamed(place: Place, names: Mapping[str, str]) -> Place:

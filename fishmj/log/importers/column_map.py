@@ -28,10 +28,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from fishmj.errors import LogError
 from fishmj.log import toml
+from fishmj.log.importers.column_units import SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
-from fishmj.log.importers.units import SI, UNITS, measures, unit_of
 from fishmj.log.limits import quoted, regular
-from fishmj.log.schema import TABLES, TableSpec, table_spec
+from fishmj.log.table_schema import TABLES, TableSpec, table_spec
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 _KINDS = {"angle": "angle", "heading": "angle", "rate": "rate", "position": "length", "speed": "speed"}

@@ -8,15 +8,15 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.log import toml
-from fishmj.log.check import Implausible
 from fishmj.log.importers.assemble import Place, renamed, trial_of
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
+from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.rows import STRAY
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.importers.units import SI, fitting
 from fishmj.log.limits import quoted
-from fishmj.log.schema import table_spec
+from fishmj.log.table_schema import table_spec
 from fishmj.log.trial import Table, Trial
+from fishmj.log.trial_check import Implausible
 
 EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
 DAY = 86_400.0  # s; clocks further apart than this are different clocks

@@ -16,8 +16,8 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import LogError
+from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
-from fishmj.log.importers.units import unit_of
 from fishmj.log.limits import COLUMNS, LINE, check_size, quoted, regular
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")

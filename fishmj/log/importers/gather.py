@@ -18,7 +18,7 @@ from fishmj.log.importers import columnar, delimited, guess, mcap, messages, ros
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.importers.topics import by_name
 from fishmj.log.limits import most_bytes, quoted
-from fishmj.log.schema import TABLES
+from fishmj.log.table_schema import TABLES
 
 SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders

@@ -10,11 +10,11 @@ import numpy as np
 from fishmj.errors import LogError, UnknownName
 from fishmj.log.importers import header, values
 from fishmj.log.importers.column_map import is_column, measured
+from fishmj.log.importers.column_units import SI, measures, unit_of
 from fishmj.log.importers.roles import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.importers.units import SI, measures, unit_of
 from fishmj.log.limits import quoted
-from fishmj.log.schema import TABLES, table_spec
+from fishmj.log.table_schema import TABLES, table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
@@ -50,7 +50,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """Files with the same columns, told apart by what their names say."""
 
     sheets: tuple[Sheet, ...]
@@ -77,13 +77,13 @@ def flavour(sheet: Sheet) -> tuple:
     return tuple(sheet.columns), topic, bool(said & header.COMMAND), bool(said & header.MEASURED)
 
 
-def kinds(sheets: Iterable[Sheet]) -> list[Kind]:
+def kinds(sheets: Iterable[Sheet]) -> list[FileKind]:
     """Sheets sorted into kinds."""
     groups: dict[tuple, list[Sheet]] = {}
     for sheet in sheets:
         groups.setdefault(flavour(sheet), []).append(sheet)
     return [
-        Kind(tuple(group), _pattern(group, [s for g in groups.values() if g is not group for s in g]))
+        FileKind(tuple(group), _pattern(group, [s for g in groups.values() if g is not group for s in g]))
         for group in groups.values()
     ]
 
@@ -96,7 +96,7 @@ def _pattern(group: Sequence[Sheet], others: Sequence[Sheet]) -> str:
     return f"*{max(shared, key=len)}*" if shared else ""
 
 
-def guess(found: Sequence[Kind], said: dict[str, tuple[str, str, float]] | None = None) -> list[Guess]:
+def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | None = None) -> list[Guess]:
     """One guess a column of every kind, in the order of the files.
 
     Args:
@@ -149,7 +149,7 @@ def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
     return out
 
 
-def _roles(k: int, kind: Kind, said: dict) -> list[Guess]:
+def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
     out = []
     for column in kind.columns:
         name = header.parse(column)
@@ -179,7 +179,7 @@ def _of_a_joint(places: Sequence[str]) -> bool:
     return all(re.fullmatch(r"(cmd\.c|joint\.j)(#|\d+)", place) for place in places)
 
 
-def _silent(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
+def _silent(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     """A joint without a number, of a table whose other joints have some, is one that swam unseen: the user says what then."""
     dead = [_of_a_joint(g.places) and not np.isfinite(found[g.kind].values(g.column)).any() for g in guesses]
     alive = {(g.kind, _family(p)) for g, no in zip(guesses, dead, strict=True) if not no for p in g.places}
@@ -271,7 +271,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
     return [replace(g, places=tuple(p.replace("#", "1") for p in g.places)) for g in out]
 
 
-def _units(kind: Kind, guesses: list[Guess]) -> list[Guess]:
+def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
     """A unit for every column that has a place: said by its name or file, else by the values of its family."""
     out = []
     doubts: dict[tuple[str, str], tuple[str, Sequence[str]]] = {}  # by unit and sensor
@@ -325,7 +325,7 @@ def _sensor(g: Guess, what: str) -> str:
     return g.column if what == "time" else g.place.partition(".")[0] if what == "length" else _family(g.place)
 
 
-def _by_value(kind: Kind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
+def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
     family = _family(g.place)
     mine = [o for o in guesses if o.state != LEFT and not o.unit and _family(o.place) == family]
     if what == "time":
@@ -359,7 +359,7 @@ def _family(place: str) -> str:
     return re.sub(r"\d+(?=[xy]?\Z)", "", place)
 
 
-def _split_stamp(guesses: list[Guess], stamps: list[int], kind: Kind) -> tuple[int, int] | None:
+def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tuple[int, int] | None:
     """The columns of seconds and of the nanoseconds within them, as ROS exports stamps."""
     whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
     if (guesses[whole].unit, guesses[part].unit) != ("s", "ns") or guesses[part].said:
@@ -368,7 +368,7 @@ def _split_stamp(guesses: list[Guess], stamps: list[int], kind: Kind) -> tuple[i
     return (whole, part) if 0 <= low and high < 1e9 else None
 
 
-def _once(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
+def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     """Two columns for one place are both unclear, but a stamp a file is enough: said with its unit, or a date."""
     out = list(guesses)
     for k in {g.kind for g in out}:
@@ -416,7 +416,7 @@ def _points(guesses: list[Guess]) -> list[Guess]:
     ]
 
 
-def _complete(guesses: list[Guess], found: Sequence[Kind]) -> list[Guess]:
+def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     """Tables that lack a column they need are left out, and so is everything of a file without stamps."""
     out = list(guesses)
     for k in range(len(found)):

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from fishmj.errors import LogError
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
-from fishmj.log.importers.guess import LEFT, NANOSECONDS, TAKEN, UNCLEAR, Guess, Kind
-from fishmj.log.importers.units import likely
+from fishmj.log.importers.column_units import likely
+from fishmj.log.importers.guess import LEFT, NANOSECONDS, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.limits import quoted
 
 
@@ -14,7 +14,7 @@ def unclear(guesses: Iterable[Guess]) -> list[Guess]:
     return [g for g in guesses if g.state == UNCLEAR]
 
 
-def map_of(guesses: Sequence[Guess], found: Sequence[Kind], meta: dict, where: str) -> ColumnMap:
+def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, where: str) -> ColumnMap:
     """The map that the guesses make, unclear ones left out.
 
     Raises:
@@ -71,7 +71,7 @@ def choices(g: Guess) -> str:
     return " or ".join(f"{o}*SCALE" if o.endswith(":px") else o for o in options)
 
 
-def remarks(found: Sequence[Kind], guesses: Iterable[Guess]) -> Iterator[str]:
+def remarks(found: Sequence[FileKind], guesses: Iterable[Guess]) -> Iterator[str]:
     """Comments of a map: every column of the files that no line of it takes."""
     for g in guesses:
         name = f"{quoted(found[g.kind].sheets[0].name)[1:-1]}: {quoted(g.column)[1:-1]}"

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from fishmj.log.importers.units import UNITS, unit_of
+from fishmj.log.importers.column_units import UNITS, unit_of
 
 # In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
 # and `cap` (a capacity) are left to the user.

@@ -13,7 +13,7 @@ from pathlib import Path
 from fishmj.errors import LogError, MissingExtra
 from fishmj.log.export import carried
 from fishmj.log.importers import messages
-from fishmj.log.importers.messages import Channel, Found
+from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
 from fishmj.log.limits import check_size, most_bytes, quoted, regular
 from fishmj.log.trial import Trial
@@ -60,7 +60,7 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
     found: Found = {}
     size = 0
     for topic, encoding, kind, log_time, publish_time, data in _records(path):
-        channel = found.setdefault(topic, Channel(encoding, kind))
+        channel = found.setdefault(topic, TopicChannel(encoding, kind))
         if needed is not None and topic not in needed:
             continue
         if (channel.encoding, channel.type) != (encoding, kind):

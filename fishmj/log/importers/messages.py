@@ -34,7 +34,7 @@ KEPT = {  # types that are spread over sheets without a mapping; any other stand
 
 
 @dataclass
-class Channel:
+class TopicChannel:
     """One topic: how its messages are written, and (log time [ns], publish time [ns], bytes) of each."""
 
     encoding: str
@@ -42,7 +42,7 @@ class Channel:
     messages: list[tuple[int, int, bytes]] = field(default_factory=list)
 
 
-Found = dict[str, Channel]
+Found = dict[str, TopicChannel]
 
 
 # ---------------------------------------------------------------------------------------------------- with a mapping
@@ -79,7 +79,7 @@ def _place(path: Path, topic: str, order: np.ndarray):
     return lambda row, column: f"{path}:{topic}[{order[row] if 0 <= row < len(order) else 0}]:{column or 't'}"
 
 
-def _columns(path: Path, entry: Topic, channel: Channel) -> tuple[list[int], Table]:
+def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table]:
     """Stamps [ns] and columns of one topic."""
     if not channel.messages:
         raise LogError(f"{path}: topic {entry.topic!r} has no message; leave its table out")
@@ -181,7 +181,7 @@ def sheets(path: Path, found: Found) -> list[Sheet]:
     return out
 
 
-def _spread(path: Path, topic: str, channel: Channel) -> Sheet | None:
+def _spread(path: Path, topic: str, channel: TopicChannel) -> Sheet | None:
     decode = _decoder(path, topic, channel)
     stamps, rows, order = [], [], {}
     for i, (log_time, _, _) in enumerate(channel.messages):
@@ -299,7 +299,7 @@ _UNITS: dict[str, dict[str, str]] = {  # ROS's own: REP 103
 
 
 # ------------------------------------------------------------------------------------------------------------ decoding
-def _decoder(path: Path, topic: str, channel: Channel) -> Callable[[int], dict]:
+def _decoder(path: Path, topic: str, channel: TopicChannel) -> Callable[[int], dict]:
     """Message number -> its content as dictionaries, lists and numbers."""
     if channel.encoding == "json":
         return lambda i: _json(f"{path}:{topic}[{i}]", channel.messages[i][2])

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 from fishmj.log.importers import header
+from fishmj.log.importers.column_units import measures
 from fishmj.log.importers.header import Header
-from fishmj.log.importers.units import measures
 
 AXES = {"x", "y", "z"}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fishmj.errors import LogError
 from fishmj.log.importers import mcap, messages
-from fishmj.log.importers.messages import Channel, Found
+from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
 from fishmj.log.limits import check_size, quoted, regular
 from fishmj.log.trial import Trial
@@ -54,7 +54,7 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
     for file in _files(path) if path.is_dir() else [path]:
         part = mcap.channels(file, needed) if file.suffix == mcap.SUFFIX else _database(file, needed)
         for topic, channel in part.items():
-            there = found.setdefault(topic, Channel(channel.encoding, channel.type))
+            there = found.setdefault(topic, TopicChannel(channel.encoding, channel.type))
             if (there.encoding, there.type) != (channel.encoding, channel.type):
                 raise LogError(f"{file}: topic {quoted(topic)} changes its type within the bag; record it again with one")
             there.messages += channel.messages
@@ -98,7 +98,7 @@ def _database(path: Path, needed: set[str] | None) -> Found:
                 if not isinstance(number, int) or not all(isinstance(v, str) for v in (name, kind, encoding)):
                     raise LogError(f"{path}: table topics holds {quoted((number, name, kind, encoding), 80)}; it is damaged")
                 names[number] = name
-                found[name] = Channel(encoding, kind)
+                found[name] = TopicChannel(encoding, kind)
             total = 0
             for number, stamp, data in database.execute("SELECT topic_id, timestamp, data FROM messages"):
                 if number not in names or not isinstance(stamp, int) or not isinstance(data, bytes):

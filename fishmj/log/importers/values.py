@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fishmj.log.check import usual
+from fishmj.log.importers.column_units import SI, UNITS, fitting, likely
 from fishmj.log.importers.convert import EPOCH
 from fishmj.log.importers.sheet import DATE
-from fishmj.log.importers.units import SI, UNITS, fitting, likely
 from fishmj.log.limits import quoted
 from fishmj.log.plausible import of_meta
+from fishmj.log.trial_check import usual
 
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg

@@ -46,7 +46,7 @@ def _robot(learnt: bool):
 def _with_residual() -> Path:
     """File of the shipped fit with a made-up residual."""
     from fishmj.water import residual_hooks, residual_network
-    from fishmj.water.model import HydroModel
+    from fishmj.water.hydro_model import HydroModel
 
     model = HydroModel.load(MODEL)
     net = residual_network.blank(len(model.base.k), MEMBERS, HIDDEN, seed=0)
@@ -81,10 +81,10 @@ def _alone(quick: bool, water: str) -> Work:
 
     from fishmj import mjcf
     from fishmj.dynamics import planar_chain
-    from fishmj.engines.extensions import Added
-    from fishmj.engines.single import Solo
+    from fishmj.engines.extensions import Extensions
+    from fishmj.engines.single import SingleFish
     from fishmj.water.injection import inject
-    from fishmj.water.planar import PlanarWater
+    from fishmj.water.planar_water import PlanarWater
 
     robot = _robot(water == "residual")
     model = mjcf.build(robot, bare=True, ellipsoid=water == "ellipsoid")
@@ -94,7 +94,7 @@ def _alone(quick: bool, water: str) -> Work:
 
     def run():
         data = mujoco.MjData(model)
-        solo = Solo(robot, Added.of(robot), swimmer) if water == "residual" else None
+        solo = SingleFish(robot, Extensions.of(robot), swimmer) if water == "residual" else None
         with inject(model, PlanarWater(robot, swimmer)) if water == "passive" else nullcontext(solo) as fish:
             for target in beat:
                 data.ctrl[:] = target
@@ -183,9 +183,9 @@ def hydro_mjx_residual(quick: bool) -> Work:
 def _swim(quick: bool, learnt: bool) -> Work:
     """Free swims of `FISH` fish by one gait in the shipped fitted water, single precision, one compiled scan."""
     from fishmj.dynamics import planar_chain
-    from fishmj.hydro_fit.fit.rollout import Fleet, Swim
+    from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
     from fishmj.mjcf import load_robot
-    from fishmj.water.model import HydroModel
+    from fishmj.water.hydro_model import HydroModel
     from fishmj.water.prior import flat
 
     robot = load_robot("fish")
@@ -199,8 +199,8 @@ def _swim(quick: bool, learnt: bool) -> Work:
     target = np.broadcast_to(beat.reshape(ticks, steps, -1), (FISH, ticks, steps, robot.n_joints))
     state, none = np.zeros((FISH, ticks + 1, ch.n + 2)), np.zeros((FISH, ticks))
     still = np.zeros((FISH, ticks, ch.n, 2))
-    fleet = Fleet(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
-    swim, water = Swim(ch, planar_chain.nominal(robot)), flat(model.base)
+    fleet = FishBatch(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
+    swim, water = SwimWindow(ch, planar_chain.nominal(robot)), flat(model.base)
     return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
 
 

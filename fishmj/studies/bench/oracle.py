@@ -124,11 +124,11 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
     import warp as wp
 
     from fishmj.errors import SimDiverged
-    from fishmj.lbm_oracle.run.batch import Tanks
-    from fishmj.lbm_oracle.run.setup import Stage
+    from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
+    from fishmj.lbm_oracle.run.setup import SwimSetup
 
-    stage = Stage(domain=domain, device=str(device))
-    side = Tanks([stage.run() for _ in range(tanks)])
+    stage = SwimSetup(domain=domain, device=str(device))
+    side = ConcurrentRuns([stage.run() for _ in range(tanks)])
     first = side.runs[0]
     commands = np.zeros((tanks, first.joints))
 

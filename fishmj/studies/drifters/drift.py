@@ -20,7 +20,7 @@ from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import LENGTH, PRESETS, Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.output import map_plots
-from fishmj.lbm_oracle.run import cost, stability
+from fishmj.lbm_oracle.run import solver_cost, stability
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.store import write_json, write_text
 from fishmj.studies.drifters.tracers import Release, Sampler, carry, figures, trilinear
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     end = release.times[-1] + release.longest
     if args.water == "lbm":
         less = "take fewer markers by --n, a coarser --dx; --water flow has no solver, --domain laptop is a preview"
-        cost.agree("lbm_oracle drift", args.device, [(domain, settle + end)], instead=less)
+        solver_cost.agree("lbm_oracle drift", args.device, [(domain, settle + end)], instead=less)
         looks = in_solver(domain, flow, settle=settle, end=end, device=args.device)
     else:
         looks = in_flow(flow, end=end)

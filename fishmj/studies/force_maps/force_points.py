@@ -15,7 +15,7 @@ import numpy as np
 from fishmj import console
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.output.block_average import average
-from fishmj.lbm_oracle.run.batch import Tanks
+from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.store import write_json, write_text
 
@@ -181,7 +181,7 @@ def measure(
                 point = waiting.popleft()
                 settle, window = plan.ticks(point.speed, tick)
                 side.append((point, make(point), settle, settle + window))
-            Tanks([run for _, run, _, _ in side]).tick()
+            ConcurrentRuns([run for _, run, _, _ in side]).tick()
             for entry in list(side):
                 point, run, settle, end = entry
                 if run.ticks >= end or run.stopped:

@@ -22,9 +22,9 @@ from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.output import map_plots
 from fishmj.lbm_oracle.output.field_options import add_fields
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.mjcf import load_robot
 from fishmj.studies.force_maps.force_points import OK, Plan, Point, Table, measure
 from fishmj.studies.force_maps.point_fields import keep, panels, slice_path
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     tick = robot.timing.bus_dt
     held = [(domain, sum(plan.ticks(point.speed, tick)) * tick) for point in left]
     less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
-    cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
+    solver_cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
     if args.domain in PREVIEWS:
         console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(points)} points, {len(points) - len(left)} of them done before, in {args.out}")
@@ -79,11 +79,11 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if lost else console.OK
 
 
-def stage(domain: Domain, point: Point, **options) -> Stage:
+def stage(domain: Domain, point: Point, **options) -> SwimSetup:
     """The held fish of one point: the water moves to -x, the heading turns, so that the box is long where the wake is."""
     joints = tuple(point.joints(load_robot(options.get("robot", "fish")).n_joints))
     flow = Flow(speed=point.speed, direction=pi)
-    return Stage(domain=domain, flow=flow, pose=(0.0, 0.0, -radians(point.aoa)), joints=joints, **options)
+    return SwimSetup(domain=domain, flow=flow, pose=(0.0, 0.0, -radians(point.aoa)), joints=joints, **options)
 
 
 def _points(args) -> list[Point]:

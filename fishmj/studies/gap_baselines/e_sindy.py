@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 
 from fishmj.errors import MissingExtra
-from fishmj.gap.localise.error_growth import HORIZONS, errors, lateness, segments
+from fishmj.gap.localise.error_growth import HORIZONS, errors, latencies, segments
 from fishmj.gap.records.records import Record
 from fishmj.studies.gap_baselines.answer import NOTHING, Answer, unsized
 
@@ -39,7 +39,7 @@ STANDS_FOR = {  # (force, term) -> effect
 
 def answer(plant, records: list[Record]) -> Answer:
     """The strongest term that stays. Raises MissingExtra without pysindy."""
-    late = lateness(plant, plant.null)
+    late = latencies(plant, plant.null)
     parts = [s for _, s in segments(records, late)]
     if len(parts) < LEAST:
         return Answer({}, False, f"{len(parts)} restarts are too few")

@@ -4,20 +4,20 @@ import numpy as np
 
 from fishmj.gap.null.whitening import turned, whitening
 from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import Layout
-from fishmj.gap.search.effect_fitter import Search
+from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.search.effect_fitter import EffectFitter
 
 LONGEST = 200  # averages over which an autocorrelation is summed
 
 
-def searching(plant, records: list[Record]) -> Search:
+def searching(plant, records: list[Record]) -> EffectFitter:
     """A search whose z is residual over noise, with the constants' tolerance integrated out."""
-    layout = Layout(records)
+    layout = ResidualLayout(records)
     residual, tangents = turned(plant, records, layout, plant.null)
-    return Search(plant, records, layout, whitening(tangents, sigma_of(layout, residual)))
+    return EffectFitter(plant, records, layout, whitening(tangents, sigma_of(layout, residual)))
 
 
-def sigma_of(layout: Layout, residual: np.ndarray) -> np.ndarray:
+def sigma_of(layout: ResidualLayout, residual: np.ndarray) -> np.ndarray:
     """(m,) the sensors' noise; where it is unknown, what the residual scatters from one average to the next."""
     noise = layout.noise()
     for b in layout.blocks:
@@ -41,12 +41,12 @@ def tau(values: np.ndarray) -> float:
     return max(1.0, float(total))
 
 
-def channels(layout: Layout) -> dict[str, np.ndarray]:
+def channels(layout: ResidualLayout) -> dict[str, np.ndarray]:
     """Places in the vector of every channel."""
     return {str(c): np.flatnonzero(layout.channel == c) for c in np.unique(layout.channel)}
 
 
-def effective(z: np.ndarray, layout: Layout) -> dict[str, float]:
+def effective(z: np.ndarray, layout: ResidualLayout) -> dict[str, float]:
     """Independent samples in each channel: sum over its blocks of n / tau."""
     out: dict[str, float] = {}
     for b in layout.blocks:

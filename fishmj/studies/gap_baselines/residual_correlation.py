@@ -9,7 +9,7 @@ The largest rho / bound above LOUD is named by the effect for which such a corre
 import numpy as np
 
 from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import Block, Layout
+from fishmj.gap.records.residual import ChannelBlock, ResidualLayout
 from fishmj.studies.gap_baselines.answer import NOTHING, Answer, unsized
 from fishmj.studies.gap_baselines.noise import tau
 
@@ -35,7 +35,7 @@ SIGN = {  # (channel, input) -> effect
 
 def answer(plant, records: list[Record]) -> Answer:
     """The loudest pair."""
-    layout = Layout(records)
+    layout = ResidualLayout(records)
     predicted = plant.predict(records, plant.null)
     residual = layout.residuals(predicted)[0]
     sums: dict[tuple[str, str], np.ndarray] = {}
@@ -62,7 +62,7 @@ def answer(plant, records: list[Record]) -> Answer:
     return Answer({name: unsized(plant, name)}, True, said)
 
 
-def inputs(record: Record, b: Block, predicted: dict) -> dict[str, np.ndarray]:
+def inputs(record: Record, b: ChannelBlock, predicted: dict) -> dict[str, np.ndarray]:
     """What one column of one sensor is held against. Of the commands it is what the model's joints make of them: in phase."""
     at = np.clip((b.t / record.dt).astype(int), 0, len(record.commands) - 1)
     rate = np.gradient(record.commands, record.dt, axis=0)

@@ -13,8 +13,8 @@ from fishmj import console, cost, interrupt
 from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
-from fishmj.gap.commands import options
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.commands import gap_options
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
 from fishmj.store import write_text
@@ -35,7 +35,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap bench", __doc__)
     add = parser.add_argument
     add("--cases", type=console.whole(1, MOST), default=400, metavar="N", help=f"how many, 1 to {MOST} (default 400)")
-    options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
+    gap_options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
     kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
     add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
     add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")
@@ -114,7 +114,7 @@ def asked(args) -> tuple[list, Callable]:
     if args.generator == "lbm":
         return [one for one in solver.draw() if one.case.kind in kinds], partial(seen, solver.plant, args.weighed)
     drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
-    return [solver.Given(case, None, Null(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
+    return [solver.Given(case, None, SimulatedNull(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
 
 
 def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:

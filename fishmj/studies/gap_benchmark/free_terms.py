@@ -11,9 +11,9 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.terms.model_with_terms import termed
 from fishmj.gap.terms.select import terms_of
 from fishmj.mjcf.description import load_robot
@@ -70,7 +70,7 @@ def judged(case: cases.Case) -> dict:
         row["true_gap"] = true_gap(plant, case, case.effects)
     except SimDiverged as error:
         return row | {"true_gap": 0.0, "reason": str(error)}
-    null = Null(noise=case.noise).residuals(plant, records, Layout(records))
+    null = SimulatedNull(noise=case.noise).residuals(plant, records, ResidualLayout(records))
     terms = terms_of(plant, records, null, case.seed)
     row["place"] = next((i + 1 for i, t in enumerate(terms) if t.name in RIGHT[family]), 0)
     row["terms"] = [[t.name, t.coefficient, t.closure, t.gain, t.q, t.stability, t.firm] for t in terms]

@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import turned
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.verdict import Named
 from fishmj.gap.workflow import investigate
@@ -21,12 +21,12 @@ from fishmj.studies.gap_benchmark.cases import Case
 @cache
 def fish():
     """The model of the second robot, made once a process."""
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    return Fish()
+    return SwimmingFish()
 
 
-def run(plant, case: Case, gates: Gates, null: Null, trials: list[Trial] | None = None, weighed: bool = False) -> dict:
+def run(plant, case: Case, gates: Gates, null: SimulatedNull, trials: list[Trial] | None = None, weighed: bool = False) -> dict:
     """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so.
 
     trials: the data where another generator made them; by default the second robot does. weighed: the search also has the page
@@ -95,13 +95,13 @@ def beyond_gap(plant, case: Case, hidden: dict) -> float:
     if not hidden:
         return 1.0
     with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (hidden, {}))
-    noisy = Layout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
-    layout = Layout(without)
+    noisy = ResidualLayout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
+    layout = ResidualLayout(without)
     _, tangents = turned(plant, without, layout, plant.null)
-    means = [Layout(r).measured for r in (with_, without)]
+    means = [ResidualLayout(r).measured for r in (with_, without)]
     noise = layout.aligned(noisy, noisy.noise())
     known = np.isfinite(noise)
-    s = (layout.aligned(Layout(with_), means[0]) - means[1])[known] / noise[known]
+    s = (layout.aligned(ResidualLayout(with_), means[0]) - means[1])[known] / noise[known]
     t = tangents[:, known] / noise[known]
     seen = t @ s
     return 1.0 + float(s @ s - seen @ np.linalg.solve(np.eye(len(t)) + t @ t.T, seen)) / len(s)
@@ -110,7 +110,7 @@ def beyond_gap(plant, case: Case, hidden: dict) -> float:
 def _ratios(a: Record, b: Record, noise: dict) -> list[float]:
     """Mean square difference of each channel of two records, over its noise; channels of unknown noise are left out."""
     out = []
-    for block, other in zip(Layout([a]).blocks, Layout([b]).blocks, strict=True):
+    for block, other in zip(ResidualLayout([a]).blocks, ResidualLayout([b]).blocks, strict=True):
         sigma = noise[block.sensor][block.column] if block.sensor in noise else np.nan
         if np.isfinite(sigma) and sigma > 0:
             x, y = getattr(a, block.sensor), getattr(b, other.sensor)

@@ -29,7 +29,7 @@ def names(row: dict) -> set[str]:
 
 def same(a: str, b: str) -> bool:
     """Equal, or of one class that no experiment of the standard session splits."""
-    from fishmj.effects.classes import CLASSES
+    from fishmj.effects.ambiguity import CLASSES
 
     return a == b or any({a, b} <= set(c.effects) for c in CLASSES)
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from fishmj.calib import calib_folder
 from fishmj.engines import in_water
 from fishmj.errors import StoreError
-from fishmj.gap.null.recorded import Sets, trials_of
-from fishmj.gap.null.simulated import Null
+from fishmj.gap.null.recorded_null import RecordedNull, trials_of
+from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.log import Trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json
@@ -31,7 +31,7 @@ class Given(NamedTuple):
 
     case: Case
     trials: list[Trial] | None  # None: the second robot makes them
-    null: Null
+    null: SimulatedNull
 
     @property
     def id(self) -> str:
@@ -47,9 +47,9 @@ def folder() -> Path:
 @cache
 def plant():
     """The fish in the water fitted to the solver."""
-    from fishmj.gap.models.swimming_fish import Fish
+    from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    return Fish(in_water(load_robot("fish"), WATER))
+    return SwimmingFish(in_water(load_robot("fish"), WATER))
 
 
 def draw(where: Path | None = None) -> list[Given]:
@@ -71,5 +71,5 @@ def draw(where: Path | None = None) -> list[Given]:
         logs = tuple(str(trial.value("excitation")) for trial in trials)
         kind = {0: "none", 1: "single"}.get(len(told["effects"]), "pair")
         case = Case(name, kind, told["effects"], 1.0, logs, int(told["seed"]))
-        out.append(Given(case, trials, Sets(folder=where / "nulls", without=(name,))))
+        out.append(Given(case, trials, RecordedNull(folder=where / "nulls", without=(name,))))
     return out

@@ -22,8 +22,8 @@ from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import Trial, write_dataset
 from fishmj.store import Manifest, sha256, write_json
-from fishmj.virtual_robot import draws
-from fishmj.virtual_robot.machine import Plant
+from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot.robot_constants import RobotConstants
 from fishmj.virtual_robot.trials import plant, trial_of
 from fishmj.virtual_robot.weighing import masses, weighings
 
@@ -62,10 +62,10 @@ DRAWS = (
 )
 
 
-def hidden(seed: int, medium: str = "water") -> Plant:
+def hidden(seed: int, medium: str = "water") -> RobotConstants:
     """The robot of a seed: nuisance as every virtual robot has it, then the hidden numbers."""
     made = plant({}, seed, medium=medium)
-    rng = draws.stream(seed, "calibration")
+    rng = random_streams.stream(seed, "calibration")
     fields = {}
     for item in DRAWS:
         group, _, key = item.field.partition(".")
@@ -76,10 +76,10 @@ def hidden(seed: int, medium: str = "water") -> Plant:
 
 def slip_of(seed: int) -> float:
     """Slip ratio of the hull of a seed; only the flow solver's swims have one."""
-    return 1.0 - ROUGHEST * float(draws.stream(seed, "slip").uniform()) ** 2
+    return 1.0 - ROUGHEST * float(random_streams.stream(seed, "slip").uniform()) ** 2
 
 
-def truth(made: Plant) -> dict[str, float]:
+def truth(made: RobotConstants) -> dict[str, float]:
     """What a perfect calibration would find, in its own words, SI."""
     m, n, c = made.motor, made.network, made.camera
     return {
@@ -136,7 +136,7 @@ def solver_trials(seed: int, args) -> dict[str, Trial]:
     """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed; with `--water lbm` the bench, too."""
     from fishmj.campaign.hidden_lbm.hidden import swum
     from fishmj.campaign.hidden_lbm.hidden import trial_of as seen
-    from fishmj.campaign.hidden_lbm.run import Job
+    from fishmj.campaign.hidden_lbm.hidden_run import Job
     from fishmj.lbm_oracle.run.domain import preset
 
     made, slip, box = hidden(seed), slip_of(seed), preset(args.domain)
@@ -160,7 +160,7 @@ def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[s
     for old in sorted(out.glob("*/meta.toml")) if overwrite else ():
         if old.parent.name not in made:
             shutil.rmtree(old.parent)
-    write_dataset(out, made, overwrite=overwrite, page=weighings(robot, draws.stream(seed, "weighing")))
+    write_dataset(out, made, overwrite=overwrite, page=weighings(robot, random_streams.stream(seed, "weighing")))
     values = truth(robot) | ({"slip": slip_of(seed)} if SOLVER in generators.values() else {})
     return seal(out, seed, values, generators)
 

@@ -13,15 +13,15 @@ from pathlib import Path
 
 from fishmj import console, excitation
 from fishmj.campaign.hidden_lbm.hidden import jobs, swum, trial_of
-from fishmj.campaign.hidden_lbm.run import Job
+from fishmj.campaign.hidden_lbm.hidden_run import Job
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.log.folder import write_trial
 from fishmj.store import Manifest, read_json, write_json
-from fishmj.virtual_robot.dataset import parse
+from fishmj.virtual_robot.hidden_dataset import parse
 
 SCHEMA = "fishmj.hidden/1"
 TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (docs/oracle.md)
@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     water, gpu = steps * box.dt, steps / TANK_STEPS * (1 + 3 * AGAIN)
     if not args.dry_run:
         less = "take fewer --sets, shorter --seconds; --domain laptop is a preview"
-        cost.agree("campaign hidden", args.device, [(box, water)], instead=less, tanks=args.tanks or 1)
+        solver_cost.agree("campaign hidden", args.device, [(box, water)], instead=less, tanks=args.tanks or 1)
     console.say(
         f"{args.sets} sets, {trials} trials, {water:.0f} s of water, {steps / 1e6:.2f} M tank-steps on"
         f" {args.domain}: about {console.duration(gpu)} of one H200 with {ON_GPU} tanks ({water / gpu:.0f} times real time)"

@@ -11,7 +11,7 @@ independent share. There is no adequacy to be read from it, since the scatter ho
 import numpy as np
 
 from fishmj.gap.null.whitening import Whitening, whitening
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 
 LEAST = 1e-3  # of a column's rms: D never goes below
 
@@ -19,7 +19,7 @@ LEAST = 1e-3  # of a column's rms: D never goes below
 class Scatter:
     """Standard deviations within and between groups, from the residuals (m,) of a baseline. groups: (L,) of each record."""
 
-    def __init__(self, layout: Layout, groups, residual: np.ndarray):
+    def __init__(self, layout: ResidualLayout, groups, residual: np.ndarray):
         self.within, self.between = {}, {}
         for key in {(b.sensor, b.column) for b in layout.blocks}:
             parts: dict[str, list] = {}
@@ -38,7 +38,7 @@ class Scatter:
             self.within[key] = float(np.sqrt(max(within, least)))
             self.between[key] = float(np.sqrt(max(float(np.mean(means**2)) - within * float(np.mean(1.0 / n)), 0.0)))
 
-    def factors(self, layout: Layout, groups) -> tuple[np.ndarray, np.ndarray]:
+    def factors(self, layout: ResidualLayout, groups) -> tuple[np.ndarray, np.ndarray]:
         """(k, m) t 1_g of every group and column, and D^1/2 (m,)."""
         rows: dict[tuple, np.ndarray] = {}
         d = np.empty(layout.size)
@@ -49,7 +49,7 @@ class Scatter:
             row[b.where] = self.between[key]
         return np.array(list(rows.values())), d
 
-    def whiten(self, layout: Layout, groups, tangents: np.ndarray | None = None) -> Whitening:
+    def whiten(self, layout: ResidualLayout, groups, tangents: np.ndarray | None = None) -> Whitening:
         """S^-1/2; `tangents` (c, m) are directions that a fit could turn anyway and that count as little."""
         factors, d = self.factors(layout, groups)
         return whitening(factors if tangents is None else np.concatenate([factors, tangents]), d)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.gap.models.servo import DT, Bench, Motor, OneServo, Pendulum
+from fishmj.gap.models.servo_model import DT, OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.log import Trial
@@ -17,7 +17,7 @@ from fishmj.studies.measured_robots.study import Study
 
 ASIDE = "sin_sin"
 # Rough: a fit adapts all four. Stall torque from the pendulum that full duty holds up, the rest by order of magnitude.
-MOTOR = Motor(stall=0.7, back_emf=0.02, viscous=0.02, armature=0.002)
+MOTOR = ServoMotor(stall=0.7, back_emf=0.02, viscous=0.02, armature=0.002)
 STEP = 2 * np.pi / 4096  # rad, one count of the encoder
 UNSATURATED = 0.9  # of the largest duty in the log
 
@@ -39,7 +39,7 @@ def study(aside: int | None = None, without: str = "") -> Study:
     gains = sorted({r.group for r in learn})
     rig = next(iter(found.values())).meta["rig"]
     motor = MOTOR._replace(**{without: 0.0}) if without else MOTOR
-    constants = tuple(Constant(n, 0.3) for n in Motor._fields if n != without)
+    constants = tuple(Constant(n, 0.3) for n in ServoMotor._fields if n != without)
     plant = OneServo(motor, Pendulum(mass=rig["mass"], length=rig["length"], voltage=rig["vin"]), constants)
     return Study(
         name="servo_xl330",
@@ -60,7 +60,7 @@ def study(aside: int | None = None, without: str = "") -> Study:
     )
 
 
-def bench(name: str, trial: Trial, most: float) -> Bench:
+def bench(name: str, trial: Trial, most: float) -> PendulumLog:
     """One log at the plant's steps. most: the largest duty that the firmware sets."""
     cmd, joint, power = (trial.table(t) for t in ("cmd", "joint", "power"))
     begin = float(cmd["t"][0])
@@ -70,7 +70,7 @@ def bench(name: str, trial: Trial, most: float) -> Bench:
     steps = int(np.ceil((joint["t"][-1] - begin) / DT)) + 1
     i = np.maximum(np.searchsorted(cmd["t"] - begin, np.arange(steps) * DT + 1e-9, side="right") - 1, 0)
     held = [cmd["c1"][i], on[i].astype(float), power["V"][i], np.full(steps, gain), np.full(steps, most)]
-    return Bench(
+    return PendulumLog(
         name=name,
         group=f"kp{trial.value('rig.kp'):g}",
         dt=DT,
@@ -81,7 +81,7 @@ def bench(name: str, trial: Trial, most: float) -> Bench:
     )
 
 
-def error(plant: OneServo, records: Sequence[Bench], row: np.ndarray) -> float:
+def error(plant: OneServo, records: Sequence[PendulumLog], row: np.ndarray) -> float:
     """Mean over the logs of the mean square error, rad^2."""
     seen = plant.predict(list(records), row)
     return float(np.mean([np.mean((p["joint"][0] - r.joint.values) ** 2) for p, r in zip(seen, records, strict=True)]))

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap.null.whitening import Whitening
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.effect_fitter import Candidate, Search
+from fishmj.gap.search.effect_fitter import Candidate, EffectFitter
 from fishmj.studies.measured_robots.floor import Scatter
 
 FIT, POLISH = 16, 6  # iterations
@@ -90,22 +90,22 @@ class Fold:
 
     def __init__(self, study: Study, records: Sequence, start: Candidate | None = None):
         self.study, self.records = study, list(records)
-        self.layout = Layout(self.records)
+        self.layout = ResidualLayout(self.records)
         self.groups = [r.group for r in self.records]
         plain = Whitening(self.layout.noise(), np.zeros((self.layout.size, 0)), np.zeros(0))
-        first = Search(study.plant, self.records, self.layout, plain)
+        first = EffectFitter(study.plant, self.records, self.layout, plain)
         bare = Candidate((), tuple(range(len(study.plant.constants))), study.plant.null, 0.0, np.zeros(0))
         fit = first.refine([scored(first, start or bare)], FIT)[0]
         residual = self.layout.residuals(study.plant.predict(self.records, fit.row))[0]
         self.scatter = Scatter(self.layout, self.groups, residual)
-        self.search = Search(study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
+        self.search = EffectFitter(study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
         self.base = self.search.refine([scored(self.search, fit)], FIT)[0]
 
     def ranked(self, effects, count: int) -> list[Candidate]:
         """The best candidates one effect larger than the baseline, fitted with all constants."""
         tangents = self._tangents()
         whiten = self.scatter.whiten(self.layout, self.groups, tangents)
-        rough = Search(self.study.plant, self.records, self.layout, whiten)
+        rough = EffectFitter(self.study.plant, self.records, self.layout, whiten)
         found = self.refit(rough.screen(scored(rough, self.base), effects)[:count])
         self.trust(found[0].row)
         return self.refit(found)
@@ -114,7 +114,7 @@ class Fold:
         """Take the scatter that this row leaves: the baseline's holds what is missing, too, and would hide its best witness."""
         residual = self.layout.residuals(self.study.plant.predict(self.records, row))[0]
         self.scatter = Scatter(self.layout, self.groups, residual)
-        self.search = Search(self.study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
+        self.search = EffectFitter(self.study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
         self.base = self.search.refine([scored(self.search, self.base)], POLISH)[0]
 
     def refit(self, candidates: list[Candidate]) -> list[Candidate]:
@@ -123,8 +123,8 @@ class Fold:
 
     def costs(self, left_out: Sequence, rows: np.ndarray) -> dict[str, np.ndarray]:
         """{group: (R,)} |z|^2 of records that were left out."""
-        layout, groups = Layout(list(left_out)), [r.group for r in left_out]
-        z = Search(self.study.plant, list(left_out), layout, self.scatter.whiten(layout, groups)).z(rows)
+        layout, groups = ResidualLayout(list(left_out)), [r.group for r in left_out]
+        z = EffectFitter(self.study.plant, list(left_out), layout, self.scatter.whiten(layout, groups)).z(rows)
         each = likelihood.costs(z, layout)
         return {g: each[:, [i for i, h in enumerate(groups) if h == g]].sum(1) for g in sorted(set(groups))}
 
@@ -137,7 +137,7 @@ class Fold:
         return (residuals[1:] - residuals[0]) * (PRIOR / 0.05)
 
 
-def scored(search: Search, c: Candidate) -> Candidate:
+def scored(search: EffectFitter, c: Candidate) -> Candidate:
     """The candidate with its cost under this search."""
     z = search.z(c.row[None])[0]
     return Candidate(c.names, c.places, c.row, float(z @ z), z)

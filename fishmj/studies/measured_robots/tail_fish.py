@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap.models.decoy_terms import RIVALS
-from fishmj.gap.models.planar_body import Body, Hull, Swim, acting, covered
+from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody, acting, covered
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
-from fishmj.gap.records.residual import Layout
+from fishmj.gap.records.residual import ResidualLayout
 from fishmj.log import Trial
 from fishmj.studies.measured_robots.answer import described, solved
 from fishmj.studies.measured_robots.folder import trials
@@ -61,7 +61,7 @@ def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed:
     constants = (*CONSTANTS, Constant("sway_drag", 0.3)) if sway else CONSTANTS
     if without:
         hull, constants = hull._replace(**{without: 0.0}), tuple(c for c in constants if c.name != without)
-    plant = Body(hull, constants, [*acting(), *RIVALS])
+    plant = PlanarBody(hull, constants, [*acting(), *RIVALS])
     lines = (
         f"{len(records)} trials, {len(groups)} conditions, {sum(len(r.starts) for r in records)} runs of {SPAN} s of"
         f" {WINDOW:g} s moving averages; {ASIDE} conditions kept aside (seed {seed}), {FOLDS} folds of the others",
@@ -82,7 +82,7 @@ def study(clock: bool = False, sway: bool = False, pictures: bool = False, seed:
     )
 
 
-def swim(name: str, trial: Trial, clock: bool = False, pictures: bool = False) -> Swim | None:
+def swim(name: str, trial: Trial, clock: bool = False, pictures: bool = False) -> MeanGait | None:
     """The runs of one trial; None when it is too short for one."""
     pose = trial.table("pose")
     t = pose["t"] * (trial.value("clock_ratio.pose", 1.0) if clock else 1.0)
@@ -98,7 +98,7 @@ def swim(name: str, trial: Trial, clock: bool = False, pictures: bool = False) -
     there = covered(path[first], path[first + steps], path[first, 2])
     gait = trial.table("gait")
     span = steps * h
-    return Swim(
+    return MeanGait(
         name=name,
         group=str(trial.value("excitation")),
         dt=0.02,
@@ -114,14 +114,14 @@ def averaged(values: np.ndarray, n: int) -> np.ndarray:
     return np.stack([np.convolve(column, np.ones(n) / n, "valid") for column in values.T], 1)
 
 
-def error(plant: Body, records: Sequence[Any], row: np.ndarray) -> float:
+def error(plant: PlanarBody, records: Sequence[Any], row: np.ndarray) -> float:
     """The protocol's figure."""
-    layout = Layout(list(records))
+    layout = ResidualLayout(list(records))
     residual = layout.residuals(plant.predict(list(records), row))[0]
     return float(np.mean((residual / layout.noise()) ** 2))
 
 
-def repeats(records: Sequence[Swim], near: float = 0.5) -> float:
+def repeats(records: Sequence[MeanGait], near: float = 0.5) -> float:
     """Error that even a model without fault has: half the mean square difference between runs of two trials of one condition
     whose starting speeds differ by less than `near` of the error's scale a run."""
     found = []

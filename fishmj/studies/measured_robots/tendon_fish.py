@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.calib import read_toml, resolve
-from fishmj.gap.models.swimming_fish import Fish
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import Trial, stacked
 from fishmj.studies.measured_robots.folder import trials
@@ -71,7 +71,7 @@ class Tank:
     """The fish of `robot` beating like the trials, with effects of `catalogue` in the water."""
 
     def __init__(self, beats: list[Beat], catalogue=(), robot: str = "tendon_fish"):
-        self.beats, self.plant = beats, Fish(robot, catalogue=catalogue)
+        self.beats, self.plant = beats, SwimmingFish(robot, catalogue=catalogue)
         self.commands = np.array([b.joints for b in beats])
         for _ in range(MATCHING):
             bent = np.array([self._bent(b, joints) for b, joints in zip(beats, self._swim(self.plant.null), strict=True)])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import effects
-from fishmj.gap.models.planar_body import Body, Hull, Swim
+from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.gap.search.likelihood import DRAWS
@@ -51,12 +51,12 @@ def coast(name: str, trial: Trial) -> Coast:
     return Coast(name, t - t[0] if len(t) else t, speed)
 
 
-def plant() -> Body:
+def plant() -> PlanarBody:
     """The boat: quadratic drag as its constant, linear drag as an effect of the catalogue."""
-    return Body(HULL, (Constant("drag", 1.0),), [effects.get("linear_surge_drag")])
+    return PlanarBody(HULL, (Constant("drag", 1.0),), [effects.get("linear_surge_drag")])
 
 
-def squares(boat: Body, runs: list[Coast], law: str) -> np.ndarray:
+def squares(boat: PlanarBody, runs: list[Coast], law: str) -> np.ndarray:
     """(L, C) least sum of squares of each run over the speed at its start, for every c of a law."""
     rows = np.zeros((len(LAWS[law]), len(boat.null)))
     rows[:, 0 if law == "quadratic" else boat.index("linear_surge_drag", "coefficient")] = LAWS[law]
@@ -64,7 +64,7 @@ def squares(boat: Body, runs: list[Coast], law: str) -> np.ndarray:
     starts = np.zeros((len(STARTS), 6))
     starts[:, 3] = STARTS
     nothing = Sensor(np.zeros(0), np.zeros((0, 3)), np.ones(3))
-    swim = Swim("coast", "coast", boat.dt, np.zeros((1, 2)), starts, float(seconds), nothing)
+    swim = MeanGait("coast", "coast", boat.dt, np.zeros((1, 2)), starts, float(seconds), nothing)
     track = boat.tracks([swim], rows)[0][..., 3]  # (C, S, N) at every step
     return np.stack([np.array([_least(each, r, boat.dt) for each in track]) for r in runs])
 

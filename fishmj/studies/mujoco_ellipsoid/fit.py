@@ -15,7 +15,7 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.fit import gauss_newton, linear_regression, pipeline, rollout
-from fishmj.hydro_fit.fit.regression_rows import Rows, mean3, rows_of
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, mean3, rows_of
 from fishmj.mjcf.description import Robot
 from fishmj.studies.mujoco_ellipsoid import force
 from fishmj.studies.mujoco_ellipsoid.swim import Swim
@@ -58,7 +58,7 @@ class Match(gauss_newton.Match):
         return np.clip((got - self.thrust) / (gauss_newton.THRUST * self.drag), -gauss_newton.CLIP, gauss_newton.CLIP)
 
 
-class Fit(pipeline.Fit):
+class Fit(pipeline.FitPipeline):
     """The records, windows and scores of `recipe.Fit`, in MuJoCo's fluid."""
 
     def __init__(self, robot: Robot, train, val, *, dataset: dict, settings=None, inertia: bool, report=pipeline.quiet):
@@ -89,7 +89,7 @@ class Fit(pipeline.Fit):
         flat = by_forces if worse else by_swims
         return Fitted(self.e, flat, self.inertia, score, time.process_time() - began, notes)
 
-    def by_forces(self, rows: Rows) -> np.ndarray:
+    def by_forces(self, rows: RegressionRows) -> np.ndarray:
         """(12,) by least squares on link wrenches, weights as in `linear`."""
         n = self.chain.n
         every = [columns(self.e, i, rows, self.inertia, self.tick) for i in range(n)]
@@ -170,7 +170,7 @@ class Fit(pipeline.Fit):
         return flat, best
 
 
-def columns(e: force.Ellipsoids, i: int, rows: Rows, inertia: bool, tick: float) -> dict[str, np.ndarray]:
+def columns(e: force.Ellipsoids, i: int, rows: RegressionRows, inertia: bool, tick: float) -> dict[str, np.ndarray]:
     """(3, M) force on link i for a unit of each coefficient, means over the tick; with `inertia`, of the added mass's whole."""
     u, w, omega = rows.of(i)
     out = {name: mean3(part) for name, part in force.parts(np, e, i, u, w, omega).items()}
@@ -182,7 +182,7 @@ def columns(e: force.Ellipsoids, i: int, rows: Rows, inertia: bool, tick: float)
     return out
 
 
-def forces(e: force.Ellipsoids, rows: Rows, flat: np.ndarray, inertia: bool, tick: float) -> np.ndarray:
+def forces(e: force.Ellipsoids, rows: RegressionRows, flat: np.ndarray, inertia: bool, tick: float) -> np.ndarray:
     """(3, N, M) what the model says about every row."""
     out = []
     for i in range(len(e.semi)):

@@ -67,7 +67,7 @@ def rows(ch: planar_chain.Chain, k: planar_chain.Links, i: int, centre: float) -
     return along, across, {2 + i: 1.0}
 
 
-class Swim(rollout.Swim):
+class Swim(rollout.SwimWindow):
     """`rollout.Swim` in this water: `run` takes the 12 coefficients for its `water`."""
 
     def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer, e: force.Ellipsoids, inertia: bool):
@@ -106,5 +106,5 @@ class Bound(Swim):
         super().__init__(swim.chain, swim.swimmer, swim.e, swim.inertia)
         self.own = np.asarray(water, float)
 
-    def run(self, fleet, water, learnt=None, attached=None, memory=None) -> rollout.Track:
+    def run(self, fleet, water, learnt=None, attached=None, memory=None) -> rollout.SwimTrack:
         return super().run(fleet, self.own)

@@ -17,18 +17,18 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console, controllers, engines, interrupt
-from fishmj.campaign.data.command import GO, ON_GPU
+from fishmj.campaign.data.collect_command import GO, ON_GPU
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
-from fishmj.evaluate import protocol, tank
+from fishmj.evaluate import lbm_trials, protocol
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_json
 from fishmj.studies.rank_waters import compare_waters, rank
 from fishmj.studies.rank_waters.plot import picture
-from fishmj.water.model import HydroModel, shipped
+from fishmj.water.hydro_model import HydroModel, shipped
 
 DEFAULT = ("dob", "pi", "pd", "adrc-c1", "fitted-sac", "fitted", "drift")
 MEANING = {
@@ -82,10 +82,10 @@ def main(argv: list[str]) -> int:
     names = list(args.controllers) or list(DEFAULT)
     brains = controllers.several(names, robot, any_command_path=args.any_command_path)
     trials = chosen(args)
-    runs = (tank.UNCHANGED, *compare_waters.AGAIN[: args.again])
+    runs = (lbm_trials.UNCHANGED, *compare_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)
     less = "--domain laptop --trials 6 --seconds 10 is a preview"
-    cost.agree(
+    solver_cost.agree(
         "hydro_fit rank",
         args.device,
         [(preset(args.domain), total)],

@@ -25,10 +25,10 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
 from fishmj.store import read_json, write_json, write_text
@@ -52,7 +52,7 @@ class Key(NamedTuple):
     slip: float
 
 
-class Found(NamedTuple):
+class Result(NamedTuple):
     """Value and standard error in the quantity's unit (NaN: none), seconds averaged over, and how it ended."""
 
     value: float
@@ -87,18 +87,18 @@ def box(name: str, key: Key) -> Domain:
     return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
 
 
-def cruise(domain: Domain, slip: float, beats: float, device: str) -> Found:
+def cruise(domain: Domain, slip: float, beats: float, device: str) -> Result:
     """Servo-driven swim from rest."""
     gait = Gait.of_the_paper()
-    run = Stage(domain=domain, slip=slip, device=device, pose=(0.0, 0.0, 0.0)).run()
+    run = SwimSetup(domain=domain, slip=slip, device=device, pose=(0.0, 0.0, 0.0)).run()
     drive(run, gait, beats / gait.frequency, quiet=True)
     if not run.rows:
-        return Found(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
+        return Result(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
     last = figures(run, gait.frequency)
-    return Found(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
+    return Result(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
 
 
-def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Found:
+def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Result:
     """The straight fish along the stream or across it."""
     point = Point("aoa", 0.0, 0.0 if what == "drag" else 90.0, SPEED)
     robot = load_robot("fish")
@@ -110,10 +110,10 @@ def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Fou
 
     measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
     row, name = rows[0], "drag" if what == "drag" else "lateral"
-    return Found(row[f"{name}_N"], row[f"{name}_sem_N"], row["seconds"], row["status"])
+    return Result(row[f"{name}_N"], row[f"{name}_sem_N"], row["seconds"], row["status"])
 
 
-class Book:
+class ResultTable:
     """Finished runs in `folder/converge.csv`, beside the set-up that they share.
 
     Raises:
@@ -137,7 +137,7 @@ class Book:
                     raise StoreError(f"{self.path}:{number}: {error!r}; delete the line, its run is then done again") from error
                 self.rows[_key(row)] = row
 
-    def add(self, key: Key, found: Found, wall: float) -> None:
+    def add(self, key: Key, found: Result, wall: float) -> None:
         """Keep a run, on disk before this returns."""
         if not self.rows:
             notes = {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": self.setup}
@@ -177,12 +177,14 @@ def main(argv: list[str]) -> int:
     keys = study(args.what, args.grids, args.parts, args.slips)
     plan = Plan(settle=args.settle, seconds=args.seconds, length=load_robot("fish").length)
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
-    book = Book(Path(args.out), {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds})
+    book = ResultTable(
+        Path(args.out), {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
+    )
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     runs = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
-    cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
+    solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     device = str(device_of(args.device))
     console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
     with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:

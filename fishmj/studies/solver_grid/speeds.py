@@ -19,10 +19,10 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.output import map_plots
-from fishmj.lbm_oracle.run import cost
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.setup import Stage
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.store import read_json, write_json
 
@@ -34,7 +34,7 @@ COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "ref
 def swum(domain: Domain, frequency: float, slip: float, beats: float, device: str) -> dict:
     """One swim: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, and how it ended."""
     gait = replace(Gait.of_the_paper(), frequency=frequency)
-    run = Stage(domain=domain, slip=slip, device=device).run()
+    run = SwimSetup(domain=domain, slip=slip, device=device).run()
     drive(run, gait, beats / frequency, quiet=True)
     status = " ".join(run.stopped.split()) or "ok"
     if not run.rows:
@@ -44,7 +44,7 @@ def swum(domain: Domain, frequency: float, slip: float, beats: float, device: st
     return kept | {"aside_deg": found["course_deg"], "status": status}
 
 
-class Book:
+class ResultTable:
     """Finished swims in `folder/speeds.json`, beside the set-up that they share.
 
     Raises:
@@ -84,11 +84,11 @@ def main(argv: list[str]) -> int:
     box = preset(args.preset)
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = asked(args.frequencies, args.slips, depths)
-    book = Book(Path(args.out), {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats})
+    book = ResultTable(Path(args.out), {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats})
     left = [key for key in keys if key not in book.rows]
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
     less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
-    cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
+    solver_cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
     device = str(device_of(args.device))
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
     with console.Progress(len(left), "speeds", every=1e9 if args.json else None) as bar:

@@ -17,16 +17,16 @@ import numpy as np
 from fishmj import interrupt
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.hydro_fit import check
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.code_hash import code
-from fishmj.hydro_fit.fit.pipeline import Settings
-from fishmj.hydro_fit.record import Record
+from fishmj.hydro_fit.fit.pipeline import FitSettings
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_json, write_json
 from fishmj.studies.mujoco_ellipsoid import fit as ellipsoid
 from fishmj.studies.mujoco_ellipsoid import force, judged
 from fishmj.studies.water_ablation.ablation_fit import Variant
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat
 
 SCHEMA = "fishmj.ablation/1"
@@ -62,8 +62,9 @@ ROWS: dict[str, Row] = {
 
 
 def table(
-    robot: Robot, train: Sequence[Record], val: Sequence[Record], test: Sequence[Record], *, settings: Settings, dataset: dict,
-    folder: Path, names: Iterable[str] = (), seeds: Iterable[int] = (0,), report: Callable | None = None,
+    robot: Robot, train: Sequence[SegmentRecord], val: Sequence[SegmentRecord], test: Sequence[SegmentRecord], *,
+    settings: FitSettings, dataset: dict, folder: Path, names: Iterable[str] = (), seeds: Iterable[int] = (0,),
+    report: Callable | None = None,
 ) -> list[dict]:  # fmt: skip
     """All rows, or those of these names; drawn ones once a seed.
 
@@ -102,7 +103,7 @@ def table(
     return made
 
 
-def _key(about: dict, row: Row, settings: Settings) -> str:
+def _key(about: dict, row: Row, settings: FitSettings) -> str:
     """What a row's figures depend on."""
     whole = about | {"row": asdict(row) | {"title": ""}, "settings": asdict(settings)}
     return hashlib.sha256(json.dumps(plain(whole)).encode()).hexdigest()
@@ -120,7 +121,7 @@ def _kept(place: Path, key: str) -> dict | None:
 
 
 def _one(
-    robot: Robot, parts, row: Row, settings: Settings, about: dict, stages: Path, report: Callable, words: interrupt.Words
+    robot: Robot, parts, row: Row, settings: FitSettings, about: dict, stages: Path, report: Callable, words: interrupt.Words
 ) -> dict:
     """Fit and judge a row. words: what an interrupted table says, which also keeps the stage of the fit that is under way."""
     train, val, test = parts
@@ -140,7 +141,7 @@ def _one(
     with interrupt.keeping(kept):
         model = unfitted(robot) if row.kind == "prior" else variant.solve()
     scores = variant.scores | {"judged": variant.score(flat(model.base), model.learnt)}
-    told = _told(check.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
+    told = _told(free_swims.judge(model, robot, test), seconds=sum(variant.seconds.values()), notes=model.notes)
     return told | {"validation": scores, "stages": variant.seconds}
 
 

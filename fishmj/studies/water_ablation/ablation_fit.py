@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.hydro_fit.fit import pipeline
 from fishmj.hydro_fit.fit.serialise import unpacked
 from fishmj.store import plain
-from fishmj.water.model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import unflat
 
 NEEDS = {  # settings that a stage depends on, besides those of the stages before it
@@ -28,7 +28,7 @@ NEEDS = {  # settings that a stage depends on, besides those of the stages befor
 ALIKE = 2  # members of a model without an error bar: the check wants a spread, here 0
 
 
-class Variant(pipeline.Fit):
+class Variant(pipeline.FitPipeline):
     """A fit without some parts.
 
     Args:
@@ -36,7 +36,7 @@ class Variant(pipeline.Fit):
         The rest as for `recipe.Fit`.
     """
 
-    def __init__(self, robot, train, val, *, dataset: dict, settings: pipeline.Settings, folder: "Path | None", code: str,
+    def __init__(self, robot, train, val, *, dataset: dict, settings: pipeline.FitSettings, folder: "Path | None", code: str,
                  retune: bool = True, report=pipeline.quiet):  # fmt: skip
         super().__init__(robot, train, val, dataset=dataset, settings=settings, folder=folder, report=report)
         self.told = asdict(settings) | {"retune": retune}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fishmj import console
-from fishmj.hydro_fit.check import STATED
+from fishmj.hydro_fit.free_swims import STATED
 from fishmj.pages import drawn
 from fishmj.store import write_bytes, write_json, write_text
 

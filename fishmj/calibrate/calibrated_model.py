@@ -1,0 +1,113 @@
+"""Write what was calibrated into a fish TOML: the numbers where the fish reads them, and beside them where they come from.
+
+    servo     [servo] kp, kd, speed_no_load = torque / (kd - kv);  [[effect]] coulomb_friction;  [timing] command_latency
+    latency   [timing] command_latency, camera_latency
+    mass      [[link]] mass, com;  [body] mass_total;  [[effect]] yaw_inertia where its interval leaves out zero
+    slip      [calibration.slip] only: the strip water has no slip ratio, the flow solver takes it as --slip
+
+Lines are replaced one by one; comments and everything else stay.
+"""
+
+import re
+from pathlib import Path
+from uuid import uuid4
+
+from fishmj.calib import resolve
+from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.effects import calibration
+from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.errors import ConfigError, FishmjError
+from fishmj.mjcf.description import load_robot
+from fishmj.store import sha256, write_text
+
+
+def start(out: Path, model: str) -> str:
+    """The text to change: `out` where it exists already, else the model's."""
+    return (out if out.is_file() else resolve(model)).read_text(encoding="utf-8")
+
+
+def write(
+    out: Path,
+    text: str,
+    verb: str,
+    estimates: dict[str, ParameterEstimate],
+    effects: dict[str, ParameterEstimate],
+    data: "str | Path",
+) -> Path:
+    """Record the estimates, put the effects in, read the fish back, and only then write the file.
+
+    Args:
+        effects: {"coulomb_friction.torque": estimate}; one that is already there is replaced. data: the folder fitted to.
+
+    Raises:
+        ConfigError: the file would not be a fish.
+    """
+    manifest = Path(data) / "manifest.json"
+    source, evidence = Path(data).as_posix(), sha256(manifest) if manifest.is_file() else ""
+    trial = out.with_name(f".{out.stem}.{uuid4().hex[:8]}.toml")  # beside it: the files that a fish names lie beside the fish
+    try:
+        write_text(trial, recorded(text, verb, estimates, source, evidence))
+        _with_effects(trial, verb, effects, source, evidence)
+        write_text(out, trial.read_text(encoding="utf-8"))
+    except FishmjError as error:
+        raise ConfigError(str(error).replace(str(trial), str(out)).replace(trial.name, out.name)) from error
+    finally:
+        trial.unlink(missing_ok=True)
+    return out
+
+
+def _with_effects(out: Path, verb: str, effects: dict[str, ParameterEstimate], source: str, evidence: str) -> None:
+    kept = {f.name: f for f in calibration.read(out)}
+    for key, e in effects.items():
+        name, parameter = key.split(".")
+        kept[name] = FittedEffect(
+            name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}", evidence
+        )
+    calibration.write(out, tuple(kept.values()))
+    load_robot(out)
+
+
+def put(text: str, table: str, values: dict[str, float], name: str = "") -> str:
+    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`.
+
+    Raises:
+        ConfigError: no such table or key.
+    """
+    lines, inside, left = text.splitlines(), False, dict(values)
+    block = -1
+    for i, line in enumerate(lines):
+        head = line.split("#")[0].strip()
+        if head.startswith("["):
+            inside, block = head in (f"[{table}]", f"[[{table}]]"), i
+        elif inside and name and re.fullmatch(r'name\s*=\s*"(.*)"', head):
+            inside = head.split('"')[1] == name
+        match = re.match(r"(\w+)\s*=\s*(\[[^]]*\]|[^#\s]+)(.*)", line)
+        if inside and block != i and match and match[1] in left:
+            lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{match[3]}"
+    if left:
+        raise ConfigError(f"[{table}] {name}: no line for {', '.join(left)}; the fish file must have one to be replaced")
+    return "\n".join(lines) + "\n"
+
+
+def _number(old: str, value: float) -> str:
+    """The new number; of a list, the first entry."""
+    return re.sub(r"\[\s*[^,\]]+", f"[{value:.9g}", old, count=1) if old.startswith("[") else f"{value:.9g}"
+
+
+def short(value: float) -> float:
+    """Six digits: more were not measured."""
+    return float(f"{value:.6g}")
+
+
+def recorded(text: str, verb: str, estimates: dict[str, ParameterEstimate], source: str, evidence: str) -> str:
+    """The text with a block [calibration.<verb>], in place of an older one."""
+    kept, inside = [], False
+    for line in text.splitlines():
+        if line.startswith("["):
+            inside = line.strip() == f"[calibration.{verb}]"
+        if not inside:
+            kept.append(line)
+    rows = [f"[calibration.{verb}]", f'source = "{source}"', f'manifest_sha256 = "{evidence}"']
+    for name, e in estimates.items():
+        rows.append(f'{name} = {{ value = {e.value:.6g}, low = {e.low:.6g}, high = {e.high:.6g}, unit = "{e.unit}" }}')
+    return "\n".join(kept).rstrip("\n") + "\n\n" + "\n".join(rows) + "\n"

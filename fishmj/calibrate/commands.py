@@ -1,0 +1,212 @@
+"""The four calibrations as the command line calls them: fit, tables, report, fish file."""
+
+from pathlib import Path
+from typing import Any
+
+from fishmj import console
+from fishmj.calibrate import calibrated_model, fit_plots, latency, mass, servo_fit, slip, slip_picture
+from fishmj.calibrate.bias import widened
+from fishmj.calibrate.calibration_logs import Logs, read
+from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.errors import LogError
+from fishmj.gap.commands.doors import of_this_robot
+from fishmj.gap.models.test_stand import TestStand
+from fishmj.gap.records.records import record_of
+from fishmj.gap.watch import shown
+from fishmj.gap.workflow import compiled
+from fishmj.mjcf.description import Robot, load_robot
+
+Answer = dict[str, Any]
+
+
+def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
+    """A table of estimates."""
+    return [
+        {"parameter": e.name, "value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "width from": e.widest}
+        for e in estimates.values()
+    ]
+
+
+def said(logs: Logs, more: str = "") -> list[str]:
+    """Where the trials come from."""
+    origins = sorted({f"{t.value('origin', '?')} ({t.value('source', '?')})" for t in logs.trials.values()})
+    return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
+
+
+def opened(args, robot: Robot) -> Logs:
+    """The trials that were asked for, of this robot; what is wrong with some of them is said.
+
+    Raises:
+        LogError: none can be compared, another number of joints, or another robot's name that nobody agreed to.
+    """
+    logs = read(args.data)
+    broken = dict(logs.broken)
+    for name, trial in logs.trials.items():
+        try:
+            record_of(trial, robot.timing.physics_dt)
+        except LogError as error:
+            broken[name] = str(error)
+    trials = {name: trial for name, trial in logs.trials.items() if name not in broken}
+    if not trials:
+        raise LogError(f"{args.data}: no trial can be compared; {next(iter(broken.values()))}")
+    whose = of_this_robot(trials.values(), robot, args.model, args.same_robot)
+    for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose):
+        console.warn(note)
+    return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
+
+
+def benched(args, robot: Robot) -> tuple[Logs, TestStand]:
+    """The trials and the plant that they are compared with; what is missing is said before anything is compiled."""
+    logs, plant = opened(args, robot), TestStand(robot)
+    logs.bench()
+    compiled(plant, console.say)
+    return logs, plant
+
+
+def run_servo(args) -> Answer:
+    """Servo gain, damping, friction and command latency from sine, square and impulse."""
+    robot = load_robot(args.model)
+    logs, plant = benched(args, robot)
+    found = servo_fit.calibrate(logs, plant, bars=shown)
+    estimates = {name: widened(e) for name, e in found.estimates.items()}
+    apart = [
+        {"medium": m, **{name: fit.estimates[name].value for name in servo_fit.FREE}, "rounds": fit.rounds}
+        for m, fit in found.alone.items()
+    ]
+    left = [
+        {"signal": s, "medium": m, "trials": len(part), "RMS left [deg]": fit_plots.rms(found, part)}
+        for s, m in sorted({(r.excitation, r.medium) for r in found.records})
+        if (part := [r for r in found.records if (r.excitation, r.medium) == (s, m)])
+    ]
+    once = f"all in {found.records[0].medium}: record the same in the other medium, and what the hull adds shows"
+    both = console.table(apart) if apart else once
+    console.say(*said(logs), console.table(rows(estimates)), "", both, "", console.table(left))
+    console.say("", console.table(found.hull), *([found.words] if found.words else []))
+    tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left, "Hull and water": found.hull}
+    picture = fit_plots.draw(found, args.report / "overlay.png")
+    page = fit_plots.report(args.report, "Servo calibration", tables, picture, said(logs, found.words))
+    if args.out:
+        text, s = calibrated_model.start(args.out, args.model), plant.robot.servo
+        kp, kd = estimates["kp"].value, estimates["kd"].value
+        values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
+        text = calibrated_model.put(text, "servo", {key: calibrated_model.short(value) for key, value in values.items()})
+        text = calibrated_model.put(
+            text, "timing", {"command_latency": calibrated_model.short(estimates["command_latency"].value)}
+        )
+        calibrated_model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
+    return {
+        "estimates": plain(estimates),
+        "alone": apart,
+        "left": left,
+        "hull": found.hull,
+        "report": page,
+        "overlay": picture,
+        "skipped": logs.broken,
+    }
+
+
+def run_latency(args) -> Answer:
+    """Command and camera latency, from the clocks and against the fitted servo."""
+    robot = load_robot(args.model)
+    logs, plant = benched(args, robot)
+    fitted = servo_fit.calibrate(logs, plant, alone=False, bars=shown)
+    found = latency.calibrate(logs, fitted)
+    estimates = {name: widened(e) for name, e in found.estimates.items()}
+    lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
+    every = {finding for audit in found.audits.values() for finding in audit.findings}
+    findings = sorted(f for f in every if not f.startswith("pose drifts"))  # a fish that speeds up recoils later and later
+    console.say(*said(logs), console.table(lags), "", *findings, console.table(rows(estimates)))
+    tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
+    page = fit_plots.report(args.report, "Latency calibration", tables, None, said(logs))
+    if "camera_latency" not in estimates:
+        needs = " and ".join(latency.ABRUPT)
+        console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
+    if args.out:
+        values = {name: calibrated_model.short(e.value) for name, e in estimates.items()}
+        text = calibrated_model.put(calibrated_model.start(args.out, args.model), "timing", values)
+        calibrated_model.write(args.out, text, "latency", estimates, {}, args.data)
+    return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page, "skipped": logs.broken}
+
+
+def run_slip(args) -> Answer:
+    """Slip ratio of the hull from swims and a coast-down."""
+    if args.recompute:
+        return recomputed(args)
+    logs = opened(args, load_robot(args.model))
+    grid = args.grid or slip.grid_of(logs.trials.values())
+    swum = slip.measured(logs.trials.values())
+    found = slip.profile(swum, grid)
+    alone = {
+        name: slip.profile({name: value}, grid).estimate._replace(name=name)
+        for name, value in swum.items()
+        if name in found.predicted
+    }
+    facts = [{"metric": k, "measured": v, "trials": n} for k, (v, n) in swum.items()]
+    words = f"table of grid {grid}; J rises by {slip.RISE} at the ends of the interval"
+    console.say(*said(logs, words), console.table(facts), "", console.table(found.rows()), "", console.table(rows(alone)))
+    console.say("", console.table(rows({"slip": found.estimate})), found.words)
+    if found.doubt:
+        needs = ", ".join(name for name in (*slip.SWIMS, slip.COAST) if name not in swum) or "other swims of this robot"
+        raise LogError(
+            f"{args.data}: slip: {found.doubt}. Nothing is written; record {needs} as well, or check the robot's masses"
+        )
+    tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
+    picture = slip_picture.draw(found, args.report / "slip.png")
+    page = fit_plots.report(
+        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), slip_picture.WORDS
+    )
+    if args.out:
+        calibrated_model.write(
+            args.out, calibrated_model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data
+        )
+    return {
+        "estimates": plain({"slip": found.estimate}),
+        "profile": found.rows(),
+        "alone": plain(alone),
+        "grid": grid,
+        "words": found.words,
+        "report": page,
+        "skipped": logs.broken,
+    }
+
+
+def recomputed(args) -> Answer:
+    """One more entry for the table of solver swims."""
+    grid, ratios = args.grid or "window_coarse", args.ratios
+    entry = slip.recompute(grid, ratios, args.device, args.tanks, args.report / "swims")
+    console.say(f"put this into data/calib/calibrate.toml, in place of grid {grid}:", "", "[[solver]]", f'grid = "{grid}"')
+    console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in values)}]" for key, values in entry.items() if key != "grid"))
+    return {"solver": entry}
+
+
+def run_mass(args) -> Answer:
+    """Masses, balance and yaw inertia from the page of weighings."""
+    robot = load_robot(args.model)
+    found = mass.calibrate(args.data, robot)
+    links = [{"link": name, "mass [kg]": m, "com from its front [m]": c} for name, (m, c) in found.links.items()]
+    console.say(console.table(rows(found.estimates)), "", console.table(links))
+    if args.out:
+        text = calibrated_model.start(args.out, args.model)
+        for name, (m, c) in found.links.items():
+            text = calibrated_model.put(text, "link", {"mass": calibrated_model.short(m), "com": calibrated_model.short(c)}, name)
+        text = calibrated_model.put(text, "body", {"mass_total": sum(calibrated_model.short(m) for m, _ in found.links.values())})
+        extra = found.estimates["yaw_inertia"]
+        beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
+        calibrated_model.write(args.out, text, "mass", found.estimates, beyond, args.data)
+    fit_plots.report(
+        args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)]
+    )
+    return {"estimates": plain(found.estimates), "links": links}
+
+
+def plain(estimates: dict[str, ParameterEstimate]) -> dict[str, dict]:
+    """For JSON."""
+    return {name: e.plain() for name, e in estimates.items()}
+
+
+VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": run_mass}
+
+
+def default_report(verb: str) -> Path:
+    """Where the report goes unless it is said."""
+    return Path("runs") / "calibrate" / verb

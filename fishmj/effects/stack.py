@@ -1,0 +1,166 @@
+"""Effects put together: what the physics of a fish calls at its sites.
+
+    active = Active((friction, latency), joints=3)
+    session = active.begin(xp, parameters, memory)      # parameters: flat list, memory: flat list
+    drive = session.servo(j, servo) ...                 # the physics calls the sites in order
+    session.memory                                      # what is remembered for the next step
+
+Parameters and memory are flat lists of scalars or arrays in the order of `active.names` and `active.memory`: easy to carry
+through a compiled loop, a scan or a log.
+"""
+
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+from fishmj.effects.effect import Effect
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
+
+BASE = 2  # memory that is always there: current from the supply [A], time [s]
+
+
+class Slot(NamedTuple):
+    """Where one effect lies in the flat lists."""
+
+    effect: Effect
+    first: int  # parameter
+    memory: int  # first memory value
+    per_joint: bool
+
+
+class EffectStack:
+    """An ordered set of effects for a fish with `joints` joints.
+
+    Attributes:
+        names: (effect, parameter) of every entry of the flat parameter list. null: their null values.
+        memory: initial values of the flat memory list.
+    """
+
+    def __init__(self, effects, joints: int):
+        self.effects: tuple[Effect, ...] = tuple(effects)
+        self.joints = joints
+        self.names, self.null, memory, slots = [], [], [0.0] * BASE, []
+        for effect in self.effects:
+            per_joint = bool(set(effect.remembering) & {"servo", "gear", "command"})
+            slots.append(Slot(effect, len(self.names), len(memory), per_joint))
+            self.names += [(effect.name, p.name) for p in effect.parameters]
+            self.null += list(effect.null)
+            memory += list(effect.memory) * (joints if per_joint else 1)
+        self.slots, self.memory = tuple(slots), tuple(memory)
+        self.order = tuple(sorted(slots, key=lambda slot: slot.effect.rank))  # in which they act at a site
+
+    def index(self, effect: str, parameter: str) -> int:
+        """Place of a parameter in the flat list."""
+        return self.names.index((effect, parameter))
+
+    def flat(self, values: dict[str, dict[str, float]]) -> list[float]:
+        """{effect: {parameter: value}} as the flat list; what is not given keeps its null."""
+        row = list(self.null)
+        for effect, given in values.items():
+            for parameter, value in given.items():
+                row[self.index(effect, parameter)] = value
+        return row
+
+    def begin(self, xp, parameters, memory) -> "EffectStep":
+        """The sites for one physics step."""
+        return EffectStep(self, xp, list(parameters), list(memory))
+
+    def delay(self, xp, parameters, clock: str, t=0.0):
+        """Sum of the transport delays of a clock at the times t [s] since the session began, s. Negative: its stamps are late."""
+        total = 0.0
+        for slot in self.slots:
+            p = vars(_values(slot, parameters))
+            if clock in slot.effect.delays:
+                total = total + p[slot.effect.delays[clock]]
+            if clock in slot.effect.drifts:
+                total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
+        return total
+
+    def drawn(self, parameters, stream: str) -> list:
+        """(effect, its parameters) of the stochastic effects of a stream (scatter.py)."""
+        return [(s.effect, _values(s, parameters)) for s in self.slots if s.effect.stream == stream]
+
+    def measure(self, xp, parameters, seen):
+        """What the sensors make of the record `seen`; parameters may be arrays that broadcast over its time axis."""
+        for slot in self.order:
+            if slot.effect.measure is not None:
+                seen = slot.effect.measure(xp, _values(slot, parameters), seen)
+        return seen
+
+
+class EffectStep:
+    """One physics step: the sites, and the memory as it changes."""
+
+    def __init__(self, active: EffectStack, xp, parameters: list, memory: list):
+        self.xp, self.memory = xp, memory
+        self._placed = [(slot, _values(slot, parameters)) for slot in active.order]
+
+    @property
+    def current(self):
+        """What all servos drew from the supply one step ago, A."""
+        return self.memory[0]
+
+    @property
+    def time(self):
+        """s since the session began."""
+        return self.memory[1]
+
+    def command(self, joint: int, value, h: float):
+        """A command on its way to the servo, rad."""
+        return self._visit("command", value, h, joint)
+
+    def servo(self, joint: int, servo: ServoDrive, h: float) -> ServoDrive:
+        """One joint before its drive."""
+        return self._visit("servo", servo, h, joint)
+
+    def gear(self, joint: int, gear: Gear, h: float) -> Gear:
+        """One joint after its drive."""
+        return self._visit("gear", gear, h, joint)
+
+    def body(self, body: BodyMotion, h: float) -> BodyMotion:
+        """Forces on the whole body."""
+        return self._visit("body", body, h)
+
+    def water(self, water: LocalWater, h: float) -> LocalWater:
+        """Forces on the links."""
+        return self._visit("water", water, h)
+
+    def fish(self, constants: Constants) -> Constants:
+        """Masses and coefficients."""
+        return self._plain("fish", constants)
+
+    def flow(self, place: FlowAt) -> FlowAt:
+        """Water velocity at one place."""
+        return self._plain("flow", place)
+
+    def end(self, current, h: float) -> list:
+        """Memory for the next step."""
+        self.memory[0], self.memory[1] = current, self.memory[1] + h
+        return self.memory
+
+    def acts(self, site: str) -> bool:
+        """Whether any effect acts there."""
+        return any(getattr(slot.effect, site) is not None for slot, _ in self._placed)
+
+    def _plain(self, site: str, value: Any):
+        for slot, p in self._placed:
+            function = getattr(slot.effect, site)
+            if function is not None:
+                value = function(self.xp, p, value)
+        return value
+
+    def _visit(self, site: str, value: Any, h: float, joint: int = 0):
+        for slot, p in self._placed:
+            function = getattr(slot.effect, site)
+            if function is None:
+                continue
+            size = len(slot.effect.memory)
+            first = slot.memory + (joint * size if slot.per_joint else 0)
+            here = SimpleNamespace(**vars(p), joint=joint) if slot.per_joint or site in ("servo", "gear", "command") else p
+            value, after = function(self.xp, here, value, tuple(self.memory[first : first + size]), h)
+            self.memory[first : first + size] = after
+        return value
+
+
+def _values(slot: Slot, parameters) -> SimpleNamespace:
+    """The parameters of one effect by name."""
+    return SimpleNamespace(**{p.name: parameters[slot.first + i] for i, p in enumerate(slot.effect.parameters)})

@@ -1,0 +1,51 @@
+"""Options that several commands of `fishmj gap` share, each with its range."""
+
+from pathlib import Path
+
+from fishmj import console
+from fishmj.errors import ConfigError
+from fishmj.gap.null.simulated_null import RUNS
+from fishmj.gap.records.datasets import LAST_SEED, LOUDEST, MOST_RUNS
+from fishmj.store import left_out
+
+MOST_EFFECTS = 8
+FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter
+
+
+def of_model(add) -> None:
+    """--model, --same-robot."""
+    what = "the model to question: shipped name or TOML file, with its effects (default fish)"
+    add("--model", type=console.text, default="fish", help=what)
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+
+
+def of_null(add) -> None:
+    """--noise, --null-runs, --seed."""
+    add(
+        "--noise",
+        type=console.number(0, LOUDEST),
+        default=1.0,
+        metavar="FACTOR",
+        help=f"factor on the sensors' usual noise, where the logs do not state their own: 0 to {LOUDEST:g} (default 1)",
+    )
+    add(
+        "--null-runs",
+        type=console.whole(FEWEST_RUNS, MOST_RUNS),
+        default=RUNS,
+        metavar="N",
+        help=f"runs of every record in the independent simulator, {FEWEST_RUNS} to {MOST_RUNS} (default {RUNS});"
+        " with fewer than 64 a healthy fish may show a gap",
+    )
+    of_seed(add, "of the split and of the null runs")
+
+
+def of_seed(add, what: str) -> None:
+    """--seed."""
+    add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")
+
+
+def there(*paths: Path | None) -> None:
+    """Whether what was named to read is there, asked before anything is loaded; None was not named. Raises ConfigError."""
+    for path in paths:
+        if path is not None and not path.exists():
+            raise ConfigError(f"{str(path)[:80]}: no such file or folder; expected one that is there{left_out(path)}")

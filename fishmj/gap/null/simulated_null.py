@@ -1,0 +1,162 @@
+"""Null runs: the experiments of the records once more, with an independent simulator in which nothing is hidden.
+
+    residuals(plant, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
+
+The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
+and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
+an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (sources.py), so a
+standard experiment is run once a machine.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+
+from fishmj.calib import resolve
+from fishmj.errors import SimDiverged, StoreError
+from fishmj.excitation import Excitation
+from fishmj.gap.null import source_digest
+from fishmj.gap.records import mass_properties
+from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.residual import WINDOW, ResidualLayout
+from fishmj.gap.watch import Bar, Bars, silent
+from fishmj.machine_code import cache_folder
+from fishmj.mjcf.description import Robot
+from fishmj.store import read_npz, sha256, write_npz
+
+Tick = Callable[[int], None]
+SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
+RUNS = 96
+SIMULATOR = "fishmj.virtual_robot.trials"
+
+
+@dataclass(frozen=True)
+class SimulatedNull:
+    """How null runs are drawn.
+
+    runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the sensors'.
+    """
+
+    runs: int = RUNS
+    nuisance: float = 0.1
+    noise: float = 1.0
+    seed: int = 0
+
+    def residuals(self, plant, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
+        """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""
+        self.prepare(plant, records, bars)
+        out = np.empty((self.runs, layout.size))
+        for i, record in enumerate(records):
+            kept = self.experiment(plant, record)
+            if record.weighed is not None:
+                kept |= mass_properties.null(record.weighed, self.runs, self.seed)
+            for b in layout.blocks:
+                if b.record == i:
+                    values = kept[f"{b.sensor}{b.column}"]
+                    grid = np.arange(values.shape[1])
+                    for run in range(self.runs):
+                        out[run, b.where] = np.interp(b.window, grid, values[run])
+        return out
+
+    def prepare(self, plant, records: list[Record], bars: Bars) -> None:
+        """Make what is not on disk, all of it under one bar; experiments that are the same are run once."""
+        whats = {self._key(plant, record, what): record for record in records for what in (repeated(record),)}
+        anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
+        if not anew:
+            return
+        with bars(self.runs * len(anew), "null runs", "runs") as bar:
+            for i, record in enumerate(anew):
+                self.experiment(plant, record, partial(_counted, bar, i * self.runs))
+
+    def holds(self, excitation: str) -> bool:
+        """Whether there can be null runs of that experiment."""
+        return True
+
+    def experiment(self, plant, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
+        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: runs made so far."""
+        what = repeated(record)
+        path = kept_at(self._key(plant, record, what))
+        try:
+            return read_npz(path)
+        except StoreError:
+            pass
+        runs = self._run(plant.robot, what, record, tick)
+        predictions = plant.predict(runs, getattr(plant, "nothing", plant.null))  # the floor is that of no effect at all
+        rows: dict[str, list] = {}
+        for run, prediction in zip(runs, predictions, strict=True):
+            layout = ResidualLayout([run])
+            residual = layout.residuals([prediction])[0]
+            for b in layout.blocks:
+                grid = np.arange(int(b.window[-1]) + 1)
+                rows.setdefault(f"{b.sensor}{b.column}", []).append(np.interp(grid, b.window, residual[b.where]))
+        least = {name: min(len(r) for r in given) for name, given in rows.items()}
+        made = {name: np.array([r[: least[name]] for r in given], np.float32) for name, given in rows.items()}
+        write_npz(path, made)
+        return made
+
+    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
+        """The experiment with every fish of the set: each is `robot` with constants of its own."""
+        from fishmj.virtual_robot.trials import plant, trial_of
+
+        flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
+        stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
+        index = crc32(repr((what.id, what.start)).encode()) % 100_000  # noise of its own for each experiment
+
+        def one(run: int) -> Record:
+            for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
+                seed = SEED + self.seed * 100_000 + run + attempt * 10_000
+                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium).with_fields(stream)
+                try:
+                    return record_of(trial_of(made, what, seed, index, self.noise, what.id, "", flow), record.dt)
+                except SimDiverged as error:
+                    last = error
+            raise last
+
+        with ThreadPoolExecutor(2) as pool:
+            out = []
+            for made in pool.map(one, range(self.runs)):
+                out.append(made)
+                tick(len(out))
+            return out
+
+    def _key(self, plant, record: Record, what: Excitation) -> str:
+        drawn = [self.runs, self.nuisance, self.noise, self.seed]
+        done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
+        swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
+        made = [source_digest.digest(SIMULATOR), sha256(resolve("virtual_robot")), model(plant)]
+        text = json.dumps([*made, swims, plant.fingerprint, what.id, drawn, done])
+        return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
+
+
+def _counted(bar: Bar, before: int, done: int) -> None:
+    """`done` runs of one experiment, on the bar of all."""
+    bar.update(before + done)
+
+
+def kept_at(key: str) -> Path:
+    """Where the residuals of an experiment are kept."""
+    return cache_folder() / "null" / f"{key}.npz"
+
+
+def model(plant) -> str:
+    """Hash of the code that predicts the null runs and takes their residuals."""
+    return source_digest.digest(type(plant).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
+
+
+def repeated(record: Record) -> Excitation:
+    """What was commanded, as an experiment that can be done again."""
+    stride, (x, y, yaw), (u, w, r) = round(0.02 / record.dt), record.place, record.push
+    return Excitation(
+        id=record.excitation or record.name,
+        commands=record.commands[::stride],
+        about="a record repeated",
+        start=(round(float(x), 3), round(float(y), 3), round(float(yaw), 3)),
+        push=(float(u), float(w), float(r)),
+    )

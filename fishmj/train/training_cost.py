@@ -1,0 +1,121 @@
+"""What a training run takes, before anything is compiled: time from the rates of engine and arithmetic, memory from its arrays.
+
+    seconds = steps (1 / engine + operations a step / arithmetic)
+
+Operations are those of the matrix products: 2 a weight forwards, 6 forwards and backwards.
+"""
+
+from fishmj import cost
+from fishmj.cores import usable_cores
+from fishmj.mjcf.description import load_robot
+from fishmj.train.build import from_table, pick_engine
+from fishmj.train.settings import Settings
+
+CPU, GPU = "cpu", "gpu"
+ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench engine_...`; README)
+    CPU: {"compiled": 395e3, "planar": 5e3, "batch": 4e3, "mjx": 650.0},
+    GPU: {"compiled": 395e3, "planar": 46e6, "batch": 4e3, "mjx": 1e6},
+}
+ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/training.md
+FLOAT = 4  # bytes
+STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
+ADAM = 4  # copies of a network: weights, their slopes, two moments
+
+
+def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
+    """Have a run agreed to that takes more than a week, or more memory than there is.
+
+    Raises:
+        TooMuch: nobody agreed. UnknownName, ConfigError: a setting that cannot be.
+    """
+    if settings.algo not in OPERATIONS:
+        return  # of the user's own: nobody knows what it does
+    config, width = config_of(settings), widths(settings)
+    need = BYTES[settings.algo](config, width, settings.steps) * (runs if together else 1)
+    sizes = f"{config.envs:,} fish that see {settings.task.get('memory', 1)} observations"
+    less = "take fewer --envs, a shorter --memory"
+    cost.memory("train", need, sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
+    what = f"{runs * settings.steps:,.4g} control steps by {settings.algo}"
+    cost.time("train", runs * seconds(settings), what, instead="take fewer --steps", flag="--yes", agreed=yes)
+
+
+def seconds(settings: Settings) -> float:
+    """Of one run, assessments left out, on this machine."""
+    kind = _kind()
+    engine = ENGINE[kind][pick_engine(settings.engine)]
+    cores = usable_cores() if kind == CPU else 1
+    work = OPERATIONS[settings.algo](config_of(settings), widths(settings))
+    return settings.steps * (1 / engine + work / ARITHMETIC[kind]) / cores
+
+
+def config_of(settings: Settings):
+    """The hyperparameters; those of stable-baselines3 are our SAC's. Raises UnknownName, ConfigError."""
+    from fishmj.train import ppo, sac
+
+    kind = ppo.PPOConfig if settings.algo == "ppo" else sac.SACConfig
+    return from_table(f"setting of {settings.algo}", kind, settings.algorithm)
+
+
+def widths(settings: Settings) -> tuple[int, int, int]:
+    """Numbers in an observation, in the policy's input, and in an action."""
+    joints, memory = load_robot(settings.robot).n_joints, settings.task.get("memory", 1)
+    seen = 5 + 2 * joints
+    return seen, memory * seen + (memory - 1) * joints, joints
+
+
+def weights(*layers: int) -> int:
+    """Of a network with layers of these widths."""
+    return sum(a * b for a, b in zip(layers, layers[1:], strict=False))
+
+
+def _ppo_operations(c, width) -> float:
+    actor, critic = _ppo_networks(c, width)
+    return 2 * (actor + 2 * critic) + 6 * c.epochs * (actor + critic)
+
+
+def _ppo_networks(c, width) -> tuple[int, int]:
+    seen, inputs, joints = width
+    return weights(inputs, *c.hidden, joints), weights(inputs + c.privileged * (seen + 5), *c.hidden, 1)
+
+
+def _ppo_bytes(c, width, steps: float) -> float:
+    seen, inputs, joints = width
+    rollout = c.envs * c.horizon * (inputs + seen + 5 + joints + 4)
+    minibatch = c.envs * c.horizon / c.minibatches * (inputs + 2 * 3 * sum(c.hidden))
+    return FLOAT * (rollout + minibatch + c.envs * (2 * inputs + STATE) + ADAM * sum(_ppo_networks(c, width)))
+
+
+def _sac_networks(c, width) -> tuple[int, int]:
+    _, inputs, joints = width
+    return weights(inputs, *c.hidden, 2 * joints), weights(inputs + joints, *c.hidden, 1)
+
+
+def _sac_operations(c, width) -> float:
+    """Of `utd` gradient steps: both critics and their targets, the actor twice, the slopes of all."""
+    actor, critic = _sac_networks(c, width)
+    return c.utd * c.batch * (8 * actor + 2 * (2 + 6 + 6) * critic)
+
+
+def _sac_bytes(c, width, steps: float) -> float:
+    _, inputs, joints = width
+    memory = max(c.envs, min(c.buffer, steps)) * (2 * inputs + joints + 2)
+    actor, critic = _sac_networks(c, width)
+    return FLOAT * (memory + c.envs * (2 * inputs + STATE) + ADAM * actor + (2 * ADAM + 2) * critic)
+
+
+OPERATIONS = {"ppo": _ppo_operations, "sac": _sac_operations, "sb3-sac": _sac_operations}
+BYTES = {"ppo": _ppo_bytes, "sac": _sac_bytes, "sb3-sac": _sac_bytes}
+
+
+def _kind() -> str:
+    import jax
+
+    return CPU if jax.default_backend() == "cpu" else GPU
+
+
+def _memory() -> float | None:
+    """Bytes of the accelerator; None on a CPU: those of the machine."""
+    import jax
+
+    stats = {} if _kind() == CPU else jax.devices()[0].memory_stats() or {}
+    return stats.get("bytes_limit")

@@ -1,0 +1,248 @@
+"""One training run: the loop, its checkpoints, and everything that can go wrong with it.
+
+A run is a folder: settings.json, metrics.jsonl (one line an iteration), checkpoints/, best.safetensors and last.safetensors.
+Killed at any point it goes on from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
+"""
+
+import shlex
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+
+import jax
+import numpy as np
+
+from fishmj import console, interrupt, store
+from fishmj.errors import ConfigError, SimDiverged
+from fishmj.train.build import algorithm, environment, pick_engine, policy_of
+from fishmj.train.evaluate_policy import Assessment
+from fishmj.train.interruptions import stop_on_signal, when_there_is_room
+from fishmj.train.metrics_log import MetricsLog
+from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
+
+PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
+SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
+MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
+
+
+def arrays_of(tree) -> dict[str, np.ndarray]:
+    """Every leaf of a pytree under its path; random keys as their bits."""
+    out = {}
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            leaf = jax.random.key_data(leaf)
+        out[jax.tree_util.keystr(path)] = np.array(leaf, order="C")  # keeps 0-d arrays 0-d
+    return out
+
+
+def tree_of(arrays: dict[str, np.ndarray], like):
+    """The inverse of `arrays_of`. Raises ConfigError when the checkpoint belongs to another set-up."""
+    paths, shape = jax.tree_util.tree_flatten_with_path(like)
+    leaves = []
+    for path, leaf in paths:
+        name = jax.tree_util.keystr(path)
+        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        expected = jax.random.key_data(leaf).shape if key else leaf.shape
+        if name not in arrays or arrays[name].shape != expected:
+            got = arrays[name].shape if name in arrays else "nothing"
+            raise ConfigError(f"checkpoint: {name} is {got}, this run needs {expected}; it was made with other settings")
+        value = jax.numpy.asarray(arrays[name])
+        leaves.append(jax.random.wrap_key_data(value) if key else value.astype(leaf.dtype))
+    return jax.tree_util.tree_unflatten(shape, leaves)
+
+
+class TrainingRun:
+    """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict."""
+
+    def __init__(self, settings: Settings, folder, *, resume: bool = False, quiet: bool = False, learner=None):
+        self.settings, self.folder, self.quiet = settings, Path(folder), quiet
+        self.env, self.algorithm, self.assess = learner or learner_of(settings)
+        self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
+        self.done, self.seconds = 0, 0.0
+        self.assessed = 0  # the step of the newest assessment
+        self.best: dict | None = None
+        self.episodes, self.dropped = 0, 0
+        self._saving, self._under_way = Lock(), False
+        self._held: tuple[dict, dict] | None = None
+        self._pace, self._looked = 0.0, False
+        self.bar = console.Progress(settings.steps, "train", "steps")
+        if not quiet:
+            if settings.engine == "auto" and pick_engine("auto") == "planar":
+                console.warn('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
+            self.bar.stage("compiling the fish and the networks")
+        self.training = self.algorithm.init(jax.random.key(settings.seed))
+        if resume:
+            self._restore()
+        elif self.checkpoints.paths():
+            raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
+        self.bar.begun = self.done
+        store.write_json(self.folder / FILE, as_dict(settings))
+
+    def go(self) -> dict:
+        """Train to the end, or to Ctrl-C; the summary says which."""
+        s, step = self.settings, self.algorithm.steps_per_iteration
+        start, saved = time.monotonic() - self.seconds, time.monotonic()
+        board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
+        if not self.quiet:
+            self.bar.stage("compiling the first iteration")
+        with stop_on_signal(self._last_words) as asked, self.bar as bar:
+            write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)
+            if self._assessment_is_due():
+                self._judge(board, write)
+            while self.done < s.steps and not asked:
+                figures = self._iterate()
+                self.done += step
+                self.seconds = time.monotonic() - start
+                self._check(figures)
+                self._under_way = False
+                write(board.write, self.done, {**figures, "seconds": round(self.seconds, 3)})
+                if not self.quiet:
+                    bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
+                if self._assessment_is_due():
+                    self._judge(board, write)
+                if time.monotonic() - saved > s.checkpoint_every:
+                    write(self._save)
+                    saved = time.monotonic()
+            self.seconds = time.monotonic() - start
+            write(self._save) and write(self._export, "last", {})
+        return self.summary(stopped=bool(asked))
+
+    def _assessment_is_due(self) -> bool:
+        """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
+        every = self.settings.assess_every
+        return self.done > self.assessed and (self.done // every > self.assessed // every or self.done >= self.settings.steps)
+
+    def _judge(self, board: MetricsLog, write: Callable) -> None:
+        """Assess, note it, keep the best policy; only then the run has it behind it."""
+        if not (self.quiet or self._looked):
+            self.bar.stage("compiling the assessment")
+        figures, better = self._look()
+        write(board.write, self.done, figures)
+        if better:
+            write(self._export, "best", self.best)
+        self.assessed = self.done
+
+    def _iterate(self) -> dict[str, float]:
+        """One iteration; it takes the state apart, so a slow one has a copy held of where it began."""
+        began = time.monotonic()
+        if self._pace > SLOW:
+            self._held = self._state()
+        self._under_way = True
+        self.training, figures = self.algorithm.iterate(self.training)
+        figures = {k: float(v) for k, v in figures.items()}  # waits for its end
+        self._pace, self._held = time.monotonic() - began, None
+        return figures
+
+    def _last_words(self) -> str:
+        """Called in another thread on an interrupt that an iteration keeps waiting: saves where that began."""
+        with self._saving:
+            held = self._held or (None if self._under_way else self._state())
+            newest = next((int(path.stem[5:]) for path in self.checkpoints.paths()), 0)
+            if held and held[1]["done"] > newest:
+                newest = held[1]["done"]
+                self.checkpoints.save(newest, *held)
+        if not newest:
+            return f"nothing was learnt yet; {interrupt.again('start again')}"
+        return go_on(self.folder, newest, self.settings)
+
+    def summary(self, stopped: bool = False) -> dict:
+        """What the command line prints last."""
+        best, last = (self.folder / f"{name}.safetensors" for name in ("best", "last"))
+        return {
+            "folder": str(self.folder),
+            "policy": str(best if best.exists() else last),
+            "algorithm": self.settings.algo,
+            "engine": pick_engine(self.settings.engine),
+            "seed": self.settings.seed,
+            "steps": self.done,
+            "seconds": round(self.seconds, 2),
+            "steps_per_second": round(self.done / max(self.seconds, 1e-9)),
+            "stopped": stopped,
+            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
+        }
+
+    def _look(self) -> tuple[dict, bool]:
+        """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
+        self._looked = True
+        figures = self.assess(self.training.actor, jax.random.key(20_000))
+        figures = {k: round(float(v), 5) for k, v in figures.items()}
+        better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
+        self.best = figures if better else self.best
+        return {f"tune_{k}": v for k, v in figures.items()}, better
+
+    def _export(self, name: str, figures: dict) -> None:
+        s = self.settings
+        meta = {"steps": self.done, "seconds": round(self.seconds, 1), "engine": pick_engine(s.engine), "preset": s.preset}
+        meta |= {"task": as_dict(s)["task"], **({"tune": figures} if figures else {})}
+        policy_of(self.training.actor, self.settings, meta).save(self.folder / f"{name}.safetensors")
+
+    def _check(self, figures: dict) -> None:
+        """Stop on non-finite learning or on too many dropped episodes; what was saved stays."""
+        self._finite(figures)
+        self.episodes += int(figures["episodes"])
+        self.dropped += int(figures["diverged"])
+        if self.dropped > max(1, MAX_DIVERGED * self.episodes):
+            raise SimDiverged(
+                f"training: {self.dropped} of {self.episodes} episodes at step {self.done:,} diverged and were dropped, "
+                f"above {MAX_DIVERGED:.1%}; the physics step is too long or a parameter out of range: python -m fishmj.doctor",
+                term="physics",
+            )
+
+    def _finite(self, table: dict) -> None:
+        """Raise when one of the named figures or arrays is not finite."""
+        if bad := [k for k, v in table.items() if not np.isfinite(v).all()]:
+            raise SimDiverged(
+                f"training: {', '.join(bad[:3])} became non-finite at step {self.done:,}; the newest checkpoint in "
+                f"{self.checkpoints.folder} is intact: --resume with a smaller --learning-rate",
+                term="learner",
+            )
+
+    def _state(self) -> tuple[dict, dict]:
+        """Arrays and meta of a checkpoint."""
+        arrays = arrays_of(self.training)
+        self._finite(arrays)  # a last update can spoil the weights after the figures were taken
+        return arrays, {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in PROGRESS}}
+
+    def _save(self) -> None:
+        with self._saving:
+            self.checkpoints.save(self.done, *self._state())
+
+    def _restore(self) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said below, in one line
+            found = self.checkpoints.latest()
+        if found is None:
+            raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
+        same(self.folder, self.settings, found.meta["settings"])
+        self.training = tree_of(found.arrays, self.training)
+        for name in PROGRESS:
+            setattr(self, name, found.meta.get(name, getattr(self, name)))
+        self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
+        if found.note:
+            console.warn(found.note)
+            for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
+                if path.name > found.path.name:
+                    path.rename(path.with_suffix(".damaged"))
+
+
+def go_on(folder: Path, done: int, settings: Settings) -> str:
+    """What an interrupted run says."""
+    own = [word for pair in own_code(settings).items() for word in pair]  # which only a command line may name
+    command = shlex.join(["fishmj", "train", "--resume", "--out", str(folder), *own])
+    return f"{folder} holds the run up to step {done:,}; go on with: {command}"
+
+
+def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:
+    """Whether an assessment beats the best so far: staying in the tank counts first (99 % will do), then holding close; under a
+    reward of the task's own its return alone."""
+    rank = lambda f: (f["return"],) if own_reward else (min(0.99, f["stayed"]), -f["rmse_last10"])
+    return best is None or rank(figures) >= rank(best)
+
+
+def learner_of(settings: Settings):
+    """(environment, algorithm, assessment), to be shared by runs that differ in their seed only."""
+    env = environment(settings)
+    learner = algorithm(settings, env)
+    return env, learner, Assessment(environment(settings, "tune"), learner.act, settings.assess_episodes)

@@ -1,0 +1,146 @@
+"""One virtual robot's numbers: description, own constants, a draw of nuisance, and the effects that are planted in it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import pi, radians, tan
+
+import numpy as np
+
+from fishmj.calib import read_toml, resolve
+from fishmj.mjcf.description import Robot, Servo
+from fishmj.units import G
+from fishmj.virtual_robot.constants import (
+    Camera,
+    HullConstants,
+    Meter,
+    MotorConstants,
+    Network,
+    TankConstants,
+    Uncatalogued,
+    WaterConstants,
+)
+from fishmj.virtual_robot.rigid_body import RigidBody, body_of
+
+CONSTANTS = "virtual_robot"
+GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
+ROUNDED = 1e-3  # relative
+FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotConstants:
+    """Groups of constants (`constants.py`) and what the body is built from."""
+
+    robot: Robot
+    sections: dict  # table [water] of the constants after the nuisance draw
+    placing: tuple[float, float]  # m, rad: how well the fish is put at its start
+    air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
+    hull: HullConstants
+    water: WaterConstants
+    motor: MotorConstants
+    tank: TankConstants
+    network: Network
+    camera: Camera
+    meter: Meter
+    odd: Uncatalogued
+
+    def with_fields(self, values: dict[str, float]) -> "RobotConstants":
+        """A copy with dotted fields set: {"motor.deadband": 0.02}."""
+        groups: dict[str, dict[str, float]] = {}
+        for name, value in values.items():
+            group, _, key = name.partition(".")
+            groups.setdefault(group, {})[key] = float(value)
+        return replace(self, **{group: getattr(self, group)._replace(**fields) for group, fields in groups.items()})
+
+    @cached_property
+    def body(self) -> RigidBody:
+        """Arrays of the links."""
+        return body_of(self.robot, self.sections, self.hull)
+
+    @property
+    def zero(self) -> np.ndarray:
+        """Hinge angle at which each servo reads zero (3,), rad."""
+        return np.array([self.motor.zero1, self.motor.zero2, self.motor.zero3])
+
+
+def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.random.Generator | None = None) -> RobotConstants:
+    """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
+
+    Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
+    """
+    table = read_toml(resolve(CONSTANTS))
+
+    def drawn(value, part=1.0):
+        return value if rng is None else value * (1.0 + part * nuisance * rng.uniform(-1.0, 1.0))
+
+    wet = dict(table["water"])
+    scale = drawn(1.0)
+    wet["sections"] = [scale * k for k in wet["sections"]]
+    wet["surge"] = [drawn(1.0) * m for m in wet["surge"]]
+    for key in ("drag_round", "drag_flat", "friction", "head_forward", "head_backward", "edge", "wagner_lengths"):
+        wet[key] = drawn(wet[key])
+    rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
+    frontal = _frontal(robot)
+    head = 0.5 * rho * frontal * wet["head_forward"]
+    water = WaterConstants(
+        active=float(medium == "water"),
+        friction=wet["friction"],
+        head_forward=head,
+        head_backward=0.5 * rho * frontal * wet["head_backward"],
+        oblique=wet["oblique"],
+        edge_mass=wet["edge"] * rho * pi / 4 * edge_height**2,
+        edge_height=edge_height,
+        wagner_start=wet["wagner_start"],
+        wagner_lengths=wet["wagner_lengths"],
+        stall_slope=tan(radians(wet["stall_angle_deg"])),
+    )
+    servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
+    resistance, constant = electrical(servo)
+    motor = MotorConstants(
+        gain=drawn(servo.kp, 0.2),
+        rate_gain=servo.kv,
+        torque=servo.torque,
+        resistance=drawn(resistance, 0.2),
+        constant=constant,
+        voltage=servo.voltage,
+        nominal_voltage=servo.voltage,
+        idle=servo.idle_power,
+        step=servo.resolution,
+        range=servo.range,
+        limit=servo.torque,
+        **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
+    )
+    network = Network(period=timing.bus_dt, latency=timing.command_latency - FIRMWARE_WAIT * motor.period, **table["network"])
+    camera = Camera(latency=timing.camera_latency, window=float(timing.velocity_window), **table["camera"])
+    air, placing = table["air"], table["placing"]
+    return RobotConstants(
+        robot=robot,
+        sections=wet,
+        placing=(placing["position"], placing["heading"]),
+        air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
+        hull=HullConstants(),
+        water=water,
+        motor=motor,
+        tank=TankConstants(half=1.8),
+        network=network,
+        camera=camera,
+        meter=Meter(**table["meter"]),
+        odd=Uncatalogued(),
+    )
+
+
+def electrical(servo: Servo) -> tuple[float, float]:
+    """(resistance [ohm], constant [V s/rad]) of the motor behind a servo's torque-speed line.
+
+    A line says both: constant = voltage / speed_no_load, resistance = constant voltage / torque. What the description states is
+    taken where it gives the same damping to within what a data sheet rounds; a calibration moves the line alone.
+    """
+    if abs(servo.constant**2 / servo.resistance / servo.kb - 1.0) <= ROUNDED:
+        return servo.resistance, servo.constant
+    constant = servo.voltage / servo.speed_no_load
+    return constant * servo.voltage / servo.torque, constant
+
+
+def _frontal(robot: Robot) -> float:
+    """Largest cross-section of the drawn outline, m2."""
+    return max(pi / 4 * h * w for link in robot.links for _, h, w in link.sections)

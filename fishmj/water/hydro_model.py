@@ -1,0 +1,199 @@
+"""A fitted water: strip coefficients, the learnt residual with its range, and where both come from. TOML and safetensors.
+
+    model = HydroModel.load("swift")            a shipped one, or a path to its .toml
+    sw = model.swimmer(robot)                   the robot in this water
+    hooks = model.water(np, ch, memory)         for chain.step; None where there is no residual
+    model.base_only                             the strip model fitted by itself, a water of its own
+
+The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256
+the first holds. Nothing in either can run code.
+"""
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj import calib
+from fishmj.calib import read_toml
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.errors import ConfigError, FishmjError, StoreError, UnknownName
+from fishmj.log.toml import dumps
+from fishmj.mjcf.description import Robot
+from fishmj.names import checked
+from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
+from fishmj.water import residual_hooks, residual_network
+from fishmj.water.prior import unflat
+from fishmj.water.water_schema import check
+
+SCHEMA = "fishmj.water/1"
+UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"
+FOLDERS = calib.WATERS
+_NET, _RANGE = residual_network.Net._fields, residual_hooks.Range._fields
+
+
+def robot_hash(robot: Robot) -> str:
+    """sha256 of everything that describes a robot but for its water: what a model must have been fitted for."""
+    return hashlib.sha256(repr(replace(robot, water={"stations": robot.water.get("stations")})).encode()).hexdigest()
+
+
+def shipped() -> list[str]:
+    """Names of the fitted waters that come with fishmj."""
+    return calib.waters()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HydroModel:
+    """One fitted water.
+
+    Attributes:
+        base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
+        alone: (1 + E, P) base and members of the strip model fitted without a residual.
+        learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
+        dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
+        band: (offset, share, spread) of the error bar by channel (fit/band.py), `band_alone` without the residual.
+        scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (fit/calibrate.py).
+    """
+
+    name: str
+    robot: str
+    robot_sha256: str
+    dt: float
+    slip: float
+    base: strip_forces.Coefficients
+    members: np.ndarray
+    alone: np.ndarray
+    learnt: "residual_hooks.Residual | None" = None
+    found: dict = field(default_factory=dict)
+    dataset: dict = field(default_factory=dict)
+    band: dict = field(default_factory=dict)
+    band_alone: dict = field(default_factory=dict)
+    scores: dict = field(default_factory=dict)
+    calibration: dict = field(default_factory=dict)
+    notes: str = ""
+
+    @property
+    def base_only(self) -> "HydroModel":
+        """The strip model alone, with the coefficients that suit it best."""
+        if self.learnt is None:
+            return self
+        water = unflat(self.alone[0].tolist())
+        return replace(self, name=f"{self.name}-base", learnt=None, base=water, members=self.alone[1:], band=self.band_alone)
+
+    @property
+    def calibrated(self) -> dict[str, float]:
+        """Coefficients that the data identified; the others are numbers to swim with, not to quote."""
+        rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
+        return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers that the water remembers besides the attachment."""
+        return 0 if self.learnt is None else len(residual_hooks.at_rest())
+
+    def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
+        """The nominal robot in this water.
+
+        Raises:
+            ConfigError: the model was fitted for another robot or another time step.
+        """
+        if robot_hash(robot) != self.robot_sha256:
+            raise ConfigError(
+                f"water {self.name!r} was fitted for robot {self.robot!r} {self.robot_sha256[:12]}, got {robot.name!r}"
+                f" {robot_hash(robot)[:12]}: another body, servo or timing; fit it: python -m fishmj.hydro_fit all --fish FILE"
+            )
+        if abs(robot.timing.physics_dt - self.dt) > 1e-9:
+            raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
+        return planar_chain.nominal(robot)._replace(water=self.base)
+
+    def water(self, xp, ch: planar_chain.Chain, memory=None, inner: Any = None):
+        """Hooks for `chain.step` that add the residual, after `inner`; `inner` itself where there is none.
+
+        Args:
+            memory: flat list, inner's first; at rest when None.
+        """
+        if self.learnt is None:
+            return inner
+        memory = residual_hooks.at_rest() if memory is None else memory
+        return residual_hooks.LearnedResidual(xp, ch, self.learnt, memory, inner)
+
+    def save(self, folder: "str | Path") -> Path:
+        """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
+        folder, arrays = Path(folder), {"members": np.asarray(self.members, float), "alone": np.asarray(self.alone, float)}
+        if self.learnt is not None:
+            arrays |= {f"net.{key}": np.asarray(getattr(self.learnt.net, key), np.float32) for key in _NET}
+            arrays |= {f"range.{key}": np.asarray(getattr(self.learnt.reach, key), np.float32) for key in _RANGE}
+        weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
+        table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
+        table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
+        table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
+        table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
+        table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
+        table |= {"calibration": self.calibration} if self.calibration else {}
+        return write_text(folder / f"{self.name}.toml", dumps(_finite(plain(table))))
+
+    @classmethod
+    def load(cls, source: "str | Path") -> "HydroModel":
+        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual.
+
+        Raises:
+            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model.
+        """
+        path = Path(source)
+        if path.suffix != ".toml":
+            plain_name = str(source).removesuffix("-base")
+            found = [folder / f"{plain_name}.toml" for folder in FOLDERS if (folder / f"{plain_name}.toml").is_file()]
+            if not found:
+                raise UnknownName("fitted water", str(source), shipped())
+            model = cls.load(found[0])
+            return model.base_only if str(source).endswith("-base") else model
+        return _read(cls, path)
+
+
+def _read(cls, path: Path) -> HydroModel:
+    try:
+        table = read_toml(path)
+    except ConfigError as error:
+        raise StoreError(str(error)) from error
+    if table.get("schema") != SCHEMA:
+        raise ConfigError(f"{path}: schema {table.get('schema')!r}, expected {SCHEMA!r}: this is not a fitted water")
+    check(table, str(path))
+    try:
+        checked(table["name"], "water", str(path))
+        checked(table["robot"], "robot", str(path))
+        weights, expected = (
+            path.with_name(checked(table["weights"]["file"], "weights file", str(path))),
+            table["weights"]["sha256"],
+        )
+        if sha256(weights) != expected:
+            raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
+        arrays, _ = read_tensors(weights)
+        learnt = None
+        if table["weights"]["residual"]:
+            net = residual_network.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
+            learnt = residual_hooks.Residual(net, residual_hooks.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
+        keys = ("name", "robot", "robot_sha256", "dt", "slip")
+        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
+        base = strip_forces.Coefficients(**table["base"])
+        return cls(
+            **{key: table[key] for key in keys},
+            notes=table.get("notes", ""),
+            base=base,
+            members=arrays["members"],
+            alone=arrays["alone"],
+            learnt=learnt,
+            **rest,
+        )
+    except FishmjError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
+
+
+def _finite(value):
+    """Without the nulls that TOML does not know."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items() if item is not None}
+    return [_finite(item) for item in value if item is not None] if isinstance(value, list) else value
