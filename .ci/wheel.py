@@ -23,18 +23,18 @@ assert not {"mujoco", "jax", "scipy"} & set(sys.modules), "import fishmj loads N
 home = Path(fishmj.__file__).resolve()
 assert Path(sys.prefix).resolve() in home.parents, f"not the installed package: {home}"
 from fishmj import calib, suite
-from fishmj.gap.null.recorded import Sets
+from fishmj.gap.null.recorded_null import RecordedNull
 from fishmj.hydro_fit.__main__ import SHIPPED
-from fishmj.hydro_fit.dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.store import Manifest, shipped
-from fishmj.water.model import HydroModel
+from fishmj.water.hydro_model import HydroModel
 folder = calib.calib_folder()
 assert folder.parent.name == "_data", folder
 Manifest.read(folder).verify(folder)
 judged = [open_dataset(place, test=True) for place in SHIPPED if place.is_dir()]
 assert len(judged) == 2 and not any(data.whole for data in judged), "of both fish what a check needs, every file checked"
 assert all(next(iter(data.records("test", slip=1.0))).seconds > 0 for data in judged)
-assert len(Sets(folder=shipped("data/gap/lbm/nulls")).bundles) == 48
+assert len(RecordedNull(folder=shipped("data/gap/lbm/nulls")).bundles) == 48
 assert [HydroModel.load(name).name for name in calib.waters()] == calib.waters() != []
 env = suite.load("fish", "station_hold")
 step = env.reset()

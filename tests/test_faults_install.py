@@ -13,6 +13,7 @@ from fishmj.train.run import Run
 
 import fishmj
 from fishmj.train.settings import change, preset
+from fishmj.train.training_run import TrainingRun
 
 ROOT = Path(__file__).resolve().parent.parent
 WITHOUT = """
@@ -43,10 +44,10 @@ def test_fault_12_training_without_the_compiled_engine_says_what_to_install(tmp_
     monkeypatch.setitem(sys.modules, "numba", None)
     settings = change(preset("quick"), steps=64, assess_every=64)
     shared = SimpleNamespace(init=lambda key: None)
-    Run(settings, tmp_path / "auto", learner=(None, shared, None))
+    TrainingRun(settings, tmp_path / "auto", learner=(None, shared, None))
     advice = 'numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"'
     assert capsys.readouterr().err.count(advice) == 1
-    Run(change(settings, engine="planar"), tmp_path / "planar", learner=(None, shared, None))
+    TrainingRun(change(settings, engine="planar"), tmp_path / "planar", learner=(None, shared, None))
     assert "numba" not in capsys.readouterr().err, "who asked for it needs no advice"
 
 
