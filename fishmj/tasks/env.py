@@ -91,12 +91,14 @@ class StationHold:
                 f"task: the engine's robot lacks {', '.join(options.effects)}; make it from engines.with_effects(robot, ..)"
             )
         self.sensors = Sensors(robot)
-        self.options, self.weights = options, reward
+        self.options = options
+        self.weights = reward
         self.n_obs, self.n_act = 5 + 2 * robot.n_joints, robot.n_joints
         table, self.cell = flow.table_of(options.turbulence, flow.BOXES[options.box])
         self.table = jnp.asarray(table)
         self.length = task.history_length(robot)
-        self.course, self.moves = course_of(options.course), options.course != "station_hold"
+        self.course = course_of(options.course)
+        self.moves = options.course != "station_hold"
         self.outside, self.own_reward = (getattr(self.course, name, None) for name in ("outside", "reward"))
         if self.own_reward is not None and reward:
             raise ConfigError(
