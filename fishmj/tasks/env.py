@@ -37,7 +37,7 @@ class Options:
     memory: int = 1  # observations (with the actions between them) that the policy sees
     box: str = "train"
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
-    course: str = "station_hold"  # of tasks.course, or the text of one's own that was loaded
+    course: str = "station_hold"  # of tasks.reference, or the text of one's own that was loaded
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
     def __post_init__(self):

@@ -92,7 +92,7 @@ class EpisodeDraw(NamedTuple):
 
 
 class TaskSpec:
-    """One task with its setting. name: of COURSES, or of one's own (tasks.own). Raises UnknownName, ConfigError, OwnCodeError."""
+    """One task with its setting. name: of COURSES, or one's own. Raises UnknownName, ConfigError, OwnCodeError."""
 
     def __init__(self, name: Any, setting: TaskOptions, **course):
         self.course = course_of(name, **course)
