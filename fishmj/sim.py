@@ -69,11 +69,14 @@ class Sim:
         for kind, name, known in (("water", water, (*WATERS, *[water] * fitted)), ("engine", engine, ENGINES)):
             if name not in known:
                 raise UnknownName(kind, name, known)
-        self.robot, self.water_name, self.root = mjcf.load_robot(robot), water, root
+        self.robot = mjcf.load_robot(robot)
+        self.water_name = water
+        self.root = root
         self.start = tuple(float(value) for value in pose)
         if fitted:
             self.robot, water = in_water(self.robot, water), "structured"
-        self.flow, self.rescue_folder = flow or Flow(), rescue_folder
+        self.flow = flow or Flow()
+        self.rescue_folder = rescue_folder
         timing = self.robot.timing
         self.ticks_a_second = round(1 / timing.bus_dt)
         self.steps = round(timing.bus_dt / timing.physics_dt)
@@ -100,7 +103,8 @@ class Sim:
             ConfigError: the command is not finite, or for another number of joints.
             SimDiverged: the fish left the finite numbers; the last 100 states are saved and named in the message.
         """
-        sent, power = self._send(command), 0.0
+        sent = self._send(command)
+        power = 0.0
         flow = self._sample_flow()
         try:
             for k in range(self.steps):

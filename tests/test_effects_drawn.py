@@ -72,4 +72,4 @@ def test_both_environments_see_the_same_through_late_crooked_sensors(school):
         action = np.random.default_rng(seed).uniform(-1, 1, (4, 3)).astype(np.float32)
         state = env.step(state, action)
         episodes.step(action)
-        np.testing.assert_allclose(np.asarray(state.obs), episodes.look(np.zeros((4, 11))), rtol=0, atol=2e-3)
+        np.testing.assert_allclose(np.asarray(state.obs), episodes.observation(np.zeros((4, 11))), rtol=0, atol=2e-3)

@@ -112,14 +112,14 @@ def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
     from fishmj.play.live_session import _centres
 
     pond.set_flow(0.2 + 1e-9, math.pi)
-    tick = np.array([pond.count * 10])
+    tick = np.array([pond.loop.count[0] * 10])
     now = sample(np, pond.loop.scenario.current, _centres(pond._chain, pond.q[None]), tick)[0][0, :, 0] + 0.2
     assert now == pytest.approx(before, abs=2e-4)
-    pond.count = 500
+    pond.loop.count[0] = 500
     ahead = pond.loop.scenario.current
     pond.set_flow(0.3, math.pi)
     points = np.array([[[0.1, 0.2], [-0.4, 0.3]]])
-    tick = np.array([pond.count * 10])
+    tick = np.array([pond.loop.count[0] * 10])
     eddies = [(sample(np, c, points, tick)[0] - c.mean) / c.rms for c in (ahead, pond.loop.scenario.current)]
     assert eddies[0] == pytest.approx(eddies[1], abs=1e-6)
 
@@ -127,13 +127,13 @@ def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
 def test_pause_stops_the_clock_and_q_ends_the_swim(pond):
     screen, texts = Screen(), []
     swim(pond, screen, Script([], [" "], [], [], [" "], [], ["q"]), 60.0, texts.append)
-    assert pond.count == 3 and len(texts) == 3 and "dob  current 0.20 m/s to 180 deg" in texts[0]
+    assert pond.loop.count[0] == 3 and len(texts) == 3 and "dob  current 0.20 m/s to 180 deg" in texts[0]
 
 
 def test_c_hands_the_fish_to_the_next_controller_and_r_starts_again(pond):
     screen = Screen()
     swim(pond, screen, Script([], ["c"], ["r"], [], ["q"]), 60.0, lambda text: None)
-    assert pond.controller.name != "dob" and screen.cleared == 1 and pond.count == 2
+    assert pond.controller.name != "dob" and screen.cleared == 1 and pond.loop.count[0] == 2
 
 
 def test_an_empty_swim_is_not_saved(pond):

@@ -192,7 +192,7 @@ def test_turning_the_world_changes_nothing_that_the_policy_sees(turbulence, angl
     for _ in range(20):
         action, normals = rng.uniform(-1, 1, (4, 3)), rng.standard_normal((4, 11))
         one, two = here.step(action), there.step(action)
-        np.testing.assert_allclose(there.look(normals), here.look(normals), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(there.observation(normals), here.observation(normals), rtol=0, atol=1e-7)
         np.testing.assert_allclose(two.reward, one.reward, rtol=0, atol=1e-7)
     assert np.abs(there.fish.q[:, :2] - here.fish.q[:, :2]).max() > 0.1  # and yet they are elsewhere
 
@@ -204,7 +204,7 @@ def test_the_flow_reaches_the_observation_only_by_moving_the_fish():
         rules = TaskSpec("station_hold", TaskOptions(flow_speed=speed, flow_direction=direction, noise=0.0, intensity=0.1))
         episodes = Episodes(rules, "batch", 3)
         episodes.begin(rules.scenario(rules.draws(np.random.default_rng(2), 3)))
-        looks.append(episodes.look(np.zeros((3, 11))))
+        looks.append(episodes.observation(np.zeros((3, 11))))
     np.testing.assert_array_equal(looks[0], looks[1])
     np.testing.assert_array_equal(looks[0], looks[2])
 
@@ -222,7 +222,7 @@ def test_the_camera_shows_a_jump_only_after_its_latency_and_the_filter_spreads_i
         if k == 3:
             episodes.fish.q[:, 0] += 0.1
         episodes.step(np.zeros((1, 3)))
-        looks.append(episodes.look(np.zeros((1, 11)))[0])
+        looks.append(episodes.observation(np.zeros((1, 11)))[0])
     x, vx = np.array(looks)[:, 0], np.array(looks)[:, 2]
     np.testing.assert_allclose(x[: 3 + late], 1.0, atol=1e-9)
     np.testing.assert_allclose(x[3 + late :], 0.9, atol=1e-9)

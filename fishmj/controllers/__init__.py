@@ -7,7 +7,7 @@
 A controller sees the 11 observations only, noisy and late: no flow, no pose. What they know of the fish is
 data/calib/controllers.toml; how their gains were found is docs/guide/controllers.md.
 
-A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS` (docs/decisions/architecture.md).
+A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS`.
 
 `chosen` also takes one's own, as `module:Name` (docs/guide/your_own_code.md): for what a user typed, never for a name
 from a file.

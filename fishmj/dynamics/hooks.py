@@ -1,4 +1,4 @@
-"""Where something may be added to the swimming fish: the sites that `chain.step` calls when it is given hooks.
+"""Where something may be added to the swimming fish: the sites that `planar_chain.step` calls when it is given hooks.
 
     fish(ch, sw)                masses and coefficients
     flow(ch, q, flow)           water velocity at each link, and how it turns along the link
@@ -11,7 +11,7 @@
 
     U(s) = U_c + (s - s_c) dU/ds,   DU/Dt = (U(x + e U, t + e) - U(x, t)) / e   at its centre
 
-whose normal part turns the fish, and whose acceleration pushes it as that of any stream (`terms.ambient`).
+whose normal part turns the fish, and whose acceleration pushes it as that of any stream (`strip_forces.ambient`).
 """
 
 from fishmj.dynamics import planar_chain, strip_forces

@@ -1,6 +1,6 @@
 """The closed-form fish as machine code: the fastest engine on a CPU (extra `fast`).
 
-The physics is `hydro_fit.chain.step`, translated and compiled (native.py), 16 fish to a vector loop. Blocks of fish are
+The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish to a vector loop. Blocks of fish are
 shared between threads that hold no lock. `advance` does what `planar.Engine.advance` does, to round-off; a fish moves the
 same, to the bit, in any batch and with any number of threads.
 
@@ -31,7 +31,7 @@ from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
 
 WATER = len(strip_forces.Coefficients._fields) - 2  # coefficients of a water besides k and cn of each link
-CHUNK = 8  # blocks of native.LANES fish that a thread must have for it to pay
+CHUNK = 8  # blocks of numba_build.LANES fish that a thread must have for it to pay
 
 
 class Applied(NamedTuple):

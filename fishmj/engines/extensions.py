@@ -1,7 +1,7 @@
 """What a robot is given beyond its nominal swimmer, the same in every engine: the effects of its description, a learnt water.
 
     added = Added.of(robot)
-    s = chain.step(xp, ch, sw, q, v, attached, target, flow, ambient, added.hooks(xp, parameters, memory))
+    s = planar_chain.step(xp, ch, sw, q, v, attached, target, flow, ambient, added.hooks(xp, parameters, memory))
 
 `parameters` and `memory` are flat lists of scalars or arrays of one batch shape: the columns of `FishParams.effects` (B, P) and
 of `FishState.memory` (B, M), the effects' memory first. Where nothing is added both have no columns and the hooks are None.
@@ -28,7 +28,7 @@ STRUCTURED, SURROGATE = "structured", "surrogate"  # waters: strips alone; the s
 
 
 class Commanded(Effects):
-    """Effects with the site `command` in front of the servos: what `chain.step` is given as target is what the bus delivered."""
+    """Effects with the site `command` before the servos: the target that `planar_chain.step` gets is what the bus delivered."""
 
     def servos(self, ch: chain.Chain, sw: chain.Swimmer, q, v, target):
         return super().servos(ch, sw, q, v, [self.session.command(j, target[j], ch.dt) for j in range(ch.n - 1)])
@@ -64,7 +64,7 @@ class Extensions:
         return cls(active, row, np.array(memory, float), learnt, ch)
 
     def hooks(self, xp, parameters, memory, *, wet: float = 1.0) -> Any:
-        """Hooks for one `chain.step`, None where nothing is added."""
+        """Hooks for one `planar_chain.step`, None where nothing is added."""
         parameters, memory = list(parameters), list(memory)
         inner = None
         if self.active is not None:

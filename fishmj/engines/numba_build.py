@@ -67,7 +67,7 @@ def flat(tree) -> list:
 
 
 def names_of(n: int, parameters: int = 0, memory: int = 0) -> dict:
-    """Every row of the workspace for N links, in order: the arguments of `chain.step`, then what the loops need.
+    """Every row of the workspace for N links, in order: the arguments of `planar_chain.step`, then what the loops need.
 
     parameters, memory: of the effects and the learnt water.
     """

@@ -1,6 +1,6 @@
 """The closed-form planar fish in JAX: batched, jit-able, on CPU and GPU.
 
-One bus tick: remember the command, look the flow up at every link, then five physics steps of `hydro_fit.chain.step`, each
+One bus tick: remember the command, look the flow up at every link, then five physics steps of `planar_chain.step`, each
 with the command that has arrived by then.
 """
 

@@ -1,1 +1,1 @@
-"""The water for training: force terms, planar chain, model parameters, injection into MuJoCo."""
+"""The fit of the water: data sets, records, the fit itself (fit/), its judges and its report."""

@@ -1,4 +1,4 @@
-"""Keys from a terminal without waiting for Enter, and what they do to the pond."""
+"""Keys from a terminal without waiting for Enter, and what they do to the session."""
 
 import os
 import select

@@ -26,7 +26,7 @@ def load(domain_name: str, task_name, task_kwargs=None, environment_kwargs=None,
 
     Args:
         task_name: in the domain "fish" also a task of one's own: `module:Name`, `file.py:Name`, or its class. Loading it runs it.
-        task_kwargs: `random` (seed or RandomState), `root`, and the fields of `fishmj.tasks.episode.Setting`.
+        task_kwargs: `random` (seed or RandomState), `root`, and the fields of `fishmj.tasks.episode.TaskOptions`.
         environment_kwargs: for `dm_control.rl.control.Environment`, for example `flat_observation=True`.
         visualize_reward: colour the target by the reward.
 

@@ -135,7 +135,8 @@ class FishTask(base.Task):
         """The egocentric observation by name."""
         rules = self.rules
         senses = (self.window.pose, self.scenario.camera, self.window.joint)
-        target, noise = self._target()[None], rules.noise(self.normals)
+        target = self._target()[None]
+        noise = rules.noise(self.normals)
         obs = task.observe_with_sensors(np, rules.robot, rules.sensors, self.scenario.params, *senses, target, noise)[0]
         widths = spans(rules.n_act)
         parts = np.split(obs, np.cumsum([*widths.values()])[:-1])

@@ -70,7 +70,8 @@ class Physics(dm_mujoco.Physics):
             UnknownName: a root that does not exist.
         """
         physics = cls.from_model(wrapper.MjModel(build_scene(robot, root).compile()))
-        ch, free = chain.chain_of(robot), root == "free"
+        ch = chain.chain_of(robot)
+        free = root == "free"
         if free and robot.effects:
             raise ConfigError(
                 "suite: effects act on a fish with a planar root; choose root = 'planar', or a robot without [[effect]]"
@@ -163,7 +164,9 @@ class Physics(dm_mujoco.Physics):
         """Take the next command from the queue and look the flow up, both constant over the tick."""
         s = self.swim
         sent = quantise(np, s.robot, s.pending[:1]) if len(s.pending) else s.buffer[0, -1:]
-        s.buffer, s.pending, s.power = np.concatenate([s.buffer[:, 1:], sent[None]], 1), s.pending[1:], 0.0
+        s.buffer = np.concatenate([s.buffer[:, 1:], sent[None]], 1)
+        s.pending = s.pending[1:]
+        s.power = 0.0
         if self.free_water is None:
             centres = link_centres(np, s.chain, self.data.qpos[None])
         else:
@@ -180,7 +183,9 @@ class Physics(dm_mujoco.Physics):
         return self.swim.targets[part]
 
     def _step_planar(self) -> None:
-        target, s, data = self._command(), self.swim, self.data.ptr
+        target = self._command()
+        s = self.swim
+        data = self.data.ptr
         state = (data.qpos[None], data.qvel[None], s.attached, s.params)
         force, attached, power, s.memory = s.evaluate(*state, target, *s.water, s.memory)
         data.ctrl[:], data.qfrc_applied[:] = target[0], force[0]
@@ -188,7 +193,8 @@ class Physics(dm_mujoco.Physics):
         self._remember(attached, float(power[0]))
 
     def _step_free(self, strips: FreeWater) -> None:
-        water, data = StripWater(self.model.ptr, strips), self.data.ptr
+        water = StripWater(self.model.ptr, strips)
+        data = self.data.ptr
         data.ctrl[:] = self._command()[0]
         flow, ambient = self.swim.water
         water.set_flow(flow[0], ambient[0])
@@ -201,7 +207,9 @@ class Physics(dm_mujoco.Physics):
 
     def _remember(self, attached, power: float) -> None:
         s = self.swim
-        s.attached, s.power, s.step = attached, s.power + power, s.step + 1
+        s.attached = attached
+        s.power = s.power + power
+        s.step = s.step + 1
         if s.step % s.steps == 0:
             pose = reference_pose(self.model.ptr, self.data.ptr)
             s.yaw = self._unwrapped(pose[2])
@@ -233,7 +241,9 @@ class Physics(dm_mujoco.Physics):
     def copy(self, share_model: bool = False) -> "Physics":
         """A copy that swims on by itself."""
         new = super().copy(share_model)
-        new.swim, new.free_water, new._nominal = copy.copy(self.swim), None, self._nominal
+        new.swim = copy.copy(self.swim)
+        new.free_water = None
+        new._nominal = self._nominal
         if self.free_water is not None:
             new.free_water = FreeWater(self.swim.robot)  # its attachment is set before every step
             new.free_water.swimmer, new.free_water.geometry = self.free_water.swimmer, self.free_water.geometry

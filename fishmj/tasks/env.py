@@ -37,7 +37,7 @@ class Options:
     memory: int = 1  # observations (with the actions between them) that the policy sees
     box: str = "train"
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
-    course: str = "station_hold"  # of tasks.course, or the text of one's own that was loaded
+    course: str = "station_hold"  # of tasks.reference, or the text of one's own that was loaded
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
     def __post_init__(self):
@@ -91,12 +91,14 @@ class StationHold:
                 f"task: the engine's robot lacks {', '.join(options.effects)}; make it from engines.with_effects(robot, ..)"
             )
         self.sensors = Sensors(robot)
-        self.options, self.weights = options, reward
+        self.options = options
+        self.weights = reward
         self.n_obs, self.n_act = 5 + 2 * robot.n_joints, robot.n_joints
         table, self.cell = flow.table_of(options.turbulence, flow.BOXES[options.box])
         self.table = jnp.asarray(table)
         self.length = task.history_length(robot)
-        self.course, self.moves = course_of(options.course), options.course != "station_hold"
+        self.course = course_of(options.course)
+        self.moves = options.course != "station_hold"
         self.outside, self.own_reward = (getattr(self.course, name, None) for name in ("outside", "reward"))
         if self.own_reward is not None and reward:
             raise ConfigError(

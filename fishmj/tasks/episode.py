@@ -92,12 +92,13 @@ class EpisodeDraw(NamedTuple):
 
 
 class TaskSpec:
-    """One task with its setting. name: of COURSES, or of one's own (tasks.own). Raises UnknownName, ConfigError, OwnCodeError."""
+    """One task with its setting. name: of COURSES, or one's own. Raises UnknownName, ConfigError, OwnCodeError."""
 
     def __init__(self, name: Any, setting: TaskOptions, **course):
         self.course = course_of(name, **course)
         self.name = getattr(self.course, "name", name)
-        self.setting, self.robot = setting, setting.fish()
+        self.setting = setting
+        self.robot = setting.fish()
         self.outside = getattr(self.course, "outside", task.outside)
         if getattr(self.course, "reward", None) is not None and (
             given := [w for w in WEIGHTS if getattr(setting, w) is not None]
@@ -119,8 +120,10 @@ class TaskSpec:
 
     def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
         """What these draws mean; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
-        s, launch = self.setting, self.course.launch(np, draws.start)
-        start, u = launch.start, draws.flow
+        s = self.setting
+        launch = self.course.launch(np, draws.start)
+        start = launch.start
+        u = draws.flow
         if s.flow_speed is not None:
             low, high = np.broadcast_to(np.asarray(s.flow_speed, float), 2)
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
@@ -192,7 +195,8 @@ class Episodes(ControlLoop):
         Raises:
             ConfigError: the action has the wrong shape or is not finite.
         """
-        rules, action = self.rules, np.asarray(action, float)
+        rules = self.rules
+        action = np.asarray(action, float)
         if action.shape != (self.n, rules.n_act) or not np.isfinite(action).all():
             raise ConfigError(f"{rules.name}: action of shape {action.shape}; expected finite ({self.n}, {rules.n_act})")
         commands = task.chunk(np, rules.robot, self.command, action)

@@ -65,13 +65,15 @@ class ControlLoop:
     fish: FishState
 
     def __init__(self, robot: Robot, engine):
-        self.robot, self.sensors = robot, Sensors(robot)
+        self.robot = robot
+        self.sensors = Sensors(robot)
         self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
         self.ticks = engines.ticks_per(robot)[1]
 
     def start(self, pose, scenario) -> None:
         """Begin at rest over ground at poses (B, 3) [m, rad], encoders at zero; scenario: a `Scenario` or more."""
-        self.scenario, self.fish = scenario, engines.at_rest(self.robot, pose)
+        self.scenario = scenario
+        self.fish = engines.at_rest(self.robot, pose)
         self.fish.q[:, 3:] = scenario.params.zero
         self.window = SensorWindow.at_rest(self.robot, self.sensors, pose)
         self.count = np.zeros(len(pose), np.int64)

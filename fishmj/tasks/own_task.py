@@ -99,7 +99,8 @@ class OwnReference:
 
     def launch(self, xp, uniforms) -> EpisodeStart:
         """Starts from uniforms (B, 7)."""
-        n, found = len(uniforms), plugins.call(f"{self.what}: launch", self.task.launch, xp, uniforms)
+        n = len(uniforms)
+        found = plugins.call(f"{self.what}: launch", self.task.launch, xp, uniforms)
         if not isinstance(found, EpisodeStart):
             raise OwnCodeError(
                 f"{self.what}: launch gave {type(found).__name__}; expected Launch(Start(pose, target, speed, direction), phase)"
@@ -136,7 +137,8 @@ class OwnReference:
         launch = self.launch(np, np.random.default_rng(0).random((TRIED, hold.N_START)))
         for t in (0.0, float(self.seconds)):
             target = self.target(np, launch, np.full(TRIED, t))
-        pose, still = np.repeat(launch.start.pose[:, None], 10, 1), np.zeros((TRIED, 10, 3))
+        pose = np.repeat(launch.start.pose[:, None], 10, 1)
+        still = np.zeros((TRIED, 10, 3))
         trace = engines.Trace(pose, still, still, still, still[..., 0])
         step = StepTruth(trace, target, np.linalg.norm(pose[:, -1, :2] - target, axis=-1), still[:, 0], np.full(TRIED, 0.2))
         if self.reward is not None:

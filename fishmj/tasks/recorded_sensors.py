@@ -59,9 +59,11 @@ def sensed(
     kept = np.concatenate([before, readings(np, joint[None], rate[None])[0]])
     recent = np.stack([kept[k : k + count] for k in range(sensors.behind + 1)], 1)  # (T, behind + 1, 2 J), newest last
     angle, turning = sensors.joints(np, rows, recent)
-    sigma, noise = sigmas(joints, strength), random.standard_normal((count, 3 + 2 * joints))
+    sigma = sigmas(joints, strength)
+    noise = random.standard_normal((count, 3 + 2 * joints))
     seen = seen + noise[:, :3] * [sigma["x"], sigma["y"], sigma["yaw"]]
-    angle, turning = angle + noise[:, 3 : 3 + joints] * sigma["j1"], turning + noise[:, 3 + joints :] * sigma["w1"]
+    angle = angle + noise[:, 3 : 3 + joints] * sigma["j1"]
+    turning = turning + noise[:, 3 + joints :] * sigma["w1"]
     return {
         "joint": {"t": t, **numbered("j#", angle), **numbered("w#", turning)},
         "pose": {"t": t, "x": seen[:, 0], "y": seen[:, 1], "yaw": seen[:, 2]},

@@ -52,7 +52,8 @@ class Sensors:
         if self.behind:
             late = xp.minimum(xp.maximum(self.added.late(xp, rows, "joint") / self.tick, 0.0), float(self.behind))
             older = xp.minimum(xp.floor(late), self.behind - 1.0)
-            share, row = (late - older)[:, None], xp.arange(recent.shape[0])
+            share = (late - older)[:, None]
+            row = xp.arange(recent.shape[0])
             newer = recent.shape[1] - 1 - older.astype("int32")
             now = (1.0 - share) * recent[row, newer] + share * recent[row, newer - 1]
         angle, rate = now[:, :joints], now[:, joints:]

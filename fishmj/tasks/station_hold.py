@@ -62,7 +62,8 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
         (FishParams, camera delay in bus ticks (B,) int).
     """
     n, j, m = len(robot.links), robot.n_joints, n_fish(robot)
-    p, added = nominal_params(robot, 1), Extensions.of(robot)
+    p = nominal_params(robot, 1)
+    added = Extensions.of(robot)
     span = lambda a, b: 2 * uniforms[:, a:b] - 1
     get = lambda key: constant("randomisation", key)
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
@@ -98,7 +99,8 @@ def noise_scale(robot: Robot):
     """Standard deviation of each of the 5 + 2 J observations."""
     import numpy as np
 
-    get, j = (lambda key: constant("noise", key)), robot.n_joints
+    get = lambda key: constant("noise", key)
+    j = robot.n_joints
     return np.array(
         [get("position")] * 2
         + [get("velocity")] * 2

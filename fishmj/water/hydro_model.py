@@ -2,7 +2,7 @@
 
     model = HydroModel.load("swift")            a shipped one, or a path to its .toml
     sw = model.swimmer(robot)                   the robot in this water
-    hooks = model.water(np, ch, memory)         for chain.step; None where there is no residual
+    hooks = model.water(np, ch, memory)         for planar_chain.step; None where there is no residual
     model.base_only                             the strip model fitted by itself, a water of its own
 
 The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256
@@ -109,7 +109,7 @@ class HydroModel:
         return planar_chain.nominal(robot)._replace(water=self.base)
 
     def water(self, xp, ch: planar_chain.Chain, memory=None, inner: Any = None):
-        """Hooks for `chain.step` that add the residual, after `inner`; `inner` itself where there is none.
+        """Hooks for `planar_chain.step` that add the residual, after `inner`; `inner` itself where there is none.
 
         Args:
             memory: flat list, inner's first; at rest when None.

@@ -3,7 +3,7 @@
     a_head = B(psi) qacc     head axes and absolute link rates from MuJoCo's coordinates
     M_a(MuJoCo) = B^T M_a(head) B
 
-Only sums over the definitions in `chain` and `terms`; nothing about water is stated here a second time.
+Only sums over the definitions in `planar_chain` and `strip_forces`; nothing about water is stated here a second time.
 """
 
 import numpy as np

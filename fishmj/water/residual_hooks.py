@@ -1,7 +1,7 @@
-"""The learnt residual in the physics: hooks for `chain.step` that add its force and carry its memory.
+"""The learnt residual in the physics: hooks for `planar_chain.step` that add its force and carry its memory.
 
     hooks = Learned(np, ch, residual, memory)               memory = at_rest(), later Step.memory
-    s = chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
+    s = planar_chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
 What is added is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
     gamma   = min_i (in range)_i / (1 + (spread / spread0)^2)    0 where the motion of a link left what was fitted

@@ -5,10 +5,10 @@ origin relative to the water, in link axes; J(q) its Jacobian, A the added mass 
 
     M_a = sum J^T A J                                                       joins the mass matrix
     F   = -A (J' qvel)_link - (s omega x p, omega x l + s v x p),  (p, l) = A nu      Kirchhoff 1870, Lamb 1932 art. 124;
-          s of `terms`: 1 on the head, the share of the leading edge's suction behind it
+          s of `strip_forces`: 1 on the head, the share of the leading edge's suction behind it
     Q   = sum J^T (F + the link's drag, trailing edge, ambient flow, fins and buoyancy)
 
-In the plane, with nothing vertical, F and the drag are those of `terms` (tests/test_inject.py). Beyond the plane:
+In the plane, with nothing vertical, F and the drag are those of `strip_forces` (tests/test_inject.py). Beyond the plane:
     lateral     mu and Cn of the plane, at w = v_y + omega_z x; vertical the same with the width for the height
     roll        added inertia rho pi/8 (a^2 - b^2)^2 of each section; drag -rho Cn h ds r^2 sqrt(w^2 + (r p)^2) p, r = h/4:
                 the exact integral of the cross-flow drag over the height when w = 0

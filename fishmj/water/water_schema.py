@@ -27,7 +27,7 @@ class Weights(_Table):
 
 
 class Base(_Table):
-    """Coefficients of the strip model; `terms.Coefficients` names them."""
+    """Coefficients of the strip model; `strip_forces.Coefficients` names them."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 

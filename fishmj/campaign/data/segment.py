@@ -15,7 +15,7 @@ class Segment:
     """What is run and kept as one record. SI units, radians.
 
     episode: segments of one episode share its split; they differ in slip, nudge or time step. drive: kind and settings of
-    `campaign.drives`. settle: s before the record begins. pose (3,), joints (J,), velocity (3 + J,): at the start, velocity at
+    `joint_commands`. settle: s before the record begins. pose (3,), joints (J,), velocity (3 + J,): at the start, velocity at
     rest when empty. nudge: cells by which the fish is shifted. finer: time steps in one of the domain's.
     """
 

@@ -210,6 +210,6 @@ def fit_rollout(
         residuals = with_differences(x)
     prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
     result = scaled(start, x, ch.n, limits)
-    # the Jacobian of the last round, one step before `x`: near the optimum it is the same to the accuracy of an error bar
+    # the Jacobian of the last round, one step before `x`: that at `x` would cost another round of swims
     judged = identify(prior, np.exp(x), jacobian.T @ jacobian)
     return Scaled(unflat(result.tolist()), judged, float(first), float(best), jacobian, done)

@@ -321,7 +321,7 @@ class FitPipeline:
         )
 
     def _scores(self, state) -> dict:
-        """`from_rest`: what the strips' movement misses by (starts.py)."""
+        """`from_rest`: what the strips' movement misses by (transient_tolerance.py)."""
         whole = unpacked(state) if state["taken"] else None
         rested = transient_tolerance.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
         return {"validation": self.score(state["water"], whole), "from_rest": rested, "seconds": self.seconds}
