@@ -4,6 +4,7 @@
 # make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
 # make lint         style and types only
+# make release      dist/: wheel, sdist and their sha256, built, compared and used; uploads nothing
 # make manifest     state the sha256 of data/calib after a change there
 # VENV=path         another environment than .venv
 SHELL := /bin/bash
@@ -17,7 +18,7 @@ EXTRAS := $(VENV)/.fishmj-extras
 SITE := $(VENV)/.fishmj-docs
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test verify docs bench lint install manifest wheel clean
+.PHONY: demo test verify docs bench lint install manifest wheel release clean
 .DEFAULT_GOAL := test
 
 install: $(INSTALLED)
@@ -63,6 +64,9 @@ docs: $(SITE)
 
 wheel: $(INSTALLED)
 	@$(STEP) "wheel" $(PY) .ci/wheel.py
+
+release: $(INSTALLED)
+	@$(STEP) "release" $(PY) .ci/release.py
 
 manifest: $(INSTALLED)
 	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"

@@ -13,8 +13,10 @@ from fishmj.toml_errors import explained
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
 DEEPEST = 24  # tables and lists inside one another; ours have 5
 _ROOT = Path(__file__).resolve().parent
-FOLDERS = (_ROOT.parent / "data" / "calib", _ROOT / "_data" / "calib")  # checkout first, then the installed wheel
-WATERS = (_ROOT.parent / "data" / "water", _ROOT / "_data" / "water")
+ROOTS = (_ROOT.parent / "data", _ROOT / "_data")  # what comes with fishmj: checkout first, then the installed wheel
+FOLDERS = tuple(root / "calib" for root in ROOTS)
+OWN = ROOTS[0] if FOLDERS[0].is_dir() else Path("data")  # where verbs put what they fit and collect: never into site-packages
+WATERS = (OWN / "water", ROOTS[1] / "water")
 
 
 def calib_folder() -> Path:

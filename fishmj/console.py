@@ -351,7 +351,7 @@ def plain(value: Any) -> Any:
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> str:
     """Rows as a Markdown table that also reads well in a terminal: numbers to the right, floats to 4 digits, NaN as `-`."""
     names = list(columns if columns is not None else rows[0] if rows else [])
-    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    cells = [[cell(row.get(name)).replace("|", "\\|") for name in names] for row in rows]
     wide = [max([len(name), 3, *(len(row[i]) for row in cells)]) for i, name in enumerate(names)]
     right = [bool(rows) and all(_is_number(row.get(name)) for row in rows) for name in names]
 
@@ -366,10 +366,11 @@ def _is_number(value: Any) -> bool:
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
-def _cell(value: Any) -> str:
+def cell(value: Any) -> str:
+    """A value of a table as one line of text: floats to 4 digits, NaN and None as `-`."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
-    return f"{value:.4g}" if isinstance(value, float) else " ".join(printable(str(value)).split("\n")).replace("|", "\\|")
+    return f"{value:.4g}" if isinstance(value, float) else " ".join(printable(str(value)).split("\n"))
 
 
 def duration(seconds: float) -> str:
@@ -472,7 +473,7 @@ class Progress:
         part = min(done / self.total, 1.0) if self.total else 1.0
         rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell
         ahead = f"{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
-        figures = "".join(f"  {name} {_cell(value)}" for name, value in fields.items())
+        figures = "".join(f"  {name} {cell(value)}" for name, value in fields.items())
         return f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(rate)} {self.unit}/s  {ahead}{figures}"
 
 

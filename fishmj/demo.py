@@ -1,5 +1,6 @@
 """Train a fish from scratch, judge it in 24 currents, write a replay and a report: the first ten minutes."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,11 @@ def show(args, result) -> dict:
     from fishmj.replay import write_html
 
     found = {"condition": condition(result), "results": [summary(result)], "paired": []}
-    report = write(args.out / "report", [result], found, plots=True)
+    part = ["--speeds", f"{SPEED:g}", "--los", "0,180"] if args.smoke else []
+    gusts = ["--turbulence", "gust", "--intensity", f"{INTENSITY:g}", "--repeats", "1", *part]
+    files = ["--out", str(args.out / "report"), "--plots", "--log"]
+    again = shlex.join(["fishmj", "evaluate", str(args.out / "training"), *gusts, *files])
+    report = write(args.out / "report", [result], found, plots=True, again=again)
     index = next(i for i, t in enumerate(result.trials.items) if t.speed == SPEED)
     trial = trial_of(result, index)
     write_trial(args.out / "trial", trial, overwrite=True)

@@ -4,8 +4,8 @@
     JAX_COMPILATION_CACHE_DIR     folder of what JAX keeps; default the folder `jax` in it; set to nothing: JAX keeps nothing
 
 JAX keeps programs that took it a second or more to compile, by everything that their machine code depends on, its own version and
-the processor included. It keeps none that calls back into Python, as those over the engine `compiled` do. All of it may be
-deleted at any time.
+the processor included. It keeps none with a Python callback in it; programs over the engine `compiled` call that by name
+(engines/host_call.py) and are kept. All of it may be deleted at any time.
 """
 
 import os

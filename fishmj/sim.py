@@ -1,8 +1,9 @@
 """One fish in MuJoCo, in any water: `Sim.step` is the main loop.
 
-    command -> clamp, quantise -> bus (latency) -> [ inject water -> mj_step -> check -> advance water ] x 5 -> record
+    command -> clamp, quantise -> bus (latency) -> [ servo target -> remember -> water.step ] x 5 -> record
 
-Effects of the robot's description and a learnt water act as in every engine: `engines.solo` then stands in for `inject`.
+The water is one of three behind one interface (`engines.single.Water`): strips in MuJoCo's callback, the closed form with
+effects and a learnt residual, or MuJoCo alone.
 
     sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
@@ -11,7 +12,6 @@ Batches of fish are the business of `fishmj.engines`; a test holds both equal.
 """
 
 from collections import deque
-from contextlib import nullcontext
 from pathlib import Path
 
 import mujoco
@@ -21,16 +21,13 @@ from fishmj import mjcf
 from fishmj.dynamics import planar_chain
 from fishmj.engines.extensions import SURROGATE, Extensions, in_water
 from fishmj.engines.recorder import Recorder, rescue
-from fishmj.engines.single import SingleFish
+from fishmj.engines.single import water_of
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
 from fishmj.log import Trial
 from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
-from fishmj.water.injection import checked_step, inject
-from fishmj.water.planar_water import PlanarWater
-from fishmj.water.spatial_water import FreeWater
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)
@@ -89,9 +86,7 @@ class Sim:
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
-        make_water = {"planar": PlanarWater, "free": FreeWater}[root]
-        self.solo = SingleFish.of(self.robot, self.added, self.swimmer, root, water)
-        self.water = make_water(self.robot, self.swimmer) if water == "structured" and self.solo is None else None
+        self.water = water_of(water, self.robot, root, self.model, self.swimmer, self.added)
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)
@@ -105,19 +100,14 @@ class Sim:
             ConfigError: the command is not finite, or for another number of joints.
             SimDiverged: the fish left the finite numbers; the last 100 states are saved and named in the message.
         """
-        sent = bus_command(self.robot.servo, command)
-        if sent.shape != (self.robot.n_joints,):
-            raise ConfigError(f"Sim.step: command of shape {sent.shape}; {self.robot.name} has {self.robot.n_joints} joints")
-        self.commands.append(sent)
-        flow, power = self._meet_flow(), 0.0
+        sent, power = self._send(command), 0.0
+        flow = self._sample_flow()
         try:
-            with inject(self.model, self.water) if self.water else nullcontext(self.solo) as fish:
-                for i in range(self.steps):
-                    self.data.ctrl[:] = self.arrived(self.tick * self.steps + i)
-                    rates = self.data.qvel.copy()
-                    self.recent.append((self.data.time, self.data.qpos.copy(), rates, self.data.ctrl.copy()))
-                    fish.step(self.data) if fish else checked_step(self.model, self.data)
-                    power += (self.solo.power if self.solo else self._electrical(rates)) / self.steps
+            for k in range(self.steps):
+                self.data.ctrl[:] = self.arrived(self.tick * self.steps + k)
+                self._remember()
+                self.water.step(self.data)
+                power += self.water.power / self.steps
         except SimDiverged as error:
             raise rescue(self, error) from error
         self.tick += 1
@@ -155,20 +145,23 @@ class Sim:
         mujoco.mj_kinematics(self.model, self.data)
         return np.array([self.data.site(f"{link.name}_centre").xpos for link in self.robot.links])
 
-    def _meet_flow(self) -> np.ndarray:
-        """Look the flow up at every link, (N, 2) m/s, and tell the water; constant over the tick."""
+    def _send(self, command) -> np.ndarray:
+        """Put a command on the bus, (J,) rad, as the servos will take it."""
+        sent = bus_command(self.robot.servo, command)
+        if sent.shape != (self.robot.n_joints,):
+            raise ConfigError(f"Sim.step: command of shape {sent.shape}; {self.robot.name} has {self.robot.n_joints} joints")
+        self.commands.append(sent)
+        return sent
+
+    def _sample_flow(self) -> np.ndarray:
+        """The flow at every link, (N, 2) m/s, for this tick; the water takes it from here."""
         flow, ambient = sample(np, self._current, self.links()[None, :, :2], np.array([self.tick]))
-        wet = self.water or self.solo
-        if wet:
-            wet.set_flow(flow[0], ambient[0])
-        elif self.water_name == "ellipsoid":
-            self.model.opt.wind[:2] = flow[0, 0]
+        self.water.set_flow(flow[0], ambient[0])
         return flow[0]
 
-    def _electrical(self, qvel) -> float:
-        """Servo power of the step just taken, W, from the drive torque that MuJoCo applied."""
-        v = [0.0, 0.0, 0.0, *qvel[-self.model.nu :]]
-        return float(planar_chain.electrical_power(np, self.swimmer, v, self.data.actuator_force))
+    def _remember(self) -> None:
+        """Keep the state for the log of a run that diverges."""
+        self.recent.append((self.data.time, self.data.qpos.copy(), self.data.qvel.copy(), self.data.ctrl.copy()))
 
     @property
     def pose(self) -> np.ndarray:

@@ -129,6 +129,61 @@ def test_rooms_of_one_level_do_not_import_in_circles():
     assert [name for name in after if name in reach(name)] == []
 
 
+def gap_levels() -> dict[str, int]:
+    """Room of `gap/` -> level, read from the docstring of its `__init__`."""
+    text = ast.get_docstring(ast.parse((PACKAGE / "gap" / "__init__.py").read_text(encoding="utf-8"))) or ""
+    rows = re.findall(r"^ +(\d) +((?:\w+, )*\w+)  ", text, flags=re.MULTILINE)
+    return {name: int(level) for level, names in rows for name in names.split(", ")}
+
+
+def gap_faults(path: Path, text: str | None = None) -> list[str]:
+    """Imports of a file of `gap/` that do not go down the table of its rooms, those inside functions too."""
+    here, known = path.relative_to(PACKAGE / "gap").parts[0].removesuffix(".py"), gap_levels()
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8") if text is None else text)):
+        modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            modules = [f"{node.module}.{alias.name}" for alias in node.names]
+        rooms = {name.split(".")[2] for name in modules if name.startswith("fishmj.gap.")} - {here}
+        found += [
+            f"{path.relative_to(ROOT)}:{node.lineno}: {here} imports {there}" for there in rooms if known[there] >= known[here]
+        ]
+    return found
+
+
+def test_rooms_of_the_search_import_downwards():
+    sources = [path for path in sorted((PACKAGE / "gap").rglob("*.py")) if path.name != "__main__.py"]
+    rooms = {path.relative_to(PACKAGE / "gap").parts[0].removesuffix(".py") for path in sources} - {"__init__"}
+    assert rooms == set(gap_levels()), "the table in fishmj/gap/__init__.py lists other rooms than there are"
+    inside = [path for path in sources if path != PACKAGE / "gap" / "__init__.py"]
+    assert not (wrong := [fault for path in inside for fault in gap_faults(path)]), "\n".join(wrong)
+    decide = PACKAGE / "gap" / "decide" / "decide.py"
+    assert gap_faults(decide, "def f():\n    from fishmj.gap.terms import stronger")  # the rule itself is awake
+    assert gap_faults(decide, "from fishmj.gap import workflow") and not gap_faults(decide, "from fishmj.gap import wording")
+
+
+def test_no_threshold_of_the_search_stands_in_code():
+    """They are in data/calib/gap.toml, where a reader finds all of them."""
+
+    def is_threshold(node: ast.expr) -> bool:
+        values = node.elts if isinstance(node, ast.Tuple | ast.List) else [node]
+        bare = [value.operand if isinstance(value, ast.UnaryOp) else value for value in values]
+        return any(isinstance(value, ast.Constant) and isinstance(value.value, float) for value in bare)
+
+    def constants(text: str) -> list[str]:
+        found = []
+        for node in ast.walk(ast.parse(text)):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+            flat = [name for target in targets for name in getattr(target, "elts", [target])]
+            if targets and node.value is not None and is_threshold(node.value):
+                found += [name.id for name in flat if isinstance(name, ast.Name) and name.id.isupper()]
+        return found
+
+    files = [path for folder in ("search", "decide", "terms") for path in sorted((PACKAGE / "gap" / folder).glob("*.py"))]
+    assert files and {f.name: c for f in files if (c := constants(f.read_text(encoding="utf-8")))} == {}
+    assert constants("A = 0.5\nB, C = 6, -3.0\nD: float = 1e-3\nE = 3\nf = 0.1") == ["A", "B", "C", "D"]
+
+
 def test_files_are_small():
     lines = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in CODE}
     long = [f"{name}: {count} lines" for name, count in lines.items() if count > LIMIT and not LONGER.get(name)]

@@ -229,3 +229,14 @@ def test_a_torn_module_is_rewritten(tmp_path, monkeypatch):
     whole = path.read_text()
     path.write_text(whole[:20])
     assert numba_build.keep(path, whole) == path and path.read_text() == whole
+
+
+def test_what_fails_on_the_host_is_one_error_of_the_program():
+    """In a program, too, a flow row outside the table is refused with the engine's words; nothing is computed from it."""
+    import jax
+
+    given = dict(zip(("state", "params", "current"), varied(8), strict=True))
+    current = given["current"]._replace(row=np.full(8, 10**6))
+    program = jax.jit(compiled.Engine(ROBOT).advance)
+    with pytest.raises(Exception, match="ConfigError: current.row: got .* expected slices 0 to"):
+        jax.block_until_ready(program(given["state"], commands_of(8, 0), given["params"], current, np.zeros(8, int)))

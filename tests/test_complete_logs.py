@@ -142,7 +142,7 @@ def test_without_noise_the_tracker_shows_the_truth_late(body):
     pond = LiveSession("dob", flow=Flow(speed=0.1), engine=body, noise=0.0)
     for _ in range(5):
         pond.step()
-    trial, k = pond.trial(), int(pond._camera[0])
+    trial, k = pond.trial(), int(pond.loop.scenario.camera[0])
     assert np.array_equal(trial.tables["pose"]["x"][k:], trial.tables["truth"]["x"][:-k])
     assert np.array_equal(trial.tables["pose"]["x"][:k], np.full(k, -0.7)), "before the first frame: where it was put"
     assert np.array_equal(stacked(trial.tables["joint"], "w#"), stacked(trial.tables["truth"], "k#"))

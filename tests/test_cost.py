@@ -119,7 +119,7 @@ def test_the_memory_of_a_training_is_that_of_its_arrays():
     used = learner.iterate.lower(learner, state).compile().memory_analysis()
     counted = used.temp_size_in_bytes + used.argument_size_in_bytes
     config, width = training.config_of(small), training.widths(small)
-    assert 0.5 < training.BYTES["ppo"](config, width, small.steps) / counted < 2.0
+    assert 0.5 < config.bytes(width, small.steps) / counted < 2.0
 
 
 def test_weeks_of_blind_cases_are_asked_for_and_the_published_benchmark_is_not():

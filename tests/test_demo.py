@@ -1,12 +1,15 @@
 """The demo in short: every part runs and leaves its files."""
 
 import json
+import re
+import shlex
 
 import pytest
 
 pytest.importorskip("numba", reason='the demo trains on the compiled engine: pip install "fishmj[fast]"')
 
 from fishmj import console, demo
+from fishmj.evaluate import __main__ as evaluate
 
 
 @pytest.mark.part("training")
@@ -18,6 +21,9 @@ def test_the_demo_trains_judges_reports_and_replays(tmp_path, capsys):
     for name, least in (("replay.html", 1_000_000), ("report/report.html", 100_000), ("report/distance.png", 10_000)):
         assert (tmp_path / name).stat().st_size > least, name
     assert (tmp_path / "trial" / "meta.toml").is_file() and (tmp_path / "training" / "best.safetensors").is_file()
+    told = shlex.split(re.search("<code>(.*?)</code>", (tmp_path / "report" / "report.html").read_text(encoding="utf-8"))[1])
+    again = evaluate.options().parse_args(told[2:])
+    assert told[:3] == ["fishmj", "evaluate", str(tmp_path / "training")] and again.log and again.out == tmp_path / "report"
 
 
 @pytest.mark.parametrize(("asked", "there"), [(False, True), (True, True), (True, False)])

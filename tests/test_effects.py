@@ -1,6 +1,7 @@
 """The catalogue of effects: the identity at its null bit for bit, one definition for every engine, and what is kept of it."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -188,8 +189,21 @@ def test_gradients_are_finite_at_the_null_at_rest(effect, site):
         assert np.isfinite(jax.tree_util.tree_leaves(slopes)).all()
 
 
+def test_what_an_effect_says_of_itself_is_checked():
+    known = {"low": 0.0, "high": 1.0, "typical": (0.1, 0.2), "unit": "1"}
+    with pytest.raises(ConfigError, match="the joint's number"):
+        Parameter(name="joint", **known)
+    with pytest.raises(ConfigError, match=r"delays or handed name \['sise'\]"):
+        replace(CATALOGUE["swirl"], handed=("sise",))
+
+
 def test_catalogue_is_whole_and_names_what_exists():
-    assert len(EVERY) >= 54 and len(LASTING) >= 50
+    root = calib_folder().parent.parent
+    said: dict[str, int] = {}
+    for page in (root / "README.md", *(root / "docs").rglob("*.md")):
+        for match in re.finditer(r"(?:which of|from) (\d+) effects|catalogue of (\d+)", page.read_text(encoding="utf-8")):
+            said[f"{page.name}: {match[0]}"] = int(match[1] or match[2])
+    assert len(said) > 1 and set(said.values()) == {len(EVERY)}, said  # how many there are, wherever a page says it
     runs = set(excitation.names())
     for e in EVERY:
         assert e.confusions and e.about and e.formula and e.source, e.name

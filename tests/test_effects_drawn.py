@@ -66,7 +66,7 @@ def test_both_environments_see_the_same_through_late_crooked_sensors(school):
         fish=jax.tree.map(lambda a, b: np.asarray(a, b.dtype), episodes.fish, state.fish),
         params=jax.tree.map(lambda a, b: np.asarray(a, b.dtype), now.params, state.params),
         current=jax.tree.map(lambda a, b: np.asarray(a, b.dtype), now.current, state.current),
-        history=np.float32(episodes.history), target=np.float32(episodes.target), camera=np.asarray(now.camera, np.int32),
+        history=np.float32(episodes.window.pose), target=np.float32(episodes.target), camera=np.asarray(now.camera, np.int32),
     )  # fmt: skip
     for seed in range(2):
         action = np.random.default_rng(seed).uniform(-1, 1, (4, 3)).astype(np.float32)

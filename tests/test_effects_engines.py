@@ -12,7 +12,7 @@ from fishmj import effects, engines
 from fishmj.effects.calibration import FittedEffect, Interval, write
 from fishmj.effects.sites import Measured
 from fishmj.engines import batch, extensions, mjx, planar
-from fishmj.engines.single import cubic
+from fishmj.engines.recorder import cubic
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow, stack
 from fishmj.log import stacked
@@ -91,7 +91,7 @@ def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
     with jax.enable_x64(True):
         state, trace = advance(mjx.Engine(robot), robot, 1)
     np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
-    np.testing.assert_allclose(state.memory[0], sim.solo.memory, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(state.memory[0], sim.water.memory, rtol=0, atol=1e-8)
 
 
 def test_one_fish_in_mujoco_swims_with_effects_at_every_site_as_the_closed_form(swim):
@@ -101,7 +101,7 @@ def test_one_fish_in_mujoco_swims_with_effects_at_every_site_as_the_closed_form(
     truth = trial.table("truth")
     np.testing.assert_allclose(np.stack([truth[k] for k in ("x", "y", "yaw")], -1), trace.pose[0], rtol=0, atol=1e-8)
     np.testing.assert_allclose(stacked(truth, "j#"), trace.joint[0], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(sim.solo.memory, swim[1][0].memory[0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(sim.water.memory, swim[1][0].memory[0], rtol=0, atol=1e-8)
 
 
 def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
@@ -124,7 +124,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
 def test_a_fish_without_effects_has_no_columns_and_no_hooks():
     state, params = engines.at_rest(PLAIN, np.zeros((5, 3))), engines.nominal_params(PLAIN, 5)
     assert state.memory.shape == (5, 0) and params.effects.shape == (5, 0) and state.buffer.shape == (5, engines.BUFFER, 3)
-    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN).solo is None
+    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None and not hasattr(Sim(PLAIN).water, "memory")
     sensors, history = Sensors(PLAIN), np.random.default_rng(0).normal(size=(2, 11, 3))
     assert sensors.poses(np, params.effects, history) is history and sensors.behind == sensors.frames == 0
 
@@ -243,7 +243,7 @@ def test_a_fitted_water_and_effects_act_together_in_every_simulator(fitted_water
     truth = sim.run(beat(), TICKS / 50).table("truth")
     state, trace = advance(batch.Engine(robot, threads=1, evaluator="jax"), robot, 1)
     np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
-    np.testing.assert_allclose(state.memory[0], sim.solo.memory, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(state.memory[0], sim.water.memory, rtol=0, atol=1e-8)
     assert state.memory.shape == (1, 26) and np.abs(state.memory[0, 8:24]).max() > 1e-3  # time, current, friction, wake, ...
     strips = Sim(robot, flow=FLOW, pose=POSE)  # the robot carries its water
     np.testing.assert_allclose(strips.run(beat(), TICKS / 50).table("truth")["x"], truth["x"], atol=1e-12)

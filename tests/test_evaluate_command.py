@@ -1,11 +1,14 @@
 """`python -m fishmj.evaluate`: exit codes, tables, JSON, report, pictures, and trial folders that can be read back."""
 
+import html
 import json
+import re
+import shlex
 
 import numpy as np
 import pytest
 
-from fishmj import console, engines, evaluate, pages
+from fishmj import console, engines, evaluate
 from fishmj.evaluate import __main__ as command
 from fishmj.evaluate import metrics, report, trial_logs
 from fishmj.log import read_trial, stacked
@@ -52,6 +55,14 @@ def test_wrong_settings_are_exit_2(capsys, wrong):
     assert code == 2 and "Known: " in err
 
 
+def test_a_water_without_its_residual_is_taken_by_the_name_that_the_compiled_engine_asks_for(capsys):
+    few = ["drift", "--engine", "compiled", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "2"]
+    code, _, said = run_command(capsys, *few, "--water", "swift")
+    assert code == 2 and "take swift-base" in said
+    assert run_command(capsys, *few, "--water", "swift-base")[0] == 0
+    assert run_command(capsys, *few, "--water", "honey-base")[0] == 2
+
+
 def test_the_command_prints_tables_and_one_json_object_last(capsys, tmp_path):
     argv = ("drift", "pd", "--speeds", "0.2", "--los", "180", "--repeats", "2", "--engine", "compiled", "--duration", "30")
     code, out, _ = run_command(capsys, *argv, "--json", "--out", str(tmp_path / "o"), "--plots")
@@ -94,12 +105,6 @@ def test_pictures_show_something(tmp_path, engine):
         assert 0.01 < np.mean(pixels.min(-1) < 0.9) < 0.9, path.name
 
 
-def test_markdown_tables_become_html():
-    assert pages.as_html("| a | b |\n|---|--:|\n| x<y | 1 |") == (
-        "<table><thead><tr><th>a</th><th>b</th></tr></thead><tbody><tr><td>x&lt;y</td><td>1</td></tr></tbody></table>"
-    )
-
-
 SHORT = ("--speeds", "0.2", "--los", "180", "--repeats", "1", "--engine", "compiled", "--duration", "2")
 
 
@@ -115,20 +120,52 @@ def test_a_part_that_cannot_be_written_takes_no_other_with_it(capsys, tmp_path, 
     assert {path.name for path in (tmp_path / "o").iterdir()} == {"results.json", "trials.csv", "report.html", "worst.html"}
 
 
+def lead_of(text: str) -> str:
+    """The head of a page: its headline, and the notes below it."""
+    return text[text.index("<h1") : text.index("</header>")]
+
+
 def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, engine):
     from fishmj.evaluate import summary
 
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 180], repeats=2, duration=30)
     pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
     found = {"condition": "c", "results": [summary(r) for r in (pd, drift)], "paired": []}
-    text = report.write(tmp_path, [pd, drift], found, logs=True).read_text(encoding="utf-8")
+    text = report.write(tmp_path, [pd, drift], found, logs=True, again="again").read_text(encoding="utf-8")
     after = metrics.figures(pd)["rmse_after_arrival"]
     held = int(np.sum((metrics.figures(pd)["arrival"] > 0) & (after <= 0.1)))
-    lead = text[text.index("<h1>") :].split("<p")[1]
+    lead = re.search("<h1[^>]*>(.*?)</h1>", lead_of(text))[1]
     assert f"of 4 trials and holds station in {held} (" in lead and f"{after.mean():.3f} m RMS" in lead and "drift" in lead
     i = int(np.argmax(after))
     assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and report.name_of(pd, i) in text
+    assert "<code>" not in text
     assert f"worst of 4 trials: {report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
+
+
+def test_without_a_replay_the_report_names_the_worst_trial_and_the_command_that_shows_it(capsys, tmp_path):
+    argv = ("pd", "drift", *SHORT, "--out", str(tmp_path / "a b"))
+    assert run_command(capsys, *argv)[0] == 0
+    head = lead_of((tmp_path / "a b" / "report.html").read_text(encoding="utf-8"))
+    told = shlex.split(html.unescape(re.search("<code>(.*?)</code>", head)[1]))
+    assert told == ["fishmj", "evaluate", *argv, "--log"] and "pd_u0.2_los180_r0" in head
+    assert run_command(capsys, *told[2:])[0] == 0
+    assert (tmp_path / "a b" / "worst.html").is_file()
+    assert '<a href="worst.html">' in (tmp_path / "a b" / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_headline_has_one_baseline_no_control_where_that_was_judged(engine):
+    trials = evaluate.trials(speeds=[0.2], los_deg=[0, 60, 120, 180, 240, 300], repeats=1, duration=30)
+    pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
+    far = pd._replace(controller="far", distance=pd.distance + 0.3)
+    means = [metrics.figures(r)["rmse_after_arrival"].mean() for r in (pd, drift, far)]
+    said = report.headline([pd, far, drift])
+    nearer = f"{means[1] - means[0]:.3f} m nearer to the target than drift (no control, {means[1]:.3f} m)."
+    assert said.endswith(f"at {means[0]:.3f} m RMS on average; {nearer}")
+    found = {"condition": "c", "results": [evaluate.summary(r) for r in (pd, far, drift)], "paired": []}
+    head = lead_of(report.page([pd, far, drift], found, []))
+    assert f"Against far: {means[2] - means[0]:.3f} m nearer to the target than far ({means[2]:.3f} m)." in head
+    alone = lead_of(report.page([pd], found | {"results": found["results"][:1]}, []))
+    assert "Judged alone. Name drift (no control)" in alone and "Against" not in alone
 
 
 def test_the_headline_says_when_trials_do_not_tell_and_when_they_are_too_short(engine):
@@ -136,10 +173,8 @@ def test_the_headline_says_when_trials_do_not_tell_and_when_they_are_too_short(e
     pd = evaluate.run("pd", ROBOT, trials, engine)
     assert "these trials do not tell it from twin" in report.headline([pd, pd._replace(controller="twin")])
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
-    assert "m nearer to the target than far" in report.headline([pd, far])
-    assert "m farther from the target than pd" in report.headline(
-        [far, pd]
-    ) and "of 6 trials and holds station in 0 (" in report.headline([far])
+    assert "m farther from the target than pd" in report.headline([far, pd])
+    assert "of 6 trials and holds station in 0 (" in report.headline([far])
     short = evaluate.run("pd", ROBOT, evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=2), engine)
     assert "too short to judge" in report.headline([short])
 

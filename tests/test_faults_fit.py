@@ -65,6 +65,24 @@ def test_a_whole_data_set_opens(folder):
     assert data.sha256 == open_dataset(folder).sha256
 
 
+def test_an_installed_part_opens_for_judging_alone_and_every_file_of_it_counts(folder):
+    whole = open_dataset(folder)
+    kept = {path.name: path.read_bytes() for path in (folder / SEGMENTS).iterdir()}
+    for path in (folder / SEGMENTS).glob("[!t]*"):
+        path.unlink()
+    part = open_dataset(folder, test=True)
+    assert whole.whole and not part.whole and part.sha256 == whole.sha256
+    assert [one.meta["split"] for one in part.records("test")] == ["test"]
+    for split in ("train", "val"):
+        with pytest.raises(DatasetError, match=f"the {split} part is not installed, only in a checkout .*--data"):
+            part.names(split)
+    (some,) = (folder / SEGMENTS).glob("*.npz")
+    some.unlink()
+    refused(folder, "1 files missing", f"{some.name}: expected sha256")
+    (folder / SEGMENTS / next(name for name in kept if not name.startswith("test"))).write_bytes(b"{}")
+    refused(folder, f"{len(kept) - 1} files missing")
+
+
 def test_fault_17_missing_files_are_listed_with_expected_and_got(folder):
     gone = [first(folder, ".npz"), folder / "split.json"]
     for path in gone:

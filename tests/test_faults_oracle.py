@@ -26,7 +26,7 @@ CPU = ["--device", "cpu", "--latency", "0"]
 
 
 def test_fault_8_the_command_refuses_an_unstable_set_up_before_step_one(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(Fluid, "advance", lambda self: pytest.fail("a step was taken"))
+    monkeypatch.setattr(Fluid, "stream_collide", lambda self: pytest.fail("a step was taken"))
     out = tmp_path / "trial"
     too_fast = ["--preset", "laptop", "--dt", "0.01", *CPU, "--speed", "0.5", "--out", str(out)]
     assert console.run(swim.main, too_fast) == console.BAD_INPUT

@@ -36,12 +36,13 @@ def gait(t):
 def test_fault_01_a_force_that_is_not_a_number_is_named_and_the_last_states_are_kept(tmp_path, root, field, index, term, link):
     sim = Sim("fish", root=root, rescue_folder=tmp_path / "rescued")
     sim.run(gait, 0.6)
-    water = sim.water.swimmer.water
+    strips = sim.water.strips
+    water = strips.swimmer.water
     value = getattr(water, field)
     bad = np.nan if index is None else [np.nan if i == index else v for i, v in enumerate(value)]
-    sim.water.swimmer = sim.water.swimmer._replace(water=water._replace(**{field: bad}))
-    if isinstance(sim.water, FreeWater):
-        sim.water.added = [sim.water._added_mass(i, 1000.0) for i in range(4)]
+    strips.swimmer = strips.swimmer._replace(water=water._replace(**{field: bad}))
+    if isinstance(strips, FreeWater):
+        strips.added = [strips._added_mass(i, 1000.0) for i in range(4)]
     before = sim.data.qpos.copy()
     with pytest.raises(SimDiverged) as caught:
         sim.step(gait(0.6))

@@ -129,8 +129,8 @@ def test_weights_that_are_not_finite_are_never_saved(learner, tmp_path):
 TRAIN = """
 import sys
 from training import calm_run
-from fishmj.train.training_run import Run
-Run(calm_run(checkpoint_every=0.0, assess_every=10**9), sys.argv[1]).go()
+from fishmj.train.training_run import TrainingRun
+TrainingRun(calm_run(checkpoint_every=0.0, assess_every=10**9), sys.argv[1]).go()
 """
 
 

@@ -12,10 +12,8 @@ from fishmj.gap.null.whitening import leftover, unexplained, whitening
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.cross_validation import CrossValidated, split
-from fishmj.gap.search.refit import converge
-from fishmj.gap.search.stepwise import pruned
-from fishmj.gap.search.stepwise_rounds import informative_records
+from fishmj.gap.search.cross_validation import CrossValidated, converge, split
+from fishmj.gap.search.stepwise import informative_records, prune
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate, unrepeatable
 from fishmj.sim import Sim
@@ -86,9 +84,9 @@ def test_replicates_that_differ_as_much_as_the_model_are_not_repeatable(plant):
 def test_a_repeatable_gap_is_repeatable(plant):
     trials = hidden({"steady_current": {"x": 0.05, "y": 0.0}}, 42, ("drift_north",) * 3)
     records = [record_of(t, plant.dt) for t in trials]
-    from fishmj.gap.workflow import evidence_of
+    from fishmj.gap.search.likelihood import likelihood_of
 
-    assert unrepeatable(trials, evidence_of(plant, records, NULL)) == ""
+    assert unrepeatable(trials, likelihood_of(plant, records, NULL)) == ""
 
 
 def test_folds_share_the_records_and_part_replicates(plant):
@@ -136,9 +134,9 @@ def test_p_best_is_a_share():
 
 
 def evidence_on(plant, planted, seed, runs=SHORT):
-    from fishmj.gap.workflow import evidence_of
+    from fishmj.gap.search.likelihood import likelihood_of
 
-    return evidence_of(plant, [record_of(t, plant.dt) for t in hidden(planted, seed, runs)], NULL)
+    return likelihood_of(plant, [record_of(t, plant.dt) for t in hidden(planted, seed, runs)], NULL)
 
 
 def row_of(plant, name, **values):
@@ -158,7 +156,7 @@ def test_the_loss_is_twice_the_negative_log_likelihood():
 
 def test_around_the_model_as_it_is_the_evidence_is_the_same(plant):
     e = evidence_on(plant, {}, 51, ("gait_fast", "drift_north"))
-    there = e.around(plant.null)
+    there = e.linearised_at(plant.null)
     np.testing.assert_array_equal(there.d, e.d)
     np.testing.assert_array_equal(there.factors[: e.runs], e.factors)
     assert not there.factors[e.runs :].any()  # null runs hold what the constants do to this fish
@@ -168,9 +166,9 @@ def test_what_makes_the_fish_fickle_is_charged_for_it(plant):
     """Records of a healthy fish: servos a third as stiff make everything uncertain, and are less likely all the same."""
     e = evidence_on(plant, {}, 52)
     everything, weak = np.ones(len(SHORT), bool), row_of(plant, "servo_gain", gain=-0.65)
-    there = e.around(weak).part(everything)
-    assert there.whiten.logdet > e.part(everything).whiten.logdet + 100
-    assert there.loss(weak) > e.part(everything).loss(plant.null) + 100
+    there = e.linearised_at(weak).subset(everything)
+    assert there.whiten.logdet > e.subset(everything).whiten.logdet + 100
+    assert there.loss(weak) > e.subset(everything).loss(plant.null) + 100
 
 
 @pytest.mark.slow
@@ -181,8 +179,8 @@ def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
     row[plant.index("camera_scale", "scale")] = 0.002
     names = ("camera_scale", "command_latency")
     places = tuple(plant.index(n, p.name) for n in names for p in effects.get(n).parameters)
-    c = e.part(e.everything).at(row, names, places)
-    found = pruned(e, folds, converge(e, folds, c, (c, c)), frozen())
+    c = e.subset(e.everything).at(row, names, places)
+    found = prune(e, folds, converge(e, folds, c, (c, c)), frozen())
     assert {found.best.names, *(fit.names for fit in found.fits)} == {("command_latency",)}
     assert found.best.row[plant.index("command_latency", "delay")] == pytest.approx(0.04, abs=0.004)
 
@@ -190,7 +188,7 @@ def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
 def test_what_the_records_leave_open_stays_near_its_null(plant):
     """No joint moves in a drift, so that no record of one knows what friction does."""
     e = evidence_on(plant, {}, 54, ("drift_north", "drift_north"))
-    search = e.part(np.ones(2, bool))
+    search = e.subset(np.ones(2, bool))
     place = plant.index("coulomb_friction", "torque")
     start = search.at(row_of(plant, "coulomb_friction", torque=0.15), ("coulomb_friction",), (place,))
     assert search.refine([start])[0].row[place] < 0.05
@@ -200,28 +198,28 @@ def test_what_the_records_leave_open_stays_near_its_null(plant):
 def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     right, wrong = row_of(plant, "command_latency", delay=0.04), row_of(plant, "servo_gain", gain=-0.4)
-    assert e.trusted(right).form <= 0.05
-    assert e.trusted(right).error(right, 0.15).strain == 0.0
-    assert e.trusted(right).error(right, 0.15).resized < 0.1
-    assert e.trusted(wrong).form > 0.15
-    assert e.trusted(wrong).error(wrong, 0.15).strain > 30.0
+    assert e.with_estimated_model_error(right).form <= 0.05
+    assert e.with_estimated_model_error(right).error(right, 0.15).excess_log_likelihood == 0.0
+    assert e.with_estimated_model_error(right).error(right, 0.15).gain_error_rms < 0.1
+    assert e.with_estimated_model_error(wrong).form > 0.15
+    assert e.with_estimated_model_error(wrong).error(wrong, 0.15).excess_log_likelihood > 30.0
 
 
 def test_an_effect_of_another_size_in_each_record_is_wrong_in_its_size_and_not_in_its_form(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     rows = [row_of(plant, "command_latency", delay=delay) for delay in (0.04, 0.03, 0.052)]
-    near = e.trusted(rows[0])
+    near = e.with_estimated_model_error(rows[0])
     other = near.layout.record == 0
     residual = near._residuals(rows[0][None])[0] + np.where(other, e.change(rows[0], rows[1]), e.change(rows[0], rows[2]))
-    resized = near.changed.error(residual, near.layout, 0.15)
-    assert resized.form < near.changed.likely(residual)
-    assert 0.1 < resized.resized < 0.4
+    resized = near.response.error(residual, near.layout, 0.15)
+    assert resized.form < near.response.most_likely_form(residual)
+    assert 0.1 < resized.gain_error_rms < 0.4
 
 
 def test_the_step_that_commands_are_counted_in_is_found_among_hundreds(plant):
     e = evidence_on(plant, {"command_quantisation": {"step": 0.0231}}, 60)
-    one = e.part(informative_records(e.part(e.everything).base(), e.layout, 1))
-    (values,) = one.scan(one.base(), plant.active.effects).values()
+    one = e.subset(informative_records(e.subset(e.everything).base(), e.layout, 1))
+    (values,) = one.grid_search(one.base(), plant.active.effects).values()
     assert values[0] == pytest.approx(0.0231, rel=0.004)
     first = one.screen(one.base(), plant.active.effects, {"command_quantisation": values})[0]
     assert first.names == ("command_quantisation",)
@@ -231,13 +229,13 @@ def test_a_limit_that_only_one_record_reaches_is_left_open_by_the_others(plant):
     """Slow motion says nothing about the largest speed; what it leaves open is not straight, and yet covers what a beat shows."""
     e = evidence_on(plant, {"speed_limit": {"slowness": 0.5}}, 59, ("slow_triangle", "gait_fast"))
     row = row_of(plant, "speed_limit", slowness=0.5)
-    search = e.part(e.everything)
+    search = e.subset(e.everything)
     places = (plant.index("speed_limit", "slowness"),)
     best, unlearnt = (search.at(r, ("speed_limit",), places) for r in (row, plant.null))
-    found = CrossValidated(e.trusted(row), best, (unlearnt, best))
+    found = CrossValidated(e.with_estimated_model_error(row), best, (unlearnt, best))
     beat = np.array([False, True])
-    (searched, predicted), _ = found.unseen(np.stack([beat, ~beat]))
-    assert found.near.part(beat).at(plant.null).cost > 2.0 * searched.layout.size
+    (searched, predicted), _ = found.held_out(np.stack([beat, ~beat]))
+    assert found.near.subset(beat).at(plant.null).cost > 2.0 * searched.layout.size
     assert predicted.cost < 1.2 * searched.layout.size
 
 
@@ -246,10 +244,10 @@ def test_what_a_fold_leaves_open_counts_where_it_is_predicted(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 56, ("gait_fast", "drift_north"))
     row = row_of(plant, "command_latency", delay=0.04)
     folds = np.eye(2, dtype=bool)
-    c = e.part(e.everything).at(row, ("command_latency",), (plant.index("command_latency", "delay"),))
+    c = e.subset(e.everything).at(row, ("command_latency",), (plant.index("command_latency", "delay"),))
     found = converge(e, folds, c, (c, c))
-    (beat, _), (drift, _) = found.unseen(folds)
-    known = [found.near.part(f).whiten.logdet for f in folds]
+    (beat, _), (drift, _) = found.held_out(folds)
+    known = [found.near.subset(f).whiten.logdet for f in folds]
     assert beat.whiten.logdet > known[0] + 2.0
     assert drift.whiten.logdet == pytest.approx(known[1], abs=0.5)
-    assert found.loss(folds) == pytest.approx(sum(c.cost + s.whiten.logdet for s, c in found.unseen(folds)))
+    assert found.loss(folds) == pytest.approx(sum(c.cost + s.whiten.logdet for s, c in found.held_out(folds)))

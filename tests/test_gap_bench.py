@@ -7,7 +7,8 @@ import os
 import pytest
 
 from fishmj import console
-from fishmj.studies.gap_benchmark import command, rows
+from fishmj.errors import ConfigError, UsageError
+from fishmj.studies.gap_benchmark import cases, command, rows, solver
 from fishmj.studies.gap_benchmark.score import score
 from fishmj.studies.gap_benchmark.workers import answered
 
@@ -48,6 +49,21 @@ def test_a_process_has_a_core_and_a_thread_of_its_own():
         pytest.skip("this system binds no process to a core")
     assert all(len(cores) == 1 for cores in answered([0, 0, 0], os.sched_getaffinity, 2))
     assert list(answered(["OMP_NUM_THREADS"] * 2, os.getenv, 2)) == [os.environ.get("OMP_NUM_THREADS", "1")] * 2
+
+
+def test_cases_that_hide_some_effects_are_those_that_were_dealt():
+    dealt = [solver.Given(case, None, None) for case in cases.draw(60, 3, small=True)]
+    asked = ("tether", "command_latency")
+    some = command.hiding_any(dealt, asked)
+    assert some and some == [one for one in dealt if set(asked) & set(one.case.effects)] and len(some) < len(dealt)
+    assert command.hiding_any(dealt, None) == dealt
+
+
+def test_an_effect_that_there_is_none_of_and_measured_sets_are_refused():
+    with pytest.raises(UsageError, match="tethre.*Did you mean 'tether'"):
+        command.main(["--effects", "tethre"])
+    with pytest.raises(ConfigError, match="--effects goes with"):
+        command.main(["--effects", "tether", "--generator", "log"])
 
 
 class Asked:

@@ -14,14 +14,12 @@ from fishmj import effects
 from fishmj.gap.decide.decide import sanity
 from fishmj.gap.decide.secondary_effects import confused, masked_by
 from fishmj.gap.records.records import record_of
-from fishmj.gap.search import outlier_records
+from fishmj.gap.search import model_error
 from fishmj.gap.search.cross_validation import CrossValidated, split
-from fishmj.gap.search.refit import relinearise
-from fishmj.gap.search.stepwise import Selection
-from fishmj.gap.search.stepwise_rounds import SelectionStep, required_gain, round_of
+from fishmj.gap.search.likelihood import likelihood_of, relinearise
+from fishmj.gap.search.stepwise import Selection, SelectionStep, propose, required_gain
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
-from fishmj.gap.workflow import evidence_of
 
 SIX = ("gait_fast", "drift_north", "turn_left", "tow_oblique", "gait", "burst_and_coast")
 
@@ -31,9 +29,9 @@ def late(plant, runs, spoilt, by):  # noqa: F811
     given = hidden({"command_latency": {"delay": 0.04}}, 71, runs)
     other = hidden({"command_latency": {"delay": 0.04}} | by, 71, runs)
     mixed = [w if name in spoilt else g for g, w, name in zip(given, other, runs, strict=True)]
-    e = evidence_of(plant, [record_of(t, plant.dt) for t in mixed], NULL)
+    e = likelihood_of(plant, [record_of(t, plant.dt) for t in mixed], NULL)
     row = row_of(plant, "command_latency", delay=0.04)
-    return e.trusted(row), row
+    return e.with_estimated_model_error(row), row
 
 
 CURRENT, WEAK = {"steady_current": {"x": 0.03, "y": 0.02}}, {"servo_gain": {"gain": -0.5}}
@@ -43,11 +41,14 @@ def test_one_path_in_six_may_bend_away(plant):  # noqa: F811
     gates = frozen()
     near, row = late(plant, SIX, ("turn_left",), CURRENT)
     whole = near.error(row, gates.form)
-    assert not outlier_records.believable(whole, 1e4, gates)
-    less, names = outlier_records.error(near, row, 1e4, gates)
+    assert not model_error.believable(whole, 1e4, gates)
+    less, names = model_error.error_without_outliers(near, row, 1e4, gates)
     assert names == (near.records[2].name,)
-    assert outlier_records.believable(less, 1e4, gates)
-    assert outlier_records.error(near, row, gates.gain / 2, gates) == (whole, ())  # what gains too little has nothing to spare
+    assert model_error.believable(less, 1e4, gates)
+    assert model_error.error_without_outliers(near, row, gates.gain / 2, gates) == (
+        whole,
+        (),
+    )  # what gains too little has nothing to spare
 
 
 @pytest.mark.parametrize(
@@ -58,19 +59,19 @@ def test_neither_three_paths_in_six_nor_one_in_two_nor_a_joint(plant, runs, spoi
     gates = frozen()
     near, row = late(plant, runs, spoilt, by)
     whole = near.error(row, gates.form)
-    assert not outlier_records.believable(whole, 1e4, gates)
-    assert outlier_records.error(near, row, 1e4, gates) == (whole, ())
+    assert not model_error.believable(whole, 1e4, gates)
+    assert model_error.error_without_outliers(near, row, 1e4, gates) == (whole, ())
 
 
 def test_the_error_on_some_samples_is_that_of_evidence_that_has_no_others(plant):  # noqa: F811
     near, row = late(plant, SIX[:4], (), CURRENT)
     every = near.error(row, 0.15)
     assert near.error(row, 0.15, np.ones(near.layout.size, bool)) == pytest.approx(every)
-    kept = outlier_records.without_paths_of(near, [1])
+    kept = model_error.without_paths_of(near, [1])
     assert set(near.layout.channel[~kept]) == {"position", "heading"} and set(near.layout.record[~kept]) == {1}
-    less = near.changed.on(kept)
+    less = near.response.subset(kept)
     assert less.factors.shape == (len(near.factors), kept.sum())
-    np.testing.assert_array_equal(less.d(0.1), near.changed.d(0.1)[kept])
+    np.testing.assert_array_equal(less.d(0.1), near.response.d(0.1)[kept])
     assert near.error(row, 0.15, kept) != every
 
 
@@ -79,48 +80,50 @@ def test_what_is_asked_of_a_further_effect_grows_with_the_first_ones_gain_but_no
     alone = SimpleNamespace(best=SimpleNamespace(names=()))
     known = SimpleNamespace(best=SimpleNamespace(names=("tether",)), near=SimpleNamespace(layout=SimpleNamespace(size=5000)))
     assert required_gain(gates, alone, 0.0, False) == gates.gain
-    least = gates.gain + gates.again * 5000
+    least = gates.gain + gates.min_gain_per_sample * 5000
     assert required_gain(gates, known, 1e3, False) == pytest.approx(least)
-    assert required_gain(gates, known, 1e3, True) == pytest.approx(gates.gain + gates.clear * gates.again * 5000)
-    assert required_gain(gates, known, 1.5e5, False) == pytest.approx(gates.beside * 1.5e5)
-    assert least < gates.beside * 1.5e5 < gates.enough
-    assert required_gain(gates, known, 1e8, False) == required_gain(gates, known, 1e9, True) == gates.enough
+    assert required_gain(gates, known, 1e3, True) == pytest.approx(
+        gates.gain + gates.uncontested_discount * gates.min_gain_per_sample * 5000
+    )
+    assert required_gain(gates, known, 1.5e5, False) == pytest.approx(gates.min_gain_fraction * 1.5e5)
+    assert least < gates.min_gain_fraction * 1.5e5 < gates.min_gain_cap
+    assert required_gain(gates, known, 1e8, False) == required_gain(gates, known, 1e9, True) == gates.min_gain_cap
 
 
 def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
     """Of a model without a parameter, whose fits are all one, by the definition of a conditional density."""
     e = evidence_on(plant, {}, 72)
     folds = split(e.records)
-    base = e.part(e.everything).base()
+    base = e.subset(e.everything).base()
     known = CrossValidated(e, base, (base,) * len(folds))
-    others = sum(e.part(~fold).loss(plant.null) for fold in folds)
-    assert known.given(folds) == pytest.approx(len(folds) * e.part(e.everything).loss(plant.null) - others)
+    others = sum(e.subset(~fold).loss(plant.null) for fold in folds)
+    assert known.conditional_loss(folds) == pytest.approx(len(folds) * e.subset(e.everything).loss(plant.null) - others)
 
 
 @pytest.mark.slow
 def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_others(plant):  # noqa: F811
     e = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73)
     folds, gates = split(e.records), frozen()
-    base = e.part(e.everything).base()
+    base = e.subset(e.everything).base()
     known = CrossValidated(e, base, (base,) * len(folds))
-    usual = round_of(known, folds, plant.active.effects, gates, 0.0)
+    usual = propose(known, folds, plant.active.effects, gates, 0.0)
     deaf = replace(gates, gain=1.1 * usual.gain)
-    step = round_of(known, folds, plant.active.effects, deaf, 0.0)
-    assert step.accepted and step.ranked[0].names == ("command_latency",) and step.gain > gates.joint
-    assert not round_of(known, folds, plant.active.effects, replace(deaf, joint=1e9), 0.0).accepted
+    step = propose(known, folds, plant.active.effects, deaf, 0.0)
+    assert step.accepted and step.ranked[0].names == ("command_latency",) and step.gain > gates.min_joint_gain
+    assert not propose(known, folds, plant.active.effects, replace(deaf, min_joint_gain=1e9), 0.0).accepted
 
 
 def test_the_share_of_an_effect_is_that_of_the_round_that_added_it():
     step = lambda gain, accepted, *names: SelectionStep((SimpleNamespace(names=names),), None, gain, accepted)
     steps = (step(900.0, True, "tether"), step(100.0, True, "tether", "swirl"), step(50.0, False, "tether", "swirl", "body_lift"))
     found = Selection(None, None, None, steps, 0.0)
-    assert found.share("tether", 0.0) == pytest.approx(0.9)
-    assert found.share("swirl", 0.0) == pytest.approx(0.1)
-    assert found.share("body_lift", 0.3) == 0.3  # in no round that was accepted
+    assert found.gain_share("tether", 0.0) == pytest.approx(0.9)
+    assert found.gain_share("swirl", 0.0) == pytest.approx(0.1)
+    assert found.gain_share("body_lift", 0.3) == 0.3  # in no round that was accepted
 
 
 def test_what_the_catalogue_takes_for_each_other_is_confused_both_ways(plant):  # noqa: F811
-    e = SimpleNamespace(plant=plant)
+    e = SimpleNamespace(model=plant)
     assert confused(e, "joint_sensor_delay", "command_latency") and confused(e, "command_latency", "joint_sensor_delay")
     assert not confused(e, "steady_current", "speed_limit")
 
@@ -128,7 +131,7 @@ def test_what_the_catalogue_takes_for_each_other_is_confused_both_ways(plant):  
 def test_a_little_friction_beside_play_is_not_named_and_much_of_it_is():
     both = ("gear_backlash", "coulomb_friction")
     known = [effects.get(name) for name in (*both, "wall_effect")]
-    e = SimpleNamespace(plant=SimpleNamespace(active=SimpleNamespace(effects=known)))
+    e = SimpleNamespace(model=SimpleNamespace(active=SimpleNamespace(effects=known)))
     assert masked_by(e, both, {"coulomb_friction"}) == {"coulomb_friction"}
     assert masked_by(e, both, set()) == masked_by(e, both, set(both)) == set()
     assert masked_by(e, ("wall_effect", "coulomb_friction"), {"coulomb_friction"}) == set()  # nothing alike
@@ -138,7 +141,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
     e = evidence_on(plant, {"steady_current": {"x": 0.03, "y": 0.0}}, 74)
     row = row_of(plant, "steady_current", x=0.03, y=0.0)
     places = tuple(plant.index("steady_current", p) for p in ("x", "y"))
-    c = relinearise(e, e.part(e.everything).at(row, ("steady_current",), places))[1]
+    c = relinearise(e, e.subset(e.everything).at(row, ("steady_current",), places))[1]
     said = lambda x, half: Named(
         "steady_current", {"x": Value(x, "m/s", x - half, x + half), "y": Value(0.001, "m/s", -0.01, 0.012)}, 1.0, 1.0
     )

@@ -18,9 +18,8 @@ from fishmj.gap import __main__ as gap
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, find, model_version, unlike
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import simulated_null
 from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.simulated_null import SimulatedNull, repeated
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
@@ -61,17 +60,16 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     trial = generate({}, ["idle"], 0)[0]
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
-    what = simulated_null.repeated(record_of(trial, robot.timing.physics_dt))
-    SimulatedNull(runs=12)._run(robot, what, record_of(trial, robot.timing.physics_dt))
+    record = record_of(trial, robot.timing.physics_dt)
+    SimulatedNull(runs=12)._run(robot, repeated(record), record)
     assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
 
 
 def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
     record = record_of(generate({}, ["idle"], 0)[0], questioned.dt)
-    what = simulated_null.repeated(record)
     other = SwimmingFish(stiffer(1.06), questioned.active.effects)
-    assert SMALL._key(questioned, record, what) != SMALL._key(other, record, what)
+    assert SMALL._key(questioned, record, repeated(record)) != SMALL._key(other, record, repeated(record))
 
 
 def test_effects_that_a_model_lists_do_not_change_its_null_runs():
@@ -133,7 +131,7 @@ def forbidden(*_, **__):
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fishmj.gap.records.datasets.taken", forbidden)
-    monkeypatch.setattr("fishmj.gap.null.simulated_null.Null.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.simulated_null.SimulatedNull.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -192,7 +190,7 @@ def far():
     def evidence(change=lambda r: r, gap=5e3):
         perfect = [{"joint": r.joint.values[None], "pose": r.pose.values[None], "power": r.power.values[None]} for r in records]
         plant = SimpleNamespace(predict=lambda *_: perfect, null=None, joints=3)
-        return SimpleNamespace(records=[change(r) for r in records], plant=plant, gap=lambda row: (gap, {"joint": gap}))
+        return SimpleNamespace(records=[change(r) for r in records], model=plant, gap=lambda row: (gap, {"joint": gap}))
 
     return evidence
 
@@ -479,7 +477,7 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(simulated_null, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("fishmj.gap.null.simulated_null.cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):

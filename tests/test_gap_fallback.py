@@ -10,9 +10,8 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.terms import select, terms_of
+from fishmj.gap.terms import model_with_terms, select, terms_of
 from fishmj.gap.terms.library import library, one_sided
-from fishmj.gap.terms.model_with_terms import termed
 from fishmj.gap.terms.sensor_terms import CURVES
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark.free_terms import RIGHT
@@ -35,7 +34,7 @@ def generated(planted: dict, seed: int, runs=RUNS):
 
 @pytest.fixture(scope="module")
 def plant():
-    return termed(load_robot("fish"))
+    return model_with_terms(load_robot("fish"))
 
 
 def body(u, w, r, bend, swing) -> BodyMotion:

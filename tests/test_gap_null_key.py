@@ -15,10 +15,10 @@ from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
 MODEL = {
-    *("dynamics.planar_chain", "water.model", "mjcf.geometry", "effects.active"),
+    *("dynamics.planar_chain", "water.hydro_model", "mjcf.geometry", "effects.stack"),
     *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.residual"),
 }
-SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.compiled", "excitation", "mjcf.description"}
+SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.numba_entry", "excitation", "mjcf.description"}
 NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.words", "train.networks"}
 
 

@@ -9,16 +9,15 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
 
 from fishmj import effects
-from fishmj.gap.decide.decide import _answer, pinned
+from fishmj.gap.decide.decide import _answer, needs_exact_value
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.search.cross_validation import split
-from fishmj.gap.search.refit import converge, refine
+from fishmj.gap.search.cross_validation import converge, split
+from fishmj.gap.search.fit import refine
 from fishmj.gap.search.stepwise import Selection
-from fishmj.gap.terms import stronger
-from fishmj.gap.terms.equivalence import own
+from fishmj.gap.terms import model_with_terms, stronger
+from fishmj.gap.terms.equivalence import is_own_formula
 from fishmj.gap.terms.library import library
-from fishmj.gap.terms.model_with_terms import termed
-from fishmj.gap.thresholds import frozen, rest_allowed
+from fishmj.gap.thresholds import frozen, residual_allowed, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
@@ -27,16 +26,16 @@ from fishmj.mjcf.description import load_robot
 @pytest.fixture(scope="module")
 def free():
     """The plant that holds the terms."""
-    return termed(load_robot("fish"))
+    return model_with_terms(load_robot("fish"))
 
 
 def best(e) -> tuple[Selection, Verdict]:
     """The best single effect of the plant, as a search that stops there and names it would leave it."""
-    whole, folds = e.part(e.everything), split(e.records)
+    whole, folds = e.subset(e.everything), split(e.records)
     base = whole.base()
-    first = whole.refine(whole.screen(base, e.plant.active.effects)[:3], 4)[0]
-    fitted = converge(e, folds, first, tuple(refine(e.part(~f), first) for f in folds))
-    gain = sum(e.part(f).loss(base.row) for f in folds) - fitted.loss(folds)
+    first = whole.refine(whole.screen(base, e.model.active.effects)[:3], 4)[0]
+    fitted = converge(e, folds, first, tuple(refine(e.subset(~f), first) for f in folds))
+    gain = sum(e.subset(f).loss(base.row) for f in folds) - fitted.loss(folds)
     return Selection(base, fitted, folds, (), whole.whiten.logdet), Verdict("NAMED", gates={"gain": gain})
 
 
@@ -49,16 +48,16 @@ def test_a_right_name_is_led_by_no_free_force(plant, free, name, values):  # noq
     e = evidence_on(plant, {name: values}, 81)
     found, verdict = best(e)
     assert found.best.names == (name,)
-    said = stronger.challenged(free, e, found, verdict)
-    assert said.answer == "NAMED" and said.gates["lead"] < stronger.LEAD / 2
+    said = stronger.challenge(free, e, found, verdict)
+    assert said.answer == "NAMED" and said.gates["lead"] < thresholds().stronger.lead / 2
 
 
 @pytest.mark.slow
 def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F811
     e = evidence_on(plant, {"tail_yaw_cross_force": {"coefficient": 0.006}}, 82)
     found, verdict = best(e)
-    said = stronger.challenged(free, e, found, verdict)
-    assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * stronger.LEAD
+    said = stronger.challenge(free, e, found, verdict)
+    assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * thresholds().stronger.lead
     assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
 
 
@@ -71,14 +70,14 @@ def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, pla
     e = evidence_on(SwimmingFish(catalogue=[effects.get("command_gain_error")]), planted, 85)
     found, verdict = best(e)
     assert found.fitted.best.cost < 0.15 * found.base.cost  # either way a gain closes the gap
-    said = stronger.challenged(free, e, found, verdict)
+    said = stronger.challenge(free, e, found, verdict)
     assert said.answer == answer
     assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"
 
 
 @pytest.mark.slow
 def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):  # noqa: F811
-    mine = lambda name: {t.formula for t in library() if own(effects.get(name), t)}
+    mine = lambda name: {t.formula for t in library() if is_own_formula(effects.get(name), t)}
     assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
     assert mine("yaw_drag") == {"yaw moment ~ yaw rate squared, signed"}
     assert mine("command_gain_error") == {"servo reading ~ angle"}
@@ -87,14 +86,14 @@ def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 84)
     found, verdict = best(e)
     assert found.best.names == ("yaw_drag",)
-    assert stronger.challenged(free, e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
+    assert stronger.challenge(free, e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
 
 
 def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free):  # noqa: F811
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 83)
-    there = e.on(free)
-    assert there.plant is free and there.origin is there and e.plant is plant
-    assert there.part(there.everything).base().cost == pytest.approx(e.part(e.everything).base().cost)
+    there = e.with_model(free)
+    assert there.model is free and there.origin is there and e.model is plant
+    assert there.subset(there.everything).base().cost == pytest.approx(e.subset(e.everything).base().cost)
 
 
 @pytest.mark.slow
@@ -103,16 +102,17 @@ def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
     verdict = investigate(plant, trials, null=NULL).verdict
     assert verdict.answer == "NAMED" and verdict.gates["lead"] < 0.0
     assert not verdict.gates["believed"]  # a constant force is a poor current
-    monkeypatch.setattr(stronger, "LEAD", verdict.gates["lead"] - 1.0)
+    given = thresholds().stronger._replace(lead=verdict.gates["lead"] - 1.0)
+    monkeypatch.setattr(stronger, "thresholds", lambda: thresholds()._replace(stronger=given))
     assert investigate(plant, trials, null=NULL).verdict.answer == "NAMED"
-    monkeypatch.setattr(stronger, "HALF", 1e3)
+    given = given._replace(form_ratio=1e3)
     assert investigate(plant, trials, null=NULL).verdict.answer == "UNEXPLAINED"
 
 
 def test_only_what_can_only_be_right_may_have_a_wrong_form(plant):  # noqa: F811
-    e = SimpleNamespace(plant=plant)
-    assert pinned(e, ("command_quantisation",))
-    assert not pinned(e, ("command_quantisation", "yaw_drag")) and not pinned(e, ())
+    e = SimpleNamespace(model=plant)
+    assert needs_exact_value(e, ("command_quantisation",))
+    assert not needs_exact_value(e, ("command_quantisation", "yaw_drag")) and not needs_exact_value(e, ())
     gates = frozen()
     checks = {"closure": 1.0, "rest": 1.0, "strain": 500.0, "gain": 1e4, "form": 0.5, "size": 0.1, "transfer": 1.0}
     assert _answer(checks | {"pinned": True}, gates, (), {}, (), ())[0] == "NAMED"
@@ -128,4 +128,4 @@ def test_what_is_left_is_held_against_the_gap_where_the_formula_was_found_right(
         (0.22, 100.0, "UNEXPLAINED"),  # a formula that is known to be wrong
     ):
         assert _answer(left | {"form": form, "adequacy": adequacy}, gates, (), {}, (), ())[0] == answer
-    assert rest_allowed({"form": 0.05, "adequacy": 1.0}, gates) == rest_allowed({}, gates) == gates.rest
+    assert residual_allowed({"form": 0.05, "adequacy": 1.0}, gates) == residual_allowed({}, gates) == gates.residual

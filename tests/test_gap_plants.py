@@ -7,13 +7,13 @@ from fishmj import effects
 from fishmj.effects.effect_text import enters
 from fishmj.gap.models import planar_body as bodies
 from fishmj.gap.models import servo_model as servos
-from fishmj.gap.models.decoy_terms import RIVALS
 from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody, covered
 from fishmj.gap.models.servo_model import OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.studies.measured_robots.answer import answer
+from fishmj.studies.measured_robots.decoy_terms import RIVALS
 from fishmj.studies.measured_robots.floor import Scatter
 from fishmj.studies.measured_robots.study import Fold, Study, investigate
 

@@ -12,7 +12,7 @@ import pytest
 from fishmj import effects, excitation
 from fishmj.gap.localise import compared, error_growth, localise
 from fishmj.gap.localise.error_by_regime import KINDS, kinds_of
-from fishmj.gap.localise.lags import alike, told
+from fishmj.gap.localise.lags import compatible, significant
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
@@ -20,8 +20,8 @@ from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts
 from fishmj.gap.report.sections import html
 from fishmj.gap.report.words import CONTRACT, gates, headline
+from fishmj.gap.search.likelihood import investigate, likelihood_of
 from fishmj.gap.wording import quantity
-from fishmj.gap.workflow import evidence_of, investigate
 from fishmj.virtual_robot import generate
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both
@@ -51,7 +51,7 @@ def material(inquiry):
 def planted(plant, hidden: dict, runs=RUNS):
     """The comparison of records in which `hidden` is planted, before and after it is put into the model, where that has it."""
     records = [record_of(t, plant.dt) for t in generate(hidden, runs, SEED)]
-    e = evidence_of(plant, records, NULL)
+    e = likelihood_of(plant, records, NULL)
     row = plant.null.copy()
     for name, values in hidden.items():
         for parameter, value in values.items() if name in EFFECTS else ():
@@ -62,11 +62,11 @@ def planted(plant, hidden: dict, runs=RUNS):
 # ------------------------------------------------------------------------------------------------------------ localisation
 def test_a_late_command_is_upstream_of_the_joint(material):
     p = material.place
-    assert told(p.lags.joint) and told(p.lags.heading) and alike(p.lags.joint, p.lags.heading)
+    assert significant(p.lags.joint) and significant(p.lags.heading) and compatible(p.lags.joint, p.lags.heading)
     assert 0.034 < p.lags.joint.lag < 0.050 and p.lags.joint.high - p.lags.joint.low < 0.01
     assert p.lags.command.lag - p.lags.model.lag == pytest.approx(p.lags.joint.lag, abs=0.006)
     assert p.share[p.channels.index("joint")].sum() > 0.7 and p.locked["joint"].locked > 0.8 and p.rates.ratio > 4
-    assert "upstream of the joint" in p.text and not told(p.lags.joint_after) and p.gap_after < 2 < 20 < p.gap
+    assert "upstream of the joint" in p.text and not significant(p.lags.joint_after) and p.gap_after < 2 < 20 < p.gap
 
 
 def test_every_number_of_the_paragraph_is_a_field(material):
@@ -83,13 +83,13 @@ def test_every_number_of_the_paragraph_is_a_field(material):
 
 def test_a_late_camera_is_downstream_of_the_joint(plant):
     p = localise(planted(plant, {"camera_latency": {"delay": 0.04}}))
-    assert not told(p.lags.joint) and 0.034 < p.lags.heading.lag < 0.052
+    assert not significant(p.lags.joint) and 0.034 < p.lags.heading.lag < 0.052
     assert p.share[p.channels.index("heading")].sum() > 0.5 and "downstream of the joint" in p.text
 
 
 def test_a_late_joint_sensor_is_at_the_joint(plant):
     p = localise(planted(plant, {"joint_sensor_delay": {"delay": 0.04}}))
-    assert told(p.lags.joint) and not told(p.lags.heading) and "own sensor" in p.text
+    assert significant(p.lags.joint) and not significant(p.lags.heading) and "own sensor" in p.text
 
 
 def test_a_current_is_fixed_in_the_tank(plant):
@@ -105,13 +105,13 @@ def test_a_current_is_fixed_in_the_tank(plant):
 def test_a_bent_joint_turns_the_robot_to_one_side(plant, offset):
     p = localise(planted(plant, {"joint_zero_offset": {"offset1": offset}}, ("gait", "gait_mirrored", "drift_north")))
     assert np.sign(p.side.even) == -np.sign(offset) and abs(p.side.even) > 3 * p.side.even_sd
-    assert p.frame.points != "world" and p.locked["heading"].locked < 0.5 and not told(p.lags.joint)
+    assert p.frame.points != "world" and p.locked["heading"].locked < 0.5 and not significant(p.lags.joint)
     assert f"more to the {'right' if offset > 0 else 'left'} whichever way it goes" in p.text
 
 
 def test_agreement_has_no_place(plant):
     p = localise(planted(plant, {}))
-    assert p.gap < 1.25 and "nothing to place" in p.text and not told(p.lags.joint) and not told(p.lags.heading)
+    assert p.gap < 1.25 and "nothing to place" in p.text and not significant(p.lags.joint) and not significant(p.lags.heading)
 
 
 def test_a_fast_steady_beat_tells_no_lag(plant):

@@ -8,7 +8,7 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, row_of
 
 from fishmj import effects
-from fishmj.gap.decide.poorly_determined import within_null_scatter
+from fishmj.gap.decide.secondary_effects import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.through_sensors import sensed
 from fishmj.gap.records.records import record_of
@@ -54,14 +54,14 @@ def test_a_turned_camera_is_named(turning):
 def test_null_runs_are_turned_with_the_camera(turning):
     """A fish that swims too far ahead goes too far to the side for a camera turned by a quarter."""
     e = evidence_on(turning, {}, 13, RUNS[:2])
-    there = e.around(row_of(turning, "camera_yaw", angle=np.pi / 2))
+    there = e.linearised_at(row_of(turning, "camera_yaw", angle=np.pi / 2))
     x, y, yaw = (next(b.where for b in e.layout.blocks if b.sensor == "pose" and b.column == k) for k in range(3))
     np.testing.assert_allclose(there.factors[: e.runs, x], -e.factors[:, y], atol=1e-12)
     np.testing.assert_allclose(there.factors[: e.runs, y], e.factors[:, x], atol=1e-12)
     np.testing.assert_allclose(there.factors[: e.runs, yaw], e.factors[:, yaw], atol=1e-12)
     drag = row_of(turning, "yaw_drag", coefficient=0.01)
-    assert not sensed(turning, drag) and e.around(drag).factors[: e.runs] is not None
-    np.testing.assert_array_equal(e.around(drag).factors[: e.runs], e.factors)
+    assert not sensed(turning, drag) and e.linearised_at(drag).factors[: e.runs] is not None
+    np.testing.assert_array_equal(e.linearised_at(drag).factors[: e.runs], e.factors)
 
 
 def test_what_null_runs_scatter_as_far_is_chance(turning):

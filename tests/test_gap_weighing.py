@@ -18,7 +18,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.workflow import evidence_of, investigate
+from fishmj.gap.search.likelihood import investigate, likelihood_of
 from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import plant as robot
 from fishmj.virtual_robot.hidden_dataset import write_hidden
@@ -73,11 +73,11 @@ def test_what_the_page_lacks_is_not_compared(plant):
 def test_null_runs_weigh_what_they_should_to_within_the_instruments(plant):
     sensor = mass_properties.sensor(page({}, 3), plant)
     records = mass_properties.with_page([record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1])], sensor)
-    e = evidence_of(plant, records, NULL)
+    e = likelihood_of(plant, records, NULL)
     some = e.layout.channel == mass_properties.CHANNEL
     np.testing.assert_allclose(np.sqrt(np.mean((e.factors[:, some] ** 2) * e.runs, 0)), sensor.sigma, rtol=0.3)
     assert np.abs(e.gap(plant.null)[1][mass_properties.CHANNEL]) < 6.0
-    around = e.around(row_of(plant, "yaw_inertia", inertia=0.006), 0.5)
+    around = e.linearised_at(row_of(plant, "yaw_inertia", inertia=0.006), 0.5)
     np.testing.assert_allclose(around.d[some], e.d[some])  # no form error on what mass means
 
 
@@ -103,11 +103,12 @@ def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(pla
 
 def test_what_was_weighed_is_said_in_words(plant):
     (record,) = (record_of(t, plant.dt) for t in hidden({}, 5, RUNS[:1]))
-    said = lambda hides: mass_properties.told(
+    said = lambda hides: mass_properties.agreement(
         plant, mass_properties.with_page([record], mass_properties.sensor(page(hides, 5), plant))
     )
     assert (
-        said({}) == "What was weighed agrees (mass, balance point, yaw inertia)." and mass_properties.told(plant, [record]) == ""
+        said({}) == "What was weighed agrees (mass, balance point, yaw inertia)."
+        and mass_properties.agreement(plant, [record]) == ""
     )
     assert "yaw inertia is 0.01897 kg m2" in said(TURNS) and "the model's 0.013" in said(TURNS) and "mass" not in said(TURNS)
 

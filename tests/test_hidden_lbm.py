@@ -35,16 +35,16 @@ def in_air(effects: dict, name: str) -> tuple[np.ndarray, np.ndarray, Electronic
     packets = network.deliver(made.network, made.odd, what.t, what.commands, 3, 0, 1.0)
     start = lambda: at_rest((0.0, 0.0, 0.0), made.zero, made.motor.voltage)
     truth = run(made, start(), packets.times, packets.commands, what.seconds)
-    body, wire = HiddenBody(made, DT), Electronics(made, start(), Queue(*packets), STILL)
+    body, electronics = HiddenBody(made, DT), Electronics(made, start(), Queue(*packets), STILL)
     for k in range(round(what.seconds / DT)):
-        wire.begin_tick(k)
-        wire.drive(body, k * DT)
+        electronics.begin_tick(k)
+        electronics.actuate(body, k * DT)
         system, right = body.equation(interior=False)
-        for j in 3 + np.flatnonzero(wire.held):
+        for j in 3 + np.flatnonzero(electronics.held):
             system[j], right[j] = np.eye(6)[j], 0.0
         body.advance(np.linalg.solve(system, right))
-        wire.follow(body)
-    return wire.recording().data[:, 6:9], truth.data[:, 6:9], wire
+        electronics.follow(body)
+    return electronics.recording().data[:, 6:9], truth.data[:, 6:9], electronics
 
 
 @pytest.mark.parametrize("effects", [{}, {"coulomb_friction": {"torque": 0.1}}, {"body_mass": {"mass": 0.2}}])
@@ -54,8 +54,8 @@ def test_in_air_the_law_moves_the_joints_as_the_second_robot_does(effects):
 
 
 def test_a_joint_that_friction_holds_does_not_creep():
-    angles, _, wire = in_air({"coulomb_friction": {"torque": 0.1}}, "steps")
-    rates = np.concatenate(wire.rows)[:, 9:12]
+    angles, _, electronics = in_air({"coulomb_friction": {"torque": 0.1}}, "steps")
+    rates = np.concatenate(electronics.rows)[:, 9:12]
     assert np.abs(rates[-100:]).max() < 1e-12, "at rest at the end"
     assert np.ptp(angles, 0).min() > 0.5, "and it did move before"
 
@@ -135,15 +135,15 @@ def test_without_effects_the_joints_move_as_the_solvers_own_servo_moves_them():
 
 def test_a_second_attempt_at_a_tick_starts_where_the_first_did():
     job = hidden.jobs({"gear_backlash": {"half_gap": 0.02}}, [FLICK], 9, domain=TINY)[0]
-    wire = HiddenRun(job, "cpu").wire
+    electronics = HiddenRun(job, "cpu").electronics
     body = HiddenBody(job.made, DT)
     found = []
     for attempt in range(2):
-        wire.begin_tick(0)
+        electronics.begin_tick(0)
         for i in range(5):
-            wire.drive(body, i * DT)
-        found.append((np.concatenate([a.ravel() for a in wire.state]), len(wire.rows), wire.law.copy()))
-        assert attempt or wire.state.clock[0] == pytest.approx(5 * DT)
+            electronics.actuate(body, i * DT)
+        found.append((np.concatenate([a.ravel() for a in electronics.state]), len(electronics.rows), electronics.law.copy()))
+        assert attempt or electronics.state.clock[0] == pytest.approx(5 * DT)
     assert np.array_equal(found[0][0], found[1][0]) and found[0][1] == found[1][1] and np.array_equal(found[0][2], found[1][2])
 
 

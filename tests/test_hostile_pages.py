@@ -9,6 +9,7 @@ import hostile
 import numpy as np
 import pytest
 from hostile import EVIL, PAYLOADS, WATCH, needs_browser
+from markupsafe import Markup
 from synthetic import swim
 
 from fishmj import console, engines, evaluate, log, pages
@@ -67,12 +68,12 @@ def calibration_of(folder):
 def water_of(folder, monkeypatch):
     rows = [{"figure": EVIL, "value": 1.0}]
     swum = SimpleNamespace(began=2.0)
-    monkeypatch.setattr(water.check, "judge", lambda *a: {"freerun_s": 1.0, "figures": {}})
-    monkeypatch.setattr(water.check, "Swum", lambda *a: swum)
-    monkeypatch.setattr(water.regimes, "by_regime", lambda *a: rows)
-    monkeypatch.setattr(water.regimes, "static_map", lambda *a: {})
-    monkeypatch.setattr(water.figures, "against", lambda *a: b"\x89PNG")
-    monkeypatch.setattr(water.figures, "freeruns", lambda *a: b"\x89PNG")
+    monkeypatch.setattr(water.free_swims, "judge", lambda *a: {"freerun_s": 1.0, "figures": {}})
+    monkeypatch.setattr(water.free_swims, "FreeSwims", lambda *a: swum)
+    monkeypatch.setattr(water.force_by_regime, "by_regime", lambda *a: rows)
+    monkeypatch.setattr(water.force_by_regime, "static_map", lambda *a: {})
+    monkeypatch.setattr(water.fit_figures, "against", lambda *a: b"\x89PNG")
+    monkeypatch.setattr(water.fit_figures, "freeruns", lambda *a: b"\x89PNG")
     for name, made in (("free_runs", rows), ("gait_rows", (rows, [])), ("coefficients", rows), ("check_rows", rows)):
         monkeypatch.setattr(water, name, lambda *a, made=made: made)
     model = SimpleNamespace(name=EVIL, robot=EVIL, slip=1.0, dt=0.004, notes=EVIL, dataset={"sha256": EVIL}, band={})
@@ -115,13 +116,20 @@ def test_the_look_itself_is_awake():
         assert hostile.Look(f"<p>{payload}").trouble != [], payload
     assert hostile.Look(PAYLOADS[0]).scripts == ["text/javascript"]
     with pytest.raises(AssertionError):
-        hostile.check(pages.document("a", f"<p>{EVIL}</p>", ""))
+        hostile.check(pages.report("a", "a", [pages.Section("a", "", [Markup(f"<p>{EVIL}</p>")])]))
 
 
 def test_cells_stay_cells():
     rows = [{"name": "a | b", "value": 1.0}, {"name": "two\nlines\\", "value": 2.0}]
-    page = pages.as_html(console.table(rows))
+    page = pages.table(rows)
     assert page.count("<tr>") == 3 and page.count("<td>") == 4 and "<td>a | b</td>" in page and "two lines" in page
+
+
+def test_whatever_is_put_into_a_page_is_text_unless_a_template_made_it():
+    rows = [{EVIL: EVIL, "n": 1.0}]
+    parts = [EVIL, pages.table(rows), pages.figure(b"png", EVIL), pages.part("items", [EVIL]), pages.part("command", EVIL, EVIL)]
+    found = hostile.check(pages.report(EVIL, EVIL, [pages.Section(EVIL, EVIL, parts)], mark=EVIL, notes=[EVIL]))
+    assert " ".join(found.words).count("{{7*7}} ${7*7}") == 13, "shown as often as it was given"
 
 
 # --------------------------------------------------------------------------------------------------------------- pictures

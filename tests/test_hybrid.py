@@ -193,7 +193,7 @@ class Tanks:
     def run(self, waiting, setup, go_on):
         for segment in waiting:
             self.starts[segment.id] = segment
-            q, v = dagger.roll(ROBOT, model_in(TRUE), segment)
+            q, v = dagger.roll_out(ROBOT, model_in(TRUE), segment)
             names = ("id", "block", "episode", "split", "replicate_of")
             meta = {name: getattr(segment, name) for name in names} | setup.about | {"segment": segment.table()}
             meta["grid"] = meta["grid"] | {"slip": segment.slip}
@@ -206,7 +206,7 @@ class Tanks:
 def test_the_trial_places_its_stretch_where_it_is_told(monkeypatch):
     """A swim of 6 s in the true water in the solver's place; its stretch begins after 2 s: 0.3 s led, 0.3 s free."""
     segment = hybrid_trial.episodes_of(ROBOT, SimpleNamespace(episodes=1, seconds=6.0, seed=1))[0]
-    truth = SimpleNamespace(q=dagger.roll(ROBOT, model_in(TRUE), segment)[0], meta={"wall_s": 0.0})
+    truth = SimpleNamespace(q=dagger.roll_out(ROBOT, model_in(TRUE), segment)[0], meta={"wall_s": 0.0})
     oracle, setup = Made(), Setup(domain=preset("laptop"), device="cpu")
     monkeypatch.setattr(hybrid_trial, "Solver", lambda *_, **__: oracle)
     monkeypatch.setattr(hybrid_trial, "transient", lambda *_: np.zeros(1))
@@ -232,7 +232,7 @@ def test_rounds_end_when_the_returns_agree(tmp_path):
     assert found["agreed"] and len(found["rounds"]) == 2 and asked == [2]
     assert found["rounds"][0]["gap"] > dagger.AGREED > 1e-3 > found["rounds"][1]["gap"]
     whole, part = (pool.starts[name] for name in list(pool.starts)[:2])
-    half = dagger.roll(ROBOT, slow, whole)
+    half = dagger.roll_out(ROBOT, slow, whole)
     np.testing.assert_allclose(part.velocity, half.v[len(half.v) // 2])
     assert part.pose != whole.pose and part.seconds == dagger.SHORT
     given |= {"refit": lambda *_: pytest.fail("a round that was done is refitted again"), "pool": None}
@@ -258,5 +258,5 @@ def test_the_return_is_that_of_the_task():
     segment = plan.on_policy(ROBOT, "dob", episodes=1, seconds=2.0, seed=3).segments[0]
     q, v = np.zeros((20, 6)), np.zeros((20, 6))
     q[:, :2] = segment.drive["target"]
-    best = dagger.returned(ROBOT, segment, q, v)
-    assert best > dagger.returned(ROBOT, segment, q + 0.1, v) and best > dagger.returned(ROBOT, segment, q, v + 1.0)
+    best = dagger.mean_return(ROBOT, segment, q, v)
+    assert best > dagger.mean_return(ROBOT, segment, q + 0.1, v) and best > dagger.mean_return(ROBOT, segment, q, v + 1.0)

@@ -1,4 +1,4 @@
-"""A batch dealt out to several devices has the slope of the batch on one."""
+"""A batch sharded over several devices has the gradient of the batch on one."""
 
 import json
 import subprocess
@@ -12,7 +12,7 @@ SCRIPT = """
 import json
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_num_cpu_devices", 4)
-from fishmj.hydro_fit.fit.data_parallel import dealt, devices, several, stacked
+from fishmj.hydro_fit.fit.data_parallel import devices, several, sharded, stacked
 
 rng = np.random.default_rng(0)
 x, y = rng.normal(size=(12, 3)), rng.normal(size=12)
@@ -21,14 +21,14 @@ net = {"w": rng.normal(size=3), "b": 0.3}
 wanted = jax.value_and_grad(loss)(net, x, y)
 several()
 counts = [len(devices(12, 8)), len(devices(12)), len(devices(9, 12)), len(devices(7))]
-hands = stacked([(x[k::4], y[k::4]) for k in range(4)])
-got = jax.jit(dealt(loss, devices(12, 8)))(net, *hands)
+batches = stacked([(x[k::4], y[k::4]) for k in range(4)])
+got = jax.jit(sharded(loss, devices(12, 8)))(net, *batches)
 off = jax.tree.map(lambda a, b: float(np.abs(a - b).max()), got, wanted)
 print(json.dumps({"counts": counts, "off": max(jax.tree.leaves(off)), "size": float(np.abs(wanted[1]["w"]).max())}))
 """
 
 
-def test_four_hands_have_the_slope_of_one():
+def test_four_batches_have_the_slope_of_one():
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["counts"] == [4, 4, 3, 1]

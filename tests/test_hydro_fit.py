@@ -137,15 +137,15 @@ def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
     water = unflat(fit._read("residual")["water"].tolist())
     seen = training_windows.training_windows_of(CHAIN, records["test"], water)
     apart = rollout_training.windows_of(CHAIN, ROBOT, records["test"], water)
-    school = rollout_training.RolloutTrainer(
-        ROBOT, fit.swim, apart, rollout_training.held_of(CHAIN, records["test"], water), seen, flat(water)
+    trainer = rollout_training.RolloutTrainer(
+        ROBOT, fit.swim, apart, rollout_training.tethered_of(CHAIN, records["test"], water), seen, flat(water)
     )
-    off = [float(school.swum(net, school.pieces)) for net in (before, after)]
+    off = [float(trainer.swim_loss(net, trainer.pieces)) for net in (before, after)]
     assert off[1] < 0.9 * off[0]
-    pushed = [float(rollout_training.huber(school.pushed(net, school.held))) for net in (before, after)]
+    pushed = [float(rollout_training.huber(trainer.thrust_errors(net, trainer.tethered))) for net in (before, after)]
     assert np.isfinite(pushed).all()
-    rng, every = np.random.default_rng(0), set(school.held.seen.tolist())
-    drawn = [set(school.drawn_held(rng, 2).seen.tolist()) for _ in range(40)]
+    rng, every = np.random.default_rng(0), set(trainer.tethered.recorded.tolist())
+    drawn = [set(trainer.draw_tethered(rng, 2).recorded.tolist()) for _ in range(40)]
     assert {len(some) for some in drawn} == {min(2, len(every))} and set.union(*drawn) == every, "all of them in turn"
 
 

@@ -58,3 +58,29 @@ def test_a_second_process_compiles_nothing_again(tmp_path):
     begin = lambda: subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)
     (hits, misses), (hits_again, misses_again) = (map(int, begin().stdout.split()) for _ in range(2))
     assert hits == 0 and misses > 0 and (hits_again, misses_again) == (misses, 0)
+
+
+SWIM = """
+import jax, numpy as np
+from fishmj import engines
+from fishmj.engines.compiled import Engine
+from fishmj.flow import Current
+events = []
+jax.monitoring.register_event_listener(lambda event, **_: events.append(event.rpartition("/")[2]))
+engine, rest = Engine("fish", threads=1), np.zeros((2, 2), np.float32)
+lean = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)
+state, params = lean(engines.at_rest(engine.robot, np.zeros((2, 3)))), lean(engines.nominal_params(engine.robot, 2))
+params = params._replace(delay=np.zeros(2, int))
+current = Current(rest, rest[0], np.zeros(2, int), rest, rest, np.zeros((1, 4, 4, 2), np.float32), np.float32(0.1))
+commands = np.full((2, 10, 3), 0.3, np.float32)
+after, _ = jax.jit(engine.advance)(state, commands, params, current, np.zeros(2, int))
+print(events.count("cache_hits"), events.count("cache_misses"), np.asarray(after.q).tobytes().hex())
+"""
+
+
+def test_a_program_over_the_compiled_engine_is_kept_and_does_the_same_from_there(tmp_path):
+    pytest.importorskip("numba")
+    env = {**os.environ, machine_code.JAX: str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    begin = lambda: subprocess.run([sys.executable, "-c", SWIM], env=env, capture_output=True, text=True, check=True)
+    (hits, misses, q), (hits_again, misses_again, q_again) = (begin().stdout.split() for _ in range(2))
+    assert hits == "0" and int(misses) > 0 and (hits_again, misses_again) == (misses, "0") and q == q_again

@@ -9,10 +9,14 @@ from fishmj import mjcf
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import added_mass, virtual_mass
+from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.immersed import delta, momentum_budget
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import slip_here
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
 from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import Run
@@ -144,7 +148,7 @@ def test_without_slip_the_answer_matrix_is_symmetric_and_dissipates():
     coupled = pond("cpu", slip=0.0)
     coupled.body.place([0.55, 0.3, 0.7, 0.5, -0.6, 0.4])
     coupled.step()
-    matrix, at_rest = coupled.boundary.answer_matrix
+    matrix, at_rest = coupled.boundary.response
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-5 * np.abs(matrix).max())
     assert np.linalg.eigvalsh((matrix + matrix.T) / 2).min() > 0
     np.testing.assert_allclose(at_rest, 0.0, atol=1e-12)
@@ -204,10 +208,10 @@ def test_mujoco_takes_exactly_the_velocity_that_was_found(root):
 
 def test_the_device_solves_the_equation_that_the_docstring_states(bent):
     coupled, _ = bent
-    matrix, at_rest = coupled.boundary.answer_matrix
+    matrix, at_rest = coupled.boundary.response
     sent = coupled.boundary.view
     right, system = sent["momentum"] - at_rest, sent["system"] + matrix
-    np.testing.assert_allclose(coupled.boundary.outbox.numpy(), np.linalg.solve(system, right), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(coupled.boundary.velocity, np.linalg.solve(system, right), rtol=1e-9, atol=1e-12)
 
 
 def test_planar_and_free_root_swim_alike():
@@ -298,3 +302,16 @@ def test_a_mirrored_gait_swims_the_mirror_image():
         ends.append(coupled.body.data.qpos.copy())
     np.testing.assert_allclose(ends[1][0], ends[0][0], atol=2e-4)
     np.testing.assert_allclose(ends[1][2:], -ends[0][2:], atol=2e-2)
+
+
+@pytest.mark.parametrize(("at", "fits"), [(5.0, True), (4.5, False), (18.0, True), (18.6, False)])
+def test_a_body_whose_kernel_reaches_beyond_a_wall_is_refused(at, fits):
+    """Markers lie on the sphere drawn in by 0.7 cells; reading across the face would fetch water of the other side."""
+    lattice, wall = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.01), Axis("wall", "wall")
+    water = Fluid(lattice, (24, 24, 24), boundaries=Boundaries(x=wall), subgrid="none")
+    near = FluidStructure(water, ball(4.0, lattice, at=(at, 12.0, 12.0)), sphere_markers(4.0, 1.0))
+    if fits:
+        near.step()
+    else:
+        with pytest.raises(ConfigError, match="cells from the outermost nodes of axis x"):
+            near.step()

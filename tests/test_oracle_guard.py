@@ -11,13 +11,14 @@ from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
-from fishmj.lbm_oracle.cases import converge, validate
+from fishmj.lbm_oracle.cases import validate
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import preset
+from fishmj.studies.solver_grid import converge
 
 pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)

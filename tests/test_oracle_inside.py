@@ -29,7 +29,7 @@ def test_a_uniform_stream_is_measured_along_every_link():
     held = SwimSetup(domain=SMALL, flow=stream, pose=(0.0, 0.0, yaw), joints=bent).coupled()
     held.step(np.ones(held.body.dofs), np.zeros(held.body.dofs))  # the stream of t = 0 is still everywhere
     turn = yaw + np.cumsum([0.0, *bent])
-    assert held.body.slide == pytest.approx(0.2 * np.cos(turn), abs=1e-4)
+    assert held.body.interior_speed == pytest.approx(0.2 * np.cos(turn), abs=1e-4)
 
 
 @pytest.mark.parametrize("slip, least, most", [(1.0, 1.0, 1.25), (0.0, 1.5, 4.0)])

@@ -232,7 +232,7 @@ def test_an_own_task_loads_in_gymnasium_and_dm_control_with_its_options(line):
     timed = suite.load("fish", f"{EXAMPLE}:LineFollow", task_kwargs={"random": 1, "speed": 0.1})
     timed.reset()
     step = timed.step(np.zeros(3))
-    pose = timed.task.history[0, -1]
+    pose = timed.task.window.pose[0, -1]
     expected = min(timed.task.trace.velocity[0, :, 0].mean() / 0.1, 1.0) - 2.0 * abs(pose[1])
     assert step.reward == pytest.approx(expected)
     with pytest.raises(ConfigError, match="unknown option 'sped'"):
@@ -331,6 +331,8 @@ def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
         ({"Config": None}, "has no Config"),
         ({"act": None}, "has no act(actor, obs)"),
         ({"act": lambda self, actor, obs: 0.5 * obs[:, :3]}, "act is not the policy that would be written"),
+        ({"policy_layers": lambda self, actor: (actor, "relu")}, "act is not the policy that would be written"),
+        ({"policy_layers": lambda self, actor: 3}, "init gave no training whose `actor`"),
         ({"init": lambda self, key: 3}, "init gave no training whose `actor`"),
         ({"iterate": lambda self, training: training}, "expected (training, figures as a dict)"),
         ({"iterate": lambda self, training: (training, {"reward": 1.0})}, "its figures lack late_distance, episodes, diverged"),

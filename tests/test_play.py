@@ -85,7 +85,7 @@ def test_the_arrow_keys_steer_the_current(pond):
     assert pond.flow.speed == pytest.approx(0.24) and pond.flow.direction == pytest.approx(math.pi + math.pi / 12)
     for _ in range(40):
         press(pond, "down", brains)
-    assert pond.flow.speed == 0 and pond._current.mean == pytest.approx(np.zeros((1, 2)))
+    assert pond.flow.speed == 0 and pond.loop.scenario.current.mean == pytest.approx(np.zeros((1, 2)))
 
 
 def test_wasd_moves_the_target_but_not_out_of_the_tank(pond):
@@ -113,14 +113,14 @@ def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
 
     pond.set_flow(0.2 + 1e-9, math.pi)
     tick = np.array([pond.count * 10])
-    now = sample(np, pond._current, _centres(pond._chain, pond.q[None]), tick)[0][0, :, 0] + 0.2
+    now = sample(np, pond.loop.scenario.current, _centres(pond._chain, pond.q[None]), tick)[0][0, :, 0] + 0.2
     assert now == pytest.approx(before, abs=2e-4)
     pond.count = 500
-    ahead = pond._current
+    ahead = pond.loop.scenario.current
     pond.set_flow(0.3, math.pi)
     points = np.array([[[0.1, 0.2], [-0.4, 0.3]]])
     tick = np.array([pond.count * 10])
-    eddies = [(sample(np, c, points, tick)[0] - c.mean) / c.rms for c in (ahead, pond._current)]
+    eddies = [(sample(np, c, points, tick)[0] - c.mean) / c.rms for c in (ahead, pond.loop.scenario.current)]
     assert eddies[0] == pytest.approx(eddies[1], abs=1e-6)
 
 
@@ -279,11 +279,11 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
     from argparse import Namespace
 
     from fishmj.mjcf.description import load_robot
-    from fishmj.play.__main__ import steersman
+    from fishmj.play.__main__ import controller_of
 
     asked = Namespace(controller=None, any_command_path=False)
-    assert steersman(asked, load_robot("fish")).name == "paper"
-    assert steersman(asked, load_robot("tendon_fish")).name == "drift"
+    assert controller_of(asked, load_robot("fish")).name == "paper"
+    assert controller_of(asked, load_robot("tendon_fish")).name == "drift"
     assert "made for another fish" in capsys.readouterr().err
 
 

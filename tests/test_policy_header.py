@@ -63,10 +63,11 @@ def longer(factor: float):
 
 def test_training_writes_the_whole_header():
     from fishmj.train.build import policy_of
+    from fishmj.train.learner import PolicyLayers
     from fishmj.train.settings import preset
 
-    actor = [(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))]
-    meta = policy_of(actor, preset("quick"), {}).meta
+    network = PolicyLayers([(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))], "tanh")
+    meta = policy_of(network, preset("quick"), {}).meta
     assert meta["structure"] == structure_of(ROBOT) and meta["observation"] == observation_of(3)
     assert (
         meta["robot"] == "swift" and meta["command_path"] == "linear" and meta["control_dt"] == 0.2 and len(meta["scale"]) == 11

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
-from fishmj.dynamics import planar_chain
+from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.engines import planar
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow, stack
@@ -28,7 +28,7 @@ def odd_fish(robot):
     one = lambda a: [float(x) for x in a[0]]
     n = len(robot.links)
     w = one(p.water)
-    water = planar_chain.terms.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
+    water = strip_forces.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
     return p, planar_chain.Swimmer(*(one(a) for a in p[:5]), water)
 
 

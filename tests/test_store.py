@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from fishmj import store
 from fishmj.errors import StoreError
+from fishmj.store import left_out, shipped
 
 
 @pytest.fixture
@@ -149,3 +151,19 @@ def test_mutated_archives_raise_only_store_errors_or_read_the_same(tmp_path_fact
             continue
         for name, value in read.items():
             assert name not in original or np.array_equal(value, original[name])
+
+
+def test_what_comes_with_fishmj_is_found_from_anywhere_unless_the_user_has_his_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = shipped("data/gap/lbm/nulls")
+    assert found.is_absolute() and len(list(found.glob("*.npz"))) == 48
+    assert shipped("data/no/such") == Path("data/no/such") and shipped("gap/lbm/nulls") == Path("gap/lbm/nulls")
+    (tmp_path / "data" / "gap" / "lbm" / "nulls").mkdir(parents=True)
+    assert shipped("data/gap/lbm/nulls") == Path("data/gap/lbm/nulls")
+
+
+def test_an_installed_package_says_where_the_rest_of_the_data_is(monkeypatch):
+    assert left_out("data/gap/lbm/planted") == "", "a checkout has all"
+    monkeypatch.setattr("fishmj.store.package_data.OWN", Path("data"))
+    assert "checkout or the source distribution (sdist)" in left_out("data/gap/lbm/planted")
+    assert left_out("elsewhere/data") == ""

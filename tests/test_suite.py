@@ -209,12 +209,12 @@ def test_the_environment_swims_as_the_batched_engine_does(path):
     first = env.reset()
     episodes = Episodes(env.task.rules, "batch", 1)
     episodes.begin(env.task.scenario)
-    np.testing.assert_allclose(episodes.look(env.task.normals)[0], stacked([first])[0], atol=1e-12)
+    np.testing.assert_allclose(episodes.observation(env.task.normals)[0], stacked([first])[0], atol=1e-12)
     rng = np.random.default_rng(1)
     for _ in range(20):
         action = rng.uniform(-1, 1, 3)
         step, out = env.step(action), episodes.step(action[None])
-        np.testing.assert_allclose(stacked([step])[0], episodes.look(env.task.normals)[0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(stacked([step])[0], episodes.observation(env.task.normals)[0], rtol=0, atol=1e-9)
         assert step.reward == pytest.approx(out.reward[0], abs=1e-9)
         assert env.task.trace.power.mean() == pytest.approx(out.power[0], rel=1e-9)
 

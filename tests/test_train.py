@@ -20,6 +20,7 @@ from fishmj.tasks.env import Options, StationHold
 from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
 from fishmj.train.build import policy_of
+from fishmj.train.learner import PolicyLayers
 from fishmj.train.networks import mlp
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
 from fishmj.train.training_run import TrainingRun, go_on, is_better, learner_of
@@ -215,7 +216,7 @@ def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
     policy = Policy.load(run.go()["policy"])
     assert policy.memory == 4 and policy.weights[0][0].shape == (16, 4 * 11 + 3 * 3)
     louder = [(w * 2.0, b) for w, b in run.training.actor]  # so that the actions are not all near zero
-    policy.weights = policy_of(louder, settings, {}).weights
+    policy.weights = policy_of(sac.policy_layers(louder), settings, {}).weights
     state = env.reset(jax.random.key(1), 16)
     for _ in range(12):
         action = sac.act(louder, state.obs)
@@ -246,7 +247,7 @@ def test_a_privileged_critic_uses_the_flow_and_a_plain_one_cannot(env):
         value = learner.value(critic, obs, seen)
         assert (value[0] != value[1]) == privileged
         actor = mlp(jax.random.key(1), [env.n_input, 8, 3])
-        assert policy_of(actor, calm_run(), {}).weights[0][0].shape == (8, 11)
+        assert policy_of(learner.policy_layers(actor), calm_run(), {}).weights[0][0].shape == (8, 11)
 
 
 def test_hidden_observations_are_zero_in_training_and_ignored_by_the_policy():
@@ -256,7 +257,8 @@ def test_hidden_observations_are_zero_in_training_and_ignored_by_the_policy():
     hidden = np.isin(np.arange(11), [2, 3, 5, 6, 7])
     both = np.concatenate([hidden, [False] * 3, hidden])
     assert np.all(obs[:, both] == 0) and np.all(np.abs(obs[:, :11][:, ~hidden]).max(0) > 0)
-    policy = policy_of(mlp(jax.random.key(0), [25, 16, 3], last=1.0), calm_run(task={"hide": hide, "memory": 2}), {})
+    settings = calm_run(task={"hide": hide, "memory": 2})
+    policy = policy_of(PolicyLayers(mlp(jax.random.key(0), [25, 16, 3], last=1.0), "tanh"), settings, {})
     seen, junk = np.ones((1, 11)), np.where(hidden, 9.0, 1.0)[None]
     first, other, twice = (act_afresh(policy, obs) for obs in (seen, junk, 2 * seen))
     np.testing.assert_array_equal(first, other)

@@ -9,6 +9,7 @@ import pytest
 from training import EDGE, Point
 
 from fishmj.train import ppo, sac
+from fishmj.train.off_policy import ReplayBuffer, Transition
 from fishmj.train.training_run import arrays_of
 
 SMALL = {"hidden": (16,), "envs": 8}
@@ -44,15 +45,16 @@ def test_ppo_advantages_are_the_sum_of_discounted_errors(privileged):
     """A_t = sum_k (gamma lambda)^k delta_{t+k} up to the end of the episode; time limits bootstrap, leaving does not."""
     learner = ppo_learner(privileged=privileged, sigma=3.0)
     c, t = learner.config, learner.init(jax.random.key(1))
-    _, batch, (reward, _, _, done, left, _) = learner.collect(t)
-    state, ahead, scale = t.env, [], np.asarray(learner.scale)
+    _, batch, record = learner.collect(t)
+    reward, done, left = (np.asarray(a) for a in (record.reward, record.done, record.terminated))
+    state, next_value, scale = t.env_state, [], np.asarray(learner.obs_scale)
     for u in batch.u:
         state = learner.env.step(state, jnp.tanh(u))
         x = np.asarray(state.final_obs) / scale
-        x = np.concatenate([x, np.asarray(state.final_privileged) / np.asarray(learner.seen_scale)], 1) if privileged else x
-        ahead.append(numpy_mlp(t.critic, x, np.tanh)[:, 0] * ~np.asarray(state.terminated))
-    value, done = np.asarray(batch.value, float), np.asarray(done)
-    delta = c.reward_scale * np.asarray(reward, float) + c.gamma * np.array(ahead) - value
+        x = np.concatenate([x, np.asarray(state.final_privileged) / np.asarray(learner.privileged_scale)], 1) if privileged else x
+        next_value.append(numpy_mlp(t.critic, x, np.tanh)[:, 0] * ~np.asarray(state.terminated))
+    value = np.asarray(batch.value, float)
+    delta = c.reward_scale * reward.astype(float) + c.gamma * np.array(next_value) - value
     expected = np.zeros_like(delta)
     for i in range(c.horizon):
         for fish in range(c.envs):
@@ -60,9 +62,9 @@ def test_ppo_advantages_are_the_sum_of_discounted_errors(privileged):
                 expected[i, fish] += (c.gamma * c.lam) ** k * delta[i + k, fish]
                 if done[i + k, fish]:
                     break
-    assert left.sum() > 0 and (done & ~np.asarray(left)).sum() > 0  # both kinds of end were there
-    np.testing.assert_allclose(batch.advantage, expected, atol=2e-5)
-    np.testing.assert_allclose(batch.target, expected + value, atol=2e-5)
+    assert left.sum() > 0 and (done & ~left).sum() > 0  # both kinds of end were there
+    np.testing.assert_allclose(batch.advantages, expected, atol=2e-5)
+    np.testing.assert_allclose(batch.returns, expected + value, atol=2e-5)
 
 
 def test_ppo_stores_the_log_density_of_what_it_did():
@@ -71,19 +73,20 @@ def test_ppo_stores_the_log_density_of_what_it_did():
     t = learner.init(jax.random.key(1))
     _, b, _ = learner.collect(t)
     z = (np.asarray(b.u, float) - numpy_mlp(t.actor, b.obs, np.tanh)) / 3.0
-    np.testing.assert_allclose(b.logp, (-0.5 * z**2 - np.log(3.0) - 0.5 * np.log(2 * np.pi)).sum(-1), atol=1e-5)
+    np.testing.assert_allclose(b.log_prob, (-0.5 * z**2 - np.log(3.0) - 0.5 * np.log(2 * np.pi)).sum(-1), atol=1e-5)
 
 
-def test_a_dropped_step_gives_ppo_no_advantage_and_never_reaches_sacs_memory():
+def test_a_dropped_step_gives_ppo_no_advantage_and_never_reaches_sacs_buffer():
     """Fault 2 at the learners: the poisoned point's reward of 777 is nowhere."""
     learner = ppo_learner(poisoned=3)
-    _, batch, (*_, diverged) = learner.collect(learner.init(jax.random.key(0)))
+    _, batch, record = learner.collect(learner.init(jax.random.key(0)))
+    diverged = record.diverged
     assert diverged[:, 3].all() and not diverged[:, :3].any()
-    np.testing.assert_array_equal(batch.advantage[:, 3], 0.0)
+    np.testing.assert_array_equal(batch.advantages[:, 3], 0.0)
     learner = sac_learner(poisoned=0)
-    t, figures = learner.iterate(learner.init(jax.random.key(0)))
-    assert figures["diverged"] == 8 and t.memory.size == 64
-    assert t.memory.reward[:64].max() <= 0
+    t, metrics = learner.iterate(learner.init(jax.random.key(0)))
+    assert metrics["diverged"] == 8 and t.replay.size == 64
+    assert t.replay.data.reward[:64].max() <= 0
 
 
 def test_sac_remembers_time_limits_as_no_end_and_the_observation_before_the_restart():
@@ -91,36 +94,36 @@ def test_sac_remembers_time_limits_as_no_end_and_the_observation_before_the_rest
     t = learner.init(jax.random.key(0))
     for _ in range(8):
         t, _ = learner.iterate(t)
-    m, n = t.memory, int(t.memory.size)
-    scale = np.asarray(learner.scale)
-    x, then = (np.asarray(a[:n]) @ np.eye(7)[0] * scale[0] for a in (m.obs, m.ahead))
-    np.testing.assert_allclose(then, x + 0.3 * np.asarray(m.action[:n, 0]), atol=1e-6)  # a restart would be elsewhere
-    np.testing.assert_array_equal(m.ended[:n] == 1, np.abs(then) > EDGE)
-    assert n == 512 and 0 < m.ended[:n].sum() < n / 10  # 51 time limits at least, none of them an end
+    stored, n = t.replay.data, int(t.replay.size)
+    scale = np.asarray(learner.obs_scale)
+    x, next_x = (np.asarray(a[:n]) @ np.eye(7)[0] * scale[0] for a in (stored.obs, stored.next_obs))
+    np.testing.assert_allclose(next_x, x + 0.3 * np.asarray(stored.action[:n, 0]), atol=1e-6)  # a restart would be elsewhere
+    np.testing.assert_array_equal(stored.terminated[:n] == 1, np.abs(next_x) > EDGE)
+    assert n == 512 and 0 < stored.terminated[:n].sum() < n / 10  # 51 time limits at least, none of them an end
 
 
-@pytest.mark.parametrize("ended", [0.0, 1.0])
-def test_sac_critic_loss_is_the_squared_distance_to_the_bellman_target(ended):
+@pytest.mark.parametrize("terminated", [0.0, 1.0])
+def test_sac_critic_loss_is_the_squared_distance_to_the_bellman_target(terminated):
     """y = r + gamma (1 - d) min_i Q'_i(s', a') with alpha -> 0 and a policy without noise, both critics, by hand."""
     learner = sac_learner()
-    t = learner.init(jax.random.key(3))
-    actor = [(0 * w, 0 * b) for w, b in t.actor]
+    agent = learner.init(jax.random.key(3)).agent
+    actor = [(0 * w, 0 * b) for w, b in agent.actor]
     actor[-1] = (actor[-1][0], jnp.array([0.4, -20.0]))  # mu = 0.4, sigma = e^-10
     rng = np.random.default_rng(0)
-    obs, ahead = rng.normal(size=(2, 1, 7)).astype(np.float32)
-    memory = sac.ReplayBuffer(
-        obs, np.array([[0.7]], np.float32), np.array([1.5]), ahead, np.array([ended]), jnp.int32(1), jnp.int32(0)
-    )
-    targets = jax.tree.map(lambda a: a + 0.1, t.critics)
+    obs, next_obs = rng.normal(size=(2, 1, 7)).astype(np.float32)
+    one = Transition(obs, np.array([[0.7]], np.float32), np.array([1.5]), next_obs, np.array([terminated]))
+    replay = ReplayBuffer(one, jnp.int32(1), jnp.int32(0))
+    targets = jax.tree.map(lambda a: a + 0.1, agent.critics)
     relu = lambda x: np.maximum(x, 0)
     q = lambda critics, i, s, a: numpy_mlp([(w[i], b[i]) for w, b in critics], np.append(s, a)[None], relu)[0, 0]
-    y = 1.5 + 0.99 * (1 - ended) * min(q(targets, i, ahead, np.tanh(0.4)) for i in (0, 1))
-    expected = sum((q(t.critics, i, obs, 0.7) - y) ** 2 for i in (0, 1))
-    carry = (actor, t.critics, targets, jnp.float32(-40.0), t.optimisers)
-    after, loss = jax.jit(learner.learn)(memory, carry, jax.random.key(0))
+    y = 1.5 + 0.99 * (1 - terminated) * min(q(targets, i, next_obs, np.tanh(0.4)) for i in (0, 1))
+    expected = sum((q(agent.critics, i, obs, 0.7) - y) ** 2 for i in (0, 1))
+    agent = agent._replace(actor=actor, target_critics=targets, log_alpha=jnp.float32(-40.0))
+    after, loss = jax.jit(learner.update)(replay, agent, jax.random.key(0))
     assert loss == pytest.approx(expected, rel=1e-3)
-    moved = jax.tree.map(lambda new, old, target: (target - (old + 0.005 * (new - old))).max(), after[1], targets, after[2])
-    assert max(abs(v) for v in jax.tree.leaves(moved)) < 1e-6  # targets follow by tau
+    follows = lambda new, old, target: (target - (old + 0.005 * (new - old))).max()
+    off = jax.tree.map(follows, after.critics, targets, after.target_critics)
+    assert max(abs(v) for v in jax.tree.leaves(off)) < 1e-6  # targets follow by tau
 
 
 def test_sac_density_of_an_action_is_the_gaussians_through_tanh():
@@ -156,11 +159,11 @@ def test_one_seed_gives_one_result_to_the_bit(make):
     def train(seed):
         t = learner.init(jax.random.key(seed))
         for _ in range(12):
-            t, figures = learner.iterate(t)
-        return arrays_of(t), {k: float(v) for k, v in figures.items()}
+            t, metrics = learner.iterate(t)
+        return arrays_of(t), {k: float(v) for k, v in metrics.items()}
 
     (first, a), (again, b), (other, _) = train(0), train(0), train(1)
     assert a == b
     for name, value in first.items():
         np.testing.assert_array_equal(value, again[name], err_msg=name)
-    assert any(not np.array_equal(value, other[name]) for name, value in first.items() if name.startswith(".actor"))
+    assert any(not np.array_equal(value, other[name]) for name, value in first.items() if ".actor[" in name)

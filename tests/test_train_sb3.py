@@ -59,8 +59,8 @@ def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstra
             assert not np.allclose(infos[i]["terminal_observation"], seen[i])
         assert all(not infos[i] for i in np.flatnonzero(~done))
     assert True in ends and False in ends
-    figures = shoal.figures()
-    assert figures["episodes"] == len(ends) and figures["left_tank"] == 1 - np.mean(ends)
+    metrics = shoal.metrics()
+    assert metrics["episodes"] == len(ends) and metrics["left_tank"] == 1 - np.mean(ends)
 
 
 @pytest.mark.sb3
@@ -82,7 +82,7 @@ def test_a_policy_with_memory_sees_what_sb3_saw():
     shoal = FishVecEnv(run, 5)
     learner = StableSAC(shoal, SACConfig(**{**SMALL, "envs": 5}), 1000)
     training = learner.init(jax.random.key(2))
-    policy, seen = policy_of(training.actor, run, {}), shoal.reset()
+    policy, seen = policy_of(learner.policy_layers(training.actor), run, {}), shoal.reset()
     for _ in range(10):
         action, _ = learner.model.predict(seen, deterministic=True)
         np.testing.assert_allclose(policy(seen[:, :11] * scale(3)), action, atol=1e-5)
@@ -139,7 +139,7 @@ def test_a_stopped_run_exports_what_sb3_predicts_keeps_tensors_only_and_goes_on_
         stopped.append(StopAt(*args, steps=1024, **{k: v for k, v in options.items() if k != "quiet"}))
         return stopped[-1]
 
-    monkeypatch.setattr(sb3, "Run", stop_at)
+    monkeypatch.setattr(sb3, "TrainingRun", stop_at)
     made = sb3.train_sb3(run, tmp_path)
     assert made["stopped"] and made["steps"] == 1024 and made["policy"].endswith("last.safetensors")
     learner, before = stopped[0].algorithm, stopped[0].training

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("numba")
 
+from fishmj import effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.excitation import Excitation
 from fishmj.virtual_robot import EFFECTS, generate, plant
@@ -15,13 +16,6 @@ from fishmj.virtual_robot.catalogue import CATALOGUE
 from fishmj.virtual_robot.uncatalogued import ODDITIES
 
 SEED = 3
-NAMED = """servo_deadband gear_backlash coulomb_friction viscous_friction stribeck load_friction torque_saturation speed_limit
-move_time_ramp servo_gain voltage_sag thermal_derating joint_zero_offset skin_stiffness skin_hysteresis command_gain_error
-command_quantisation rate_limit command_latency joint_sensor_delay latency_jitter packet_loss clock_offset camera_latency
-velocity_filter body_mass com_offset yaw_inertia surge_added_mass sway_added_mass yaw_added_mass linear_surge_drag quadratic_drag
-crossflow_drag yaw_drag body_lift munk_moment tail_normal_force wake_memory free_surface wall_effect joint_hydro_damping
-steady_current current_shear turbulence tether swirl camera_scale camera_yaw heading_marker_offset marker_offset lens_distortion
-power_offset""".split()
 CHANNELS = {  # table, columns, noise of one sample
     "joint": ("joint", ("j1", "j2", "j3"), 0.00166),
     "position": ("pose", ("x", "y"), 0.002),
@@ -62,8 +56,23 @@ def test_an_effect_of_typical_size_shows_where_it_says(name):
         assert max(shift(run, tables, channel) for run, tables in seen.items()) > 1.0, channel
 
 
-def test_the_catalogue_is_complete_and_there_is_enough_outside_it():
-    assert sorted(CATALOGUE) == sorted(NAMED)
+def test_both_catalogues_say_the_same_of_every_effect():
+    """The physics are two; name, stage, units, nulls and the channels are one fact written twice."""
+    assert set(CATALOGUE) == {name for name, effect in effects.catalogue().items() if not effect.unplanted}
+    for name, mine in CATALOGUE.items():
+        theirs = effects.get(name)
+        assert (mine.stage, mine.stochastic) == (theirs.stage, theirs.stochastic), name
+        channels = {"velocity"} if "velocity" in theirs.delays else set(theirs.shows)
+        assert set(mine.shows) <= channels, name  # in which it must show here, it may show there
+        apart = []
+        for p, q in zip(mine.parameters, theirs.parameters, strict=False):  # those that are planted come first
+            assert (p.name, p.unit, p.null, p.default) == (q.name, q.unit, q.null, q.shape), name
+            a, b = (sorted(abs(x - p.null) for x in typical) for typical in (p.typical, q.typical))
+            apart += [p.name] if a[0] > b[1] or b[0] > a[1] else []
+        assert bool(apart) == bool(theirs.planted), (name, apart)
+
+
+def test_there_is_enough_outside_the_catalogue():
     assert len(ODDITIES) >= 10 and not set(ODDITIES) & set(CATALOGUE)
     fields = [p.field for e in EFFECTS.values() for p in e.parameters]
     assert len(set(fields)) == len(fields)  # no two effects share a constant

@@ -4,13 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj import console, pages
+from fishmj import pages
 from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, angles
 from fishmj.calibrate.servo_fit import ServoFit
 from fishmj.errors import MissingExtra
-from fishmj.evaluate.report import STYLE as PAGE
 from fishmj.gap.records.records import Record, Sensor
-from fishmj.pages import as_html, document, escaped
 from fishmj.store import write_text
 
 DESIRED, SIMULATED, MEASURED = "#5B5B5B", "#D55E00", "#0072B2"  # Okabe and Ito 2008
@@ -88,10 +86,7 @@ def report(
     folder: Path, title: str, tables: dict[str, list[dict]], picture: Path | None, notes: list[str], words: str = WORDS
 ) -> Path:
     """One self-contained page: tables, and the picture where there is one, with `words` below it."""
-    parts = [f"<h1>{escaped(title)}</h1>", *(f'<p class="quiet">{escaped(note)}</p>' for note in notes)]
-    for name, rows in tables.items():
-        if rows:
-            parts += [f"<h2>{escaped(name)}</h2>", as_html(console.table(rows))]
+    sections = [pages.Section(name, "", [pages.table(rows)]) for name, rows in tables.items()]
     if picture is not None:
-        parts.append(f"<figure>{pages.picture(picture.read_bytes(), words)}<figcaption>{escaped(words)}</figcaption></figure>")
-    return write_text(folder / "report.html", document(title, "\n".join(parts), PAGE))
+        sections.append(pages.Section("", "", [pages.figure(picture.read_bytes(), words)]))
+    return write_text(folder / "report.html", pages.report(title, title, sections, notes=notes))

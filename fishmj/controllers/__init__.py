@@ -7,18 +7,15 @@
 A controller sees the 11 observations only, noisy and late: no flow, no pose. What they know of the fish is
 data/calib/controllers.toml; how their gains were found is docs/guide/controllers.md.
 
-    drift      joints at zero
-    pd         CPG + PD on the line of sight
-    pi         CPG + PI on the position vector
-    dob        CPG + flow observer: the bar
-    adrc-c1    proportional navigation + ADRC (also c2, c3)
+A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS` (docs/decisions/architecture.md).
 
 `chosen` also takes one's own, as `module:Name` (docs/guide/your_own_code.md): for what a user typed, never for a name
 from a file.
 """
 
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -28,8 +25,6 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.policy import is_policy
 from fishmj.policy import shipped as shipped_policies
-
-NAMES = ("drift", "pd", "pi", "dob", "adrc-c1", "adrc-c2", "adrc-c3")
 
 
 class Controller(Protocol):
@@ -44,6 +39,30 @@ class Controller(Protocol):
         """obs (B, 5 + 2 J) -> the control step's bus commands (B, T, J), rad."""
 
 
+class Entry(NamedTuple):
+    """One controller: `fishmj.controllers.<module>.build(robot, name, gains)` makes it.
+
+    Attributes:
+        about: one line. tuned: it has a section of its name in controllers.toml, whose values are its gains.
+    """
+
+    module: str
+    about: str
+    tuned: bool = True
+
+
+CONTROLLERS = {
+    "drift": Entry("passive", "joints at zero", tuned=False),
+    "pd": Entry("line_of_sight", "CPG + PD on the line of sight"),
+    "pi": Entry("line_of_sight", "CPG + PI on the position vector"),
+    "dob": Entry("observer", "CPG + flow observer: the bar"),
+    "adrc-c1": Entry("adrc", "proportional navigation + ADRC"),
+    "adrc-c2": Entry("adrc", "the same with other gains"),
+    "adrc-c3": Entry("adrc", "the same with other gains"),
+}
+NAMES = tuple(CONTROLLERS)
+
+
 def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False, **options: Any) -> Controller:
     """A controller by name, or a policy by name, file or folder. It runs no code but fishmj's, so the name may come from a file.
 
@@ -56,20 +75,17 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path:
             is not the one that the policy is for.
     """
     robot, name = load_robot(robot), str(name)
-    learned = name not in NAMES and is_policy(name)
-    if not learned and name not in NAMES:
+    entry = CONTROLLERS.get(name)
+    if entry is None and not is_policy(name):
         raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
-    if not learned and name != "drift":
-        return _classical(robot, name, options)
-    if options:
+    if options and not (entry and entry.tuned):
         raise ConfigError(f"controller {name}: has no gains, got {', '.join(options)}")
-    if learned:
+    if entry is None:
         from fishmj.controllers.learned import LearnedController
 
         return LearnedController(robot, name, any_command_path)
-    from fishmj.controllers.passive import Passive
-
-    return Passive(robot)
+    gains = gains_of(name, options) if entry.tuned else {}
+    return import_module(f"fishmj.controllers.{entry.module}").build(robot, name, gains)
 
 
 def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> Controller:
@@ -94,38 +110,11 @@ def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = Fa
     """`chosen` for a list; of two with one name (two files best.safetensors) the second gets `-2`: their files stay apart."""
     made = [chosen(text, robot, any_command_path=any_command_path) for text in texts]
     names: list[str] = []
-    for brain in made:
-        same = [f"{brain.name[:60]}-{k}" for k in range(2, len(made) + 1)]
-        brain.name = next(name for name in (brain.name, *same) if name not in names)
-        names.append(brain.name)
+    for controller in made:
+        same = [f"{controller.name[:60]}-{k}" for k in range(2, len(made) + 1)]
+        controller.name = next(name for name in (controller.name, *same) if name not in names)
+        names.append(controller.name)
     return made
 
 
-def _classical(robot: Robot, name: str, options: dict) -> Controller:
-    from fishmj.controllers.adrc import Adrc
-    from fishmj.controllers.cpg import Cpg, Rates
-    from fishmj.controllers.estimator import StateEstimator
-    from fishmj.controllers.gait_table import SpeedToGait
-    from fishmj.controllers.heading_speed import HeadingSpeedController
-    from fishmj.controllers.line_of_sight import LineOfSight
-    from fishmj.controllers.observer import FlowObserver
-
-    gait, k = gains_of("gait"), gains_of(name, options)
-    lag = np.radians(gait["lag_deg"])
-    if len(lag) != robot.n_joints:
-        raise ConfigError(
-            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
-        )
-    quick, bend = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
-    rates = Rates(frequency=gait["frequency_rate"], amplitude=quick, bias=bend)
-    cpg, navigator = Cpg(robot, lag, rates), StateEstimator(robot, gait["wobble"], gait["sway"])
-    if name.startswith("adrc"):
-        low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
-        return Adrc(name, cpg, SpeedToGait(gait, low, high), navigator, k)
-    helm = HeadingSpeedController(robot, gait, cpg, k)
-    if name == "dob":
-        return FlowObserver(helm, navigator, k, gait["glide"])
-    return LineOfSight(name, helm, navigator, k)
-
-
-__all__ = ["NAMES", "Controller", "chosen", "make", "several", "shipped_policies"]
+__all__ = ["CONTROLLERS", "NAMES", "Controller", "chosen", "make", "several", "shipped_policies"]

@@ -13,9 +13,11 @@ saturates the loop); inside `hover_radius` the gait idles at `hover_speed`.
 
 import numpy as np
 
-from fishmj.controllers.cpg import Cpg
+from fishmj.controllers.cpg import Cpg, cpg_of
 from fishmj.controllers.estimator import StateEstimator
-from fishmj.controllers.gait_table import SpeedToGait
+from fishmj.controllers.gains import gait_of
+from fishmj.controllers.gait_table import SpeedToGait, throttle_of
+from fishmj.mjcf.description import Robot
 from fishmj.units import wrap
 
 
@@ -84,3 +86,8 @@ class Adrc:
         self.speed = np.clip(np.where(d > k["hover_radius"], closing, k["hover_speed"]), k["hover_speed"], self.throttle.top)
         f, a = self.throttle(self.speed)
         return self.cpg(f, a, self.bias)
+
+
+def build(robot: Robot, name: str, gains: dict) -> Adrc:
+    gait = gait_of(robot, name)
+    return Adrc(name, cpg_of(robot, gait), throttle_of(gait, gains), StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

@@ -6,6 +6,7 @@ Frequency f, amplitude A and bias (summed over the joints; positive bends the ta
 the right) move towards their goals at a limited rate, so that no chunk starts with a jump.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,3 +59,9 @@ class Cpg:
         most = rate * self.ticks * self.dt
         share = (np.arange(self.ticks) + 1) / self.ticks
         return now[:, None] + np.clip(goal - now, -most, most)[:, None] * share
+
+
+def cpg_of(robot: Robot, gait: Mapping) -> Cpg:
+    """The oscillators of a robot's gait (`gains.gait_of`)."""
+    amplitude, bias = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
+    return Cpg(robot, gait["lag"], Rates(frequency=gait["frequency_rate"], amplitude=amplitude, bias=bias))

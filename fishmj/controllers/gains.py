@@ -2,8 +2,11 @@
 
 from functools import cache
 
+import numpy as np
+
 from fishmj.calib import calib_folder, read_toml
-from fishmj.errors import UnknownName
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf.description import Robot
 
 
 @cache
@@ -24,3 +27,18 @@ def gains_of(section: str, changes: dict | None = None) -> dict:
         if key not in values:
             raise UnknownName(f"gain of {section}", key, values)
     return {**values, **(changes or {})}
+
+
+def gait_of(robot: Robot, name: str) -> dict:
+    """The section `gait`, for the controller `name` of this robot; `lag` is in rad.
+
+    Raises:
+        ConfigError: the robot has not the joints that the gait is for.
+    """
+    gait = gains_of("gait")
+    lag = np.radians(gait["lag_deg"])
+    if len(lag) != robot.n_joints:
+        raise ConfigError(
+            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
+        )
+    return {**gait, "lag": lag}

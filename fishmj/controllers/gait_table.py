@@ -131,6 +131,12 @@ class SpeedToGait:
         return tuple(self.low[i] + u * (self.high[i] - self.low[i]) for i in range(2))
 
 
+def throttle_of(gait: Mapping, gains: Mapping) -> SpeedToGait:
+    """The gait line between the two ends that a controller's gains name."""
+    low, high = ((f, np.radians(a)) for f, a in zip(gains["frequency"], gains["amplitude_deg"], strict=True))
+    return SpeedToGait(gait, low, high)
+
+
 def _cell(axis, x):
     """Index of the cell that holds x and the part of it, clamped to the axis."""
     x = np.clip(x, axis[0], axis[-1])

@@ -13,7 +13,7 @@ import numpy as np
 
 from fishmj.controllers.cpg import Cpg
 from fishmj.controllers.estimator import StateEstimate
-from fishmj.controllers.gait_table import SpeedToGait
+from fishmj.controllers.gait_table import throttle_of
 from fishmj.mjcf.description import Robot
 from fishmj.units import wrap
 
@@ -23,8 +23,7 @@ class HeadingSpeedController:
 
     def __init__(self, robot: Robot, gait: Mapping, cpg: Cpg, gains: Mapping):
         self.cpg, self.k = cpg, gains
-        low, high = ((f, np.radians(a)) for f, a in zip(gains["frequency"], gains["amplitude_deg"], strict=True))
-        self.throttle = SpeedToGait(gait, low, high)
+        self.throttle = throttle_of(gait, gains)
         self.authority = -gait["turn"]
 
     def reset(self, n: int) -> None:

@@ -7,8 +7,11 @@ Course = direction of W, speed through the water = |W|, the proportional part ca
 
 import numpy as np
 
+from fishmj.controllers.cpg import cpg_of
 from fishmj.controllers.estimator import StateEstimator
+from fishmj.controllers.gains import gait_of
 from fishmj.controllers.heading_speed import HeadingSpeedController
+from fishmj.mjcf.description import Robot
 
 
 def capped(vectors, most):
@@ -20,13 +23,13 @@ def capped(vectors, most):
 class LineOfSight:
     """CPG with line-of-sight PD; with `integral` > 0 vector PI."""
 
-    def __init__(self, name: str, helm: HeadingSpeedController, navigator: StateEstimator, gains):
-        self.name, self.helm, self.navigator, self.k = name, helm, navigator, gains
+    def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains):
+        self.name, self.steering, self.navigator, self.k = name, steering, navigator, gains
         self.dt = navigator.dt
 
     def reset(self, n: int) -> None:
         """n fish, integral empty."""
-        self.helm.reset(n)
+        self.steering.reset(n)
         self.navigator.reset(n)
         self.integral = np.zeros((n, 2))
 
@@ -37,4 +40,10 @@ class LineOfSight:
             near = np.linalg.norm(fix.target, axis=-1, keepdims=True) < k["integral_within"]
             self.integral = capped(self.integral + self.dt * k["integral"] * fix.target * near, k["integral_max"])
         want = capped(k["position"] * fix.target, k["approach"]) - k["velocity"] * fix.velocity + self.integral
-        return self.helm(fix, np.arctan2(want[:, 1], want[:, 0]), np.linalg.norm(want, axis=-1))
+        return self.steering(fix, np.arctan2(want[:, 1], want[:, 0]), np.linalg.norm(want, axis=-1))
+
+
+def build(robot: Robot, name: str, gains: dict) -> LineOfSight:
+    gait = gait_of(robot, name)
+    steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
+    return LineOfSight(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

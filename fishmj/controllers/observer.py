@@ -12,9 +12,12 @@ Course = direction of W, speed = the part of W along it.
 
 import numpy as np
 
+from fishmj.controllers.cpg import cpg_of
 from fishmj.controllers.estimator import StateEstimator, turned
+from fishmj.controllers.gains import gait_of
 from fishmj.controllers.heading_speed import HeadingSpeedController
 from fishmj.controllers.line_of_sight import capped
+from fishmj.mjcf.description import Robot
 from fishmj.units import wrap
 
 
@@ -23,13 +26,13 @@ class FlowObserver:
 
     name = "dob"
 
-    def __init__(self, helm: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
-        self.helm, self.navigator, self.k, self.glide = helm, navigator, gains, glide
+    def __init__(self, steering: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
+        self.steering, self.navigator, self.k, self.glide = steering, navigator, gains, glide
         self.dt = navigator.dt
 
     def reset(self, n: int) -> None:
         """n fish that know nothing of the flow."""
-        self.helm.reset(n)
+        self.steering.reset(n)
         self.navigator.reset(n)
         self.surge = np.zeros(n)  # v_w, m/s
         self.flow = np.zeros((n, 2))  # U^, m/s
@@ -55,14 +58,20 @@ class FlowObserver:
         kept = upstream + np.clip(wrap(np, course - upstream), -cone, cone)
         course = np.where(self.holding, kept, course)
         speed = np.maximum(np.cos(course) * want[:, 0] + np.sin(course) * want[:, 1], 0.0)
-        return self.helm(fix, course, speed)
+        return self.steering(fix, course, speed)
 
     def _observe(self, fix) -> None:
         """One step of the glide model and of the flow estimate."""
         k, steps = self.k, 10
-        goal = self.helm.steady
+        goal = self.steering.steady
         for _ in range(steps):
             self.surge = self.surge + self.dt / steps * (goal**2 - self.surge**2) / self.glide
         ahead = turned(np.stack([self.surge, 0 * self.surge], -1), fix.heading)
         self.age = min(self.age + self.dt, k["observer_time"])
         self.flow = self.flow + self.dt / self.age * (fix.velocity - ahead - self.flow)
+
+
+def build(robot: Robot, name: str, gains: dict) -> FlowObserver:
+    gait = gait_of(robot, name)
+    steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
+    return FlowObserver(steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])

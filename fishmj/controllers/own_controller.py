@@ -27,21 +27,21 @@ class Own:
     def __init__(self, robot: Robot, factory: Any, text: str):
         self.robot, self.what = robot, f"controller {text}"
         plugins.takes(self.what, factory, "Name(robot)", 1)
-        self.brain = plugins.call(self.what, factory, robot)
-        plugins.takes(self.what, getattr(self.brain, "reset", None), "reset(n)", 1)
-        plugins.takes(self.what, self.brain, "__call__(obs)", 1)
-        said = nearest(str(getattr(self.brain, "name", "")))
-        self.name = said if said and said not in (*NAMES, *shipped_policies()) else plugins.name_of(text)
+        self.controller = plugins.call(self.what, factory, robot)
+        plugins.takes(self.what, getattr(self.controller, "reset", None), "reset(n)", 1)
+        plugins.takes(self.what, self.controller, "__call__(obs)", 1)
+        declared = nearest(str(getattr(self.controller, "name", "")))
+        self.name = declared if declared and declared not in (*NAMES, *shipped_policies()) else plugins.name_of(text)
         self.sha256 = plugins.source_sha256(factory)
 
     def reset(self, n: int) -> None:
         """Start n trials."""
         self.n, self.count = n, 0
-        plugins.call(f"{self.what}: reset({n})", self.brain.reset, n)
+        plugins.call(f"{self.what}: reset({n})", self.controller.reset, n)
 
     def __call__(self, obs) -> np.ndarray:
         """Commands (B, T, J) rad. Raises OwnCodeError: it fails, or gives another shape, no finite numbers, or degrees."""
-        answer = plugins.call(f"{self.what}, control step {self.count}", self.brain, np.array(obs, float))
+        answer = plugins.call(f"{self.what}, control step {self.count}", self.controller, np.array(obs, float))
         expected = f"bus commands {(len(obs), ticks_per(self.robot)[1], self.robot.n_joints)}, (trials, ticks, joints) in rad"
         try:
             commands = np.array(answer, float)

@@ -20,3 +20,7 @@ class Passive:
     def __call__(self, obs) -> np.ndarray:
         """Zeros, (B, T, J)."""
         return np.zeros((len(obs), *self.shape))
+
+
+def build(robot: Robot, name: str, gains: dict) -> Passive:
+    return Passive(robot)

@@ -238,6 +238,7 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         hooks: what is added to the fish at the sites of hooks.py; None adds nothing and costs nothing.
     """
     h = ch.dt
+    # kept: MuJoCo, which `applied` is for, has the robot as described, not as the hooks change it
     given = (ch, sw)
     if hooks is not None:
         ch, sw = hooks.fish(ch, sw)
@@ -247,6 +248,8 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         drive, resist = servo_drive(xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
     else:
         drive, resist = hooks.servos(ch, sw, q, v, target)
+    # every force at the velocities before the step, without what goes with the acceleration: that stands in the matrix, because
+    # an added mass of up to 22 times M, lagged by a step, blows up at any step size
     hydro = water_forces(xp, ch, sw, k, q[2], ambient, attached)
     if hooks is not None:
         hydro = hooks.water(ch, sw, q, k, hydro)
@@ -255,9 +258,11 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
     m = mass_matrix(ch, sw, k)
     if hooks is not None:
         hooks.body(ch, sw, q, k, rhs, m)
+    # back-EMF is stiff: h kb is many times the inertia of a middle link, so explicit damping would need a far smaller step
     damp_joints(ch, v, drive, [kb + r for kb, r in zip(sw.kb, resist, strict=True)], rhs, m)
     a = solve(m, rhs)
     if hooks is None:
+        # without hooks MuJoCo lacks the water alone, Q - M_a a; hooks may add to anything, so there the whole balance is taken
         added = mass_matrix(ch, sw, k, rigid=False)
         inertia = [sum(added[max(r, c)][min(r, c)] * a[c] for c in range(ch.n + 2)) for r in range(ch.n + 2)]
         applied = generalised(xp, ch, q[2], [f - g for f, g in zip(gather(ch, k, hydro), inertia, strict=True)])
@@ -265,8 +270,10 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         applied = generalised(xp, ch, q[2], missing(xp, *given, q, v, target, k, a))
     accel = to_world(xp, ch, q[2], a)
     v_new = [vi + h * ai for vi, ai in zip(v, accel, strict=True)]
+    # with the new velocity: semi-implicit Euler keeps the energy of a swinging joint bounded, explicit Euler feeds it
     q_new = [qi + h * vi for qi, vi in zip(q, v_new, strict=True)]
     last = ch.n - 1
+    # from the motion before the step, as in `Handle.step`: so all engines take the same step to round-off
     x_new = strip_forces.attachment(xp, ch.strips, sw.water, k.u[last], k.w[last], k.omega[last], attached, h)
     power = electrical_power(xp, sw, v, drive)
     memory = () if hooks is None else tuple(hooks.end(ch, sw, v, drive))

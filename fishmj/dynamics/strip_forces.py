@@ -159,9 +159,13 @@ def ambient(s: Strips, c: Coefficients, i: int, du_t, du_n):
 
 def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n, attached, rate=None):
     """All forces on link i except those proportional to the body's own acceleration: (F_t, F_n, moment)."""
+    # the body's own acceleration is left out: its factor is the added mass, which the caller puts into the matrix. The stream's
+    # acceleration is known beforehand, so it is a force
     parts = [reactive(s, c, i, u, w0, omega, rate), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
     if i == 0:
+        # a blunt nose has a wake of its own; the links behind have no front
         parts.append((head_form(xp, s, c, u), 0.0, 0.0))
     if i == len(s.mu) - 1:
+        # the wake takes momentum along at the last edge alone: between links the body goes on (Lighthill 1971)
         parts.append(trailing_edge(xp, s, c, u, w0, omega, attached))
     return tuple(sum(column) for column in zip(*parts, strict=True))

@@ -37,6 +37,8 @@ class Parameter:
     fine: bool = False
 
     def __post_init__(self):
+        if self.name == "joint":
+            raise ConfigError("effect parameter joint: that name is the joint's number at a site (p.joint); choose another")
         if not (self.low <= self.null <= self.high and self.typical[0] < self.typical[1]):
             raise ConfigError(
                 f"effect parameter {self.name}: needs low <= null <= high and typical[0] < typical[1], got low = {self.low},"
@@ -83,6 +85,12 @@ class Effect:
 
     memory: initial values of what a site remembers, one set a joint at the sites servo, gear and command.
     rank: at a site effects act in order of rank, then as listed: first what comes first on the robot.
+    What tests of every effect need to know of this one:
+        handed      parameters whose sign a mirror turns
+        one_sided   it pulls or pushes to one side for good: a mirrored fish does not swim the mirrored way
+        stores      it gives back energy that it took, as a spring: it may push
+        unplanted   why the second robot (virtual_robot/catalogue.py) does not hide it; "": it does
+        planted     why it hides it in sizes that are not typical here; "": the ranges overlap
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
         scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (scatter.py).
     """
@@ -111,6 +119,11 @@ class Effect:
     drifts: dict[str, str] = field(default_factory=dict)
     stream: str = ""
     scatter: Callable | None = None
+    handed: tuple[str, ...] = ()
+    one_sided: bool = False
+    stores: bool = False
+    unplanted: str = ""
+    planted: str = ""
 
     def __post_init__(self):
         if self.stage not in STAGES:
@@ -118,9 +131,9 @@ class Effect:
         wrong = set(self.shows) - set(CHANNELS) | set(self.delays | self.drifts) - set(CLOCKS)
         if wrong:
             raise ConfigError(f"effect {self.name}: unknown channels or clocks {sorted(wrong)}")
-        unknown = {*self.delays.values(), *self.drifts.values()} - {p.name for p in self.parameters}
+        unknown = {*self.delays.values(), *self.drifts.values(), *self.handed} - {p.name for p in self.parameters}
         if unknown:
-            raise ConfigError(f"effect {self.name}: delays name {sorted(unknown)}, which are no parameters of it")
+            raise ConfigError(f"effect {self.name}: delays or handed name {sorted(unknown)}, which are no parameters of it")
         drawn = self.scatter is not None
         if drawn != self.stochastic or drawn != (self.stream in STREAMS):
             raise ConfigError(

@@ -31,6 +31,7 @@ def load_delay(w, places, delay, block):
 
     At tick k a lane sees line[places + k JOINTS LANES]: the command that arrives now, the one before, and one more.
     """
+    # latencies differ from lane to lane. Offsets into the line of commands, found once, keep a branch a lane out of the ticks
     for i in range(LANES):
         steps = delay[min(block + i, delay.shape[0] - 1), 0]
         w[PART * LANES + i] = real(steps % STEPS)
@@ -96,6 +97,7 @@ def grid(w, cells, cell):
             gx = (cos * x + sin * y) / cell + w[OFFSET * LANES + i]
             gy = (cos * y - sin * x) / cell + w[(OFFSET + 1) * LANES + i]
             fx, fy = floor(gx), floor(gy)
+            # by floor and not %: an integer remainder has no vector instruction
             ix, iy = fx - size * floor(fx / size), fy - size * floor(fy / size)
             w[(PLACE + 4 * link) * LANES + i] = where(ix < size, maximum(ix, real(0.0)), real(0.0))
             w[(PLACE + 4 * link + 1) * LANES + i] = where(iy < size, maximum(iy, real(0.0)), real(0.0))
@@ -116,6 +118,7 @@ def spatial_flow(w, table, cells):
             u, v = table[a] + ay * (table[b] - table[a]), table[a + 1] + ay * (table[b + 1] - table[a + 1])
             w[flow + i] = u + ax * (table[c] + ay * (table[d] - table[c]) - u)
             w[flow + LANES + i] = v + ax * (table[c + 1] + ay * (table[d + 1] - table[c + 1]) - v)
+    # a loop of its own: the one before gathers from the table, which stops vector instructions; this one has only arithmetic
     for link in range(LINKS):
         flow = (FLOW + 2 * link) * LANES
         for i in range(LANES):
@@ -158,6 +161,7 @@ def record(w, k, block, pose, joint, rate, velocity, power):
 
 def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock, table, cells, cell, gust, trace):
     """Advance fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
+    # one small workspace, used again for every block: it stays in the cache for all ticks of a block
     w, ticks = np.zeros(ROWS * LANES, real), commands.shape[1]
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
     places = np.empty(3 * LANES, np.int64)

@@ -3,7 +3,7 @@
 The text holds numbers of the description and never a word of it: a name that came from a file must not become code.
 
 The text of a module holds its numbers, the elementary functions (approx.py), the physics (codegen.py, from
-`hydro_fit.chain.step`) and the loops (kernels.py). Its file name is the hash of that text and of the numba version, and it
+`planar_chain.step`) and the loops (lane_kernels.py). Its file name is the hash of that text and of the numba version, and it
 is written by renaming a complete temporary file, so several processes may start at once and a stale or torn file is never
 run. Where the cache folder (`machine_code`) cannot be written the module lives in memory and is compiled in every
 process.

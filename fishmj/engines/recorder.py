@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.engines.single import reported
+from fishmj.effects.sites import Measured
+from fishmj.engines.extensions import Extensions
 from fishmj.errors import LogError, SimDiverged
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
@@ -47,6 +48,33 @@ class Recorder:
             "flow": {"t": start, **numbered("u#x", flow[:, :, 0]), **numbered("u#y", flow[:, :, 1])},
         }
         return Trial(meta_of(self.sim), tables)
+
+
+def reported(added: Extensions, t, pose, joint, rate, power):
+    """What the sensors say at the times t (T,) of what happened: (pose (T, 6), joint (T, J), rate (T, J), power (T,)).
+
+    Delays read the cubic through the samples and their rates (power: the straight line), held before the first sample.
+    """
+    if added.active is None:
+        return pose, joint, rate, power
+    late = {clock: t - np.asarray(added.late(np, added.row, clock, t)) for clock in ("pose", "joint", "power")}
+    x, y, yaw = cubic(t, pose[:, :3], pose[:, 3:], late["pose"]).T
+    moved = np.stack([np.interp(late["joint"], t, column) for column in rate.T], 1)
+    seen = Measured(t, x, y, yaw, cubic(t, joint, rate, late["joint"]), np.interp(late["power"], t, power))
+    seen = added.active.measure(np, added.row.tolist(), seen)
+    return np.concatenate([np.stack([seen.x, seen.y, seen.yaw], 1), pose[:, 3:]], 1), seen.joint, moved, seen.power
+
+
+def cubic(t, values, rates, at):
+    """Hermite's cubic through evenly spaced samples (T, C) with their rates, at the times `at`."""
+    if len(t) < 2:
+        return values
+    h = (t[-1] - t[0]) / (len(t) - 1)
+    place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)
+    i = np.minimum(place.astype(int), len(t) - 2)
+    s = (place - i)[:, None]
+    a, b, da, db = values[i], values[i + 1], h * rates[i], h * rates[i + 1]
+    return a + s * (da + s * (3 * (b - a) - 2 * da - db + s * (2 * (a - b) + da + db)))
 
 
 def truth(t, pose, joint, rate) -> dict:

@@ -1,87 +1,143 @@
-"""One fish in MuJoCo to which something is added (effects, a learnt water), and what its sensors report.
+"""One fish in MuJoCo, and what it swims in: three waters behind one interface.
 
-applied = what MuJoCo, which knows the rigid fish and its servos, lacks of the closed form's acceleration
-(M + h D) qacc = servo + applied          MuJoCo moves the fish, the closed form says how, as in the engine `batch`
+StripWater    the strips through `mjcb_passive` (water.injection): MuJoCo itself solves with M + M_a
+HookedWater   the closed form with everything that is added to it (effects, a learnt water), through `qfrc_applied`:
+              (M + h D) qacc = servo + applied     MuJoCo moves the fish, the closed form says how, as in the engine `batch`
+MujocoWater   MuJoCo's own fluid, or air
 """
+
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 
 from fishmj.dynamics import planar_chain
-from fishmj.effects.sites import Measured
 from fishmj.engines.extensions import Extensions
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
-from fishmj.water.injection import checked_step
+from fishmj.water.injection import Handle, checked_step, installed
+from fishmj.water.planar_water import PlanarWater
+from fishmj.water.spatial_water import FreeWater
 
 DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients of no water at all, besides k and cn
 
 
-class SingleFish:
-    """The water of one planar fish with everything that is added to it; memory and attachment advance in `step`.
+class Water(Protocol):
+    """What `Sim` asks of the water around its fish.
 
     Attributes:
-        power: of the servos in the last step, W.
+        power: electrical power of the servos in the last step, W.
     """
 
-    def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, wet: bool = True):
-        self.chain, self.added, self.wet = planar_chain.chain_of(robot), added, wet
-        n = self.chain.n
-        water = swimmer.water if wet else swimmer.water._replace(k=[0.0] * n, cn=[0.0] * n, **DRY)
-        self.swimmer = swimmer._replace(water=water)
-        self.parameters, self.memory = added.row.tolist(), added.memory.tolist()
-        self.attached, self.power = 0.5, 0.0
-        self.set_flow(np.zeros((n, 2)), np.zeros(2))
-
-    @classmethod
-    def of(cls, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, root: str, water: str) -> "SingleFish | None":
-        """None where nothing is added. Raises ConfigError where it cannot be."""
-        if added.active is None and (added.learnt is None or water != "structured"):
-            return None
-        if root != "planar" or water == "ellipsoid":
-            raise ConfigError(
-                f"{robot.name}: effects and a learnt water act on a fish with a planar root in structured water or none, got"
-                f" root = {root!r}, water = {water!r}; take those, or a robot without [[effect]]"
-            )
-        return cls(robot, added, swimmer, water == "structured")
+    power: float
 
     def set_flow(self, flow, ambient) -> None:
-        """Water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2, world frame."""
+        """Water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2, world frame; constant until the next call."""
+
+    def step(self, data: mujoco.MjData) -> None:
+        """One physics step. Raises SimDiverged, and what the water itself raises."""
+
+
+class StripWater:
+    """Strip forces in the passive callback, which is installed during each step only."""
+
+    def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
+        self.strips, self.power = strips, 0.0
+        self._handle = Handle(model, strips)
+
+    def set_flow(self, flow, ambient) -> None:
+        self.strips.set_flow(flow, ambient)
+
+    def step(self, data: mujoco.MjData) -> None:
+        rates = data.qvel[-data.ctrl.size :].copy()
+        with installed(self._handle) as fish:
+            fish.step(data)
+        self.power = drive_power(self.strips.swimmer, rates, data)
+
+
+class MujocoWater:
+    """Nothing besides what MuJoCo does: air, or its own fluid, which knows one uniform wind."""
+
+    def __init__(self, model: mujoco.MjModel, swimmer: planar_chain.Swimmer, wind: bool):
+        self.model, self.swimmer, self.wind, self.power = model, swimmer, wind, 0.0
+
+    def set_flow(self, flow, ambient) -> None:
+        if self.wind:
+            self.model.opt.wind[:2] = flow[0]
+
+    def step(self, data: mujoco.MjData) -> None:
+        rates = data.qvel[-data.ctrl.size :].copy()
+        checked_step(self.model, data)
+        self.power = drive_power(self.swimmer, rates, data)
+
+
+class SingleFish:
+    """One fish in the closed form, in NumPy, and what it remembers from step to step.
+
+    Args:
+        make_hooks: memory -> the hooks of one `planar_chain.step`; None adds nothing.
+
+    Attributes:
+        attached: attachment state of the tail, 0..1. memory: flat list of the hooks' memory.
+    """
+
+    def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer, make_hooks: Callable | None = None, memory=()):
+        self.chain, self.swimmer, self.make_hooks = ch, swimmer, make_hooks
+        self.attached: Any = 0.5
+        self.memory = list(memory)
+
+    def advance(self, q, v, target, flow, ambient) -> planar_chain.Step:
+        """One physics step from q and v; arguments as `planar_chain.step`. Attachment and memory move on."""
+        hooks = None if self.make_hooks is None else self.make_hooks(self.memory)
+        s = planar_chain.step(np, self.chain, self.swimmer, q, v, self.attached, target, flow, ambient, hooks)
+        self.attached, self.memory = s.attached, list(s.memory)
+        return s
+
+
+class HookedWater(SingleFish):
+    """The water of one planar fish with everything that is added to it, wet or on a bench in air."""
+
+    def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, wet: bool = True):
+        ch, parameters = planar_chain.chain_of(robot), added.row.tolist()
+        water = swimmer.water if wet else swimmer.water._replace(k=[0.0] * ch.n, cn=[0.0] * ch.n, **DRY)
+        make_hooks = lambda memory: added.hooks(np, parameters, memory, wet=float(wet))
+        super().__init__(ch, swimmer._replace(water=water), make_hooks, added.memory.tolist())
+        self.wet, self.power = wet, 0.0
+        self.set_flow(np.zeros((ch.n, 2)), np.zeros(2))
+
+    def set_flow(self, flow, ambient) -> None:
         share = 1.0 if self.wet else 0.0
         self.flow, self.ambient = (share * np.asarray(flow)).tolist(), (share * np.asarray(ambient)).tolist()
 
     def step(self, data: mujoco.MjData) -> None:
-        """One `mj_step`. Raises SimDiverged."""
-        hooks = self.added.hooks(np, self.parameters, self.memory, wet=float(self.wet))
-        state = (data.qpos.tolist(), data.qvel.tolist(), self.attached, data.ctrl.tolist())
-        s = planar_chain.step(np, self.chain, self.swimmer, *state, self.flow, self.ambient, hooks)
+        s = self.advance(data.qpos.tolist(), data.qvel.tolist(), data.ctrl.tolist(), self.flow, self.ambient)
         data.qfrc_applied[:] = s.applied
         checked_step(data.model, data)
-        self.attached, self.memory, self.power = s.attached, list(s.memory), float(s.power)
+        self.power = float(s.power)
 
 
-def reported(added: Extensions, t, pose, joint, rate, power):
-    """What the sensors say at the times t (T,) of what happened: (pose (T, 6), joint (T, J), rate (T, J), power (T,)).
+def water_of(
+    name: str, robot: Robot, root: str, model: mujoco.MjModel, swimmer: planar_chain.Swimmer, added: Extensions
+) -> Water:
+    """The water `name`: "structured", "ellipsoid" or "none".
 
-    Delays read the cubic through the samples and their rates (power: the straight line), held before the first sample.
+    Raises:
+        ConfigError: effects or a learnt water with a free root or in MuJoCo's own fluid.
     """
-    if added.active is None:
-        return pose, joint, rate, power
-    late = {clock: t - np.asarray(added.late(np, added.row, clock, t)) for clock in ("pose", "joint", "power")}
-    x, y, yaw = cubic(t, pose[:, :3], pose[:, 3:], late["pose"]).T
-    moved = np.stack([np.interp(late["joint"], t, column) for column in rate.T], 1)
-    seen = Measured(t, x, y, yaw, cubic(t, joint, rate, late["joint"]), np.interp(late["power"], t, power))
-    seen = added.active.measure(np, added.row.tolist(), seen)
-    return np.concatenate([np.stack([seen.x, seen.y, seen.yaw], 1), pose[:, 3:]], 1), seen.joint, moved, seen.power
+    if added.active is not None or (added.learnt is not None and name == "structured"):
+        if root != "planar" or name == "ellipsoid":
+            raise ConfigError(
+                f"{robot.name}: effects and a learnt water act on a fish with a planar root in structured water or none, got"
+                f" root = {root!r}, water = {name!r}; take those, or a robot without [[effect]]"
+            )
+        return HookedWater(robot, added, swimmer, wet=name == "structured")
+    if name == "structured":
+        strips = {"planar": PlanarWater, "free": FreeWater}[root]
+        return StripWater(model, strips(robot, swimmer))
+    return MujocoWater(model, swimmer, wind=name == "ellipsoid")
 
 
-def cubic(t, values, rates, at):
-    """Hermite's cubic through evenly spaced samples (T, C) with their rates, at the times `at`."""
-    if len(t) < 2:
-        return values
-    h = (t[-1] - t[0]) / (len(t) - 1)
-    place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)
-    i = np.minimum(place.astype(int), len(t) - 2)
-    s = (place - i)[:, None]
-    a, b, da, db = values[i], values[i + 1], h * rates[i], h * rates[i + 1]
-    return a + s * (da + s * (3 * (b - a) - 2 * da - db + s * (2 * (a - b) + da + db)))
+def drive_power(swimmer: planar_chain.Swimmer, rates, data: mujoco.MjData) -> float:
+    """Servo power of the step just taken, W, from the drive torque that MuJoCo applied and the rates (J,) before it."""
+    return float(planar_chain.electrical_power(np, swimmer, [0.0, 0.0, 0.0, *rates], data.actuator_force))

@@ -1,5 +1,6 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
+import shlex
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -38,7 +39,7 @@ def options() -> console.Parser:
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     water = "structured: the description's own coefficients; surrogate: the shipped water fitted for this robot; a fitted one by"
-    water += " name or TOML file; lbm: the flow solver itself, hours without a GPU"
+    water += " name (NAME-base: without its residual) or TOML file; lbm: the flow solver itself, hours without a GPU"
     add("--water", type=console.text, default="structured", help=water)
     add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
     add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in --water lbm: 1 slides, 0 sticks")
@@ -101,11 +102,12 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The verb `evaluate`. Returns the exit code."""
     args = options().parse_args(argv)
+    args.again = shlex.join(["fishmj", "evaluate", *argv, *([] if args.log else ["--log"])])
     unused = [o for o in SOLVER if any(word == o or word.startswith(f"{o}=") for word in argv)]
     if unused and args.water != "lbm":
         raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
     joined = own_effects.join(args.effects)
-    if args.water not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
+    if args.water.removesuffix("-base") not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
         raise UnknownName("water", args.water, (*WATERS, *shipped()))
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
@@ -242,17 +244,17 @@ def report(results: list[Result], args) -> int:
     if args.out is not None:
         save(args.out, results, found)
     console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
-    console.say(tables.overall(summaries), "", tables.overall(summaries, ("arrival", *tables.REST)))
-    console.say(*tables.unbounded(summaries))
+    console.say(console.table(tables.overall(summaries)), "")
+    console.say(console.table(tables.overall(summaries, ("arrival", *tables.REST))), *tables.unbounded(summaries))
     for s in summaries:
-        console.say("", f"{s['controller']} by flow speed", tables.by_condition(s, "by_speed"))
-        console.say("", f"{s['controller']} by direction (0 = target straight upstream)", tables.by_condition(s, "by_los"))
-    pairs = [(results[0], other) for other in results[1:]]
-    for a, b in pairs:
-        console.say("", f"paired over the same trials: {b.controller} minus {a.controller}; {tables.STARRED}")
-        console.say(tables.paired(a, b))
+        console.say("", f"{s['controller']} by flow speed", console.table(tables.by_condition(s, "by_speed")))
+        what = "by direction (0 = target straight upstream)"
+        console.say("", f"{s['controller']} {what}", console.table(tables.by_condition(s, "by_los")))
+    for other in results[1:]:
+        what = f"{other.controller} minus {results[0].controller}"
+        console.say("", f"paired over the same trials: {what}; {tables.STARRED}", console.table(tables.paired(results[0], other)))
     if args.out is not None:
-        console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log)}")
+        console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log, again=args.again)}")
     if args.json:
         console.emit_json(found)
     return console.OK

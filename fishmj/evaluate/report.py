@@ -16,18 +16,11 @@ from fishmj.evaluate import metrics, tables
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import compare
 from fishmj.evaluate.trial_logs import name_of, trial_of, write_logs
-from fishmj.pages import as_html, document, escaped, picture
+from fishmj.pages import Section, figure, part, report, table
 from fishmj.store import write_text
 
-STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1320px;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
-h1{font-size:1.6rem;margin:0 0 .3rem}h2{font-size:1.15rem;margin:2.2rem 0 .5rem}p{margin:.4rem 0}.quiet{color:#5a6270}
-.headline{font-size:1.15rem;max-width:60rem}
-table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
-th,td{padding:.28rem .55rem;border-bottom:1px solid #e4e7ec;text-align:right;white-space:nowrap}
-th{background:#f5f7fa;font-weight:600}
-th:first-child,td:first-child{text-align:left}img{max-width:100%;height:auto;display:block;margin:.5rem 0}
-figure{margin:1.2rem 0}figcaption{color:#5a6270}dt{font-weight:600}dd{margin:0 0 .4rem 1.2rem}"""
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
+BASELINE = "drift"  # the controller that does nothing
 FORMULA = tuple("=+-@\t\r")  # what a spreadsheet takes for the start of one
 MEANING = {
     "arrival": "share of trials that enter 0.1 m within 30 s",
@@ -40,8 +33,10 @@ MEANING = {
 }
 
 
-def write(folder: Path, results: list[Result], found: dict, *, plots: bool = False, logs: bool = False) -> Path:
+def write(folder: Path, results: list[Result], found: dict, *, plots: bool = False, logs: bool = False, again: str = "") -> Path:
     """Write everything into `folder`, the figures first; returns the path of report.html.
+
+    again: the command that does it all again with trial folders and the replay of the worst trial, for a page without them.
 
     Raises:
         StoreError: some of it could not be written or drawn; names each part and why. Every other part was.
@@ -49,7 +44,7 @@ def write(folder: Path, results: list[Result], found: dict, *, plots: bool = Fal
     shown: list[tuple[Path, str]] = []
     failed: dict[str, Exception] = {}
 
-    def part(name: str, make: Callable[[], object]) -> None:
+    def attempt(name: str, make: Callable[[], object]) -> None:
         try:
             make()
         except (OSError, MemoryError, FishmjError) as error:
@@ -60,15 +55,15 @@ def write(folder: Path, results: list[Result], found: dict, *, plots: bool = Fal
 
         shown.extend(pictures(results, folder))
 
-    part("results.json, trials.csv", lambda: save(folder, results, found))
+    attempt("results.json, trials.csv", lambda: save(folder, results, found))
     if plots:
-        part("pictures", draw)
+        attempt("pictures", draw)
     if logs:
         for r in results:
-            part(f"logs of {r.controller}", partial(write_logs, r, folder / "logs"))
-        part(WORST, lambda: replay_of_worst(results[0], folder / WORST))
+            attempt(f"logs of {r.controller}", partial(write_logs, r, folder / "logs"))
+        attempt(WORST, lambda: replay_of_worst(results[0], folder / WORST))
     replay = WORST if logs and WORST not in failed else ""
-    part("report.html", lambda: write_text(folder / "report.html", page(results, found, shown, replay)))
+    attempt("report.html", lambda: write_text(folder / "report.html", page(results, found, shown, replay, again)))
     if failed:
         missing = "; ".join(f"{name}: {error or type(error).__name__}" for name, error in failed.items())
         raise StoreError(f"{folder}: not complete, everything else is there. Not written: {missing}")
@@ -112,7 +107,7 @@ def replay_of_worst(r: Result, out: Path) -> Path:
 
 
 def headline(results: list[Result]) -> str:
-    """The result in one sentence: how many trials the first controller holds, how closely, and against each other one."""
+    """The result in one sentence: how many trials the first controller holds, how closely, and against the `baseline`."""
     first, radius = results[0], constant("protocol", "arrival_radius")
     found = metrics.figures(first)
     after, n = found["rmse_after_arrival"], len(first.trials)
@@ -120,45 +115,51 @@ def headline(results: list[Result]) -> str:
     if not np.isfinite(after).all():
         return f"{words}, which are too short to judge how it holds."
     held = int(np.sum((found["arrival"] > 0) & (after <= radius)))
-    words += f" and holds station in {held} (stays within {radius:g} m RMS)"
-    words += f", at {after.mean():.3f} m RMS on average"
-    for other in results[1:]:
-        d = next(d for d in compare(first, other) if d.key == "rmse_after_arrival")
-        if not d.apart:
-            words += f"; these trials do not tell it from {other.controller}"
-            continue
-        side = "nearer to the target than" if d.value > 0 else "farther from the target than"
-        words += f"; {abs(d.value):.3f} m {side} {other.controller}"
-    return words + "."
+    words += f" and holds station in {held} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
+    other = baseline(results)
+    return f"{words}; {against(first, other)}." if other else f"{words}."
 
 
-def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], replay: str = "") -> str:
+def baseline(results: list[Result]) -> Result | None:
+    """What the first controller is measured against: the one without control where it was judged, else the second."""
+    return next((r for r in results[1:] if r.controller == BASELINE), results[1] if results[1:] else None)
+
+
+def against(first: Result, other: Result) -> str:
+    """How much nearer to its target one controller stays than another, or that these trials do not tell."""
+    d = next(d for d in compare(first, other) if d.key == "rmse_after_arrival")
+    if not d.apart:
+        return f"these trials do not tell it from {other.controller}"
+    side = "nearer to the target than" if d.value > 0 else "farther from the target than"
+    mean = metrics.figures(other)["rmse_after_arrival"].mean()
+    without = "no control, " if other.controller == BASELINE else ""
+    return f"{abs(d.value):.3f} m {side} {other.controller} ({without}{mean:.3f} m)"
+
+
+def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], replay: str = "", again: str = "") -> str:
     """The report as one HTML text; its one reference is `replay`, the page of the worst trial beside it, where there is one."""
-    summaries = found["results"]
-    parts = [
-        f"<h1>Station holding: {escaped(', '.join(s['controller'] for s in summaries))}</h1>",
-        f'<p class="headline">{escaped(headline(results))}</p>',
-        f'<p class="quiet">{escaped(found["condition"])}</p>',
-        *(
-            [f'<p><a href="{replay}">Replay of the worst trial</a>: {escaped(name_of(results[0], worst(results[0])))}</p>']
-            if replay
-            else []
-        ),
-        "<h2>All trials</h2><p class='quiet'>value (95 % bootstrap interval over trials)</p>",
-        as_html(tables.overall(summaries)),
-        as_html(tables.overall(summaries, ("arrival", *tables.REST))),
-        *(f"<p class='quiet'>{escaped(line)}</p>" for line in tables.unbounded(summaries)),
-    ]
+    first, summaries, told = results[0], found["results"], baseline(results)
+    named = f"{', '.join(s['controller'] for s in summaries)}: station holding"
+    notes = [found["condition"]]
+    if told is None:
+        notes.append(f"Judged alone. Name {BASELINE} (no control) or another controller behind it, and it is compared with that.")
+    elif np.isfinite(metrics.figures(first)["rmse_after_arrival"]).all():
+        notes += [f"Against {other.controller}: {against(first, other)}." for other in results[1:] if other is not told]
+    worst_name = name_of(first, worst(first))
+    if replay:
+        notes.append(part("link", replay, "Replay of the worst trial", worst_name))
+    elif again:
+        notes.append(part("command", f"The worst trial is {worst_name}. Its replay is written by", again))
+    overall = [tables.overall(summaries), tables.overall(summaries, ("arrival", *tables.REST))]
+    about = "value (95 % bootstrap interval over trials)"
+    sections = [Section("All trials", about, [*map(table, overall), *tables.unbounded(summaries)])]
     for other in results[1:]:
-        parts.append(f"<h2>{escaped(other.controller)} minus {escaped(results[0].controller)}, paired by trial</h2>")
-        parts.append(f"<p class='quiet'>{escaped(tables.STARRED)}</p>")
-        parts.append(as_html(tables.paired(results[0], other)))
-    for path, caption in shown:
-        shown_as = picture(path.read_bytes(), caption)
-        parts.append(f"<figure>{shown_as}<figcaption>{escaped(caption)}</figcaption></figure>")
+        title = f"{other.controller} minus {first.controller}, paired by trial"
+        sections.append(Section(title, tables.STARRED, [table(tables.paired(first, other))]))
+    sections.append(Section("", "", [figure(path.read_bytes(), caption) for path, caption in shown]))
     for s in summaries:
-        parts.append(f"<h2>{escaped(s['controller'])} by condition</h2>")
-        parts += [as_html(tables.by_condition(s, which)) for which in ("by_speed", "by_los")]
-    parts.append("<h2>What the figures mean</h2><dl>")
-    parts += [f"<dt>{escaped(k)}</dt><dd>{escaped(v)}</dd>" for k, v in MEANING.items()]
-    return document("fishmj evaluate", "\n".join([*parts, "</dl>"]), STYLE)
+        conditions = [table(tables.by_condition(s, which)) for which in ("by_speed", "by_los")]
+        sections.append(Section(f"{s['controller']} by condition", "", conditions))
+    meant = [{"figure": key, "meaning": value} for key, value in MEANING.items()]
+    sections.append(Section("What the figures mean", "", [table(meant, left=2)]))
+    return report(named, headline(results), sections, mark="STATION HOLDING", notes=notes)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fishmj import controllers, engines
+from fishmj import controllers
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.evaluate import protocol
 from fishmj.evaluate.protocol import Trials
@@ -15,7 +15,7 @@ from fishmj.evaluate.result import Result
 from fishmj.flow import stack
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.sensing import Sensors, readings
+from fishmj.tasks.loop import ControlLoop, Scenario
 
 
 def run(
@@ -41,36 +41,28 @@ def run(
     """
     robot = load_robot(robot)
     trials = protocol.trials(seed=seed) if trials is None else trials
-    brain = controllers.make(controller, robot) if isinstance(controller, str) else controller
-    body = engines.make(engine, robot) if isinstance(engine, str) else engine
+    controller = controllers.make(controller, robot) if isinstance(controller, str) else controller
+    loop = ControlLoop(robot, engine)
     n, steps = len(trials), task.control_steps(trials.duration, robot)
-    ticks = engines.ticks_per(robot)[1]
     params, camera = trials.fish(robot)
     (start, target), noise = trials.ends(), trials.sensor_noise(robot, steps)
-    current = stack(trials.flows())
-    state = engines.at_rest(robot, start)
-    state.q[:, :2] += shift
-    state.q[:, 3:] = params.zero
-    length, sensors = task.history_length(robot), Sensors(robot)
-    history, recent = np.repeat(start[:, None], length, 1), np.zeros((n, sensors.behind + 1, 2 * robot.n_joints))
+    loop.start(start, Scenario(params, camera, stack(trials.flows())))
+    loop.fish.q[:, :2] += shift
     rows: list[tuple] = []
-    brain.reset(n)
+    controller.reset(n)
     for k in range(steps):
-        obs = task.observe_with_sensors(np, robot, sensors, params, history, camera, recent, target, noise[:, k])
-        command = _checked(brain, brain(obs), (n, ticks, robot.n_joints))
+        obs = loop.observe(target, noise[:, k])
+        command = _checked(controller, controller(obs), (n, loop.ticks, robot.n_joints))
         try:
-            state, trace = body.advance(state, command, params, current, np.full(n, k * ticks))
+            trace = loop.act(command)
         except SimDiverged as error:
             raise _named(error, trials, k * robot.timing.control_dt) from error
-        trace = engines.Trace(*(np.asarray(a, float) for a in trace))
-        history = np.concatenate([history, trace.pose], 1)[:, -length:]
-        recent = np.concatenate([recent, readings(np, trace.joint, trace.rate)], 1)[:, -sensors.behind - 1 :]
-        rows.append((*trace, command, obs[:, None], _action(brain)))
+        rows.append((*trace, command, obs[:, None], _action(controller)))
         progress(k + 1)
-    return _result(brain, robot, trials, body, start, target, rows)
+    return _result(controller, robot, trials, loop.engine, start, target, rows)
 
 
-def _result(brain, robot, trials, body, start, target, rows) -> Result:
+def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     """Rows of control steps as arrays; the start is tick 0."""
     join = lambda i: np.concatenate([row[i] for row in rows], 1)
     first = lambda x, like: np.concatenate([np.broadcast_to(x, (len(start), like.shape[2]))[:, None], like], 1)
@@ -80,11 +72,11 @@ def _result(brain, robot, trials, body, start, target, rows) -> Result:
     distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
     return Result(
-        controller=brain.name,
-        policy_sha256=getattr(brain, "sha256", ""),
+        controller=controller.name,
+        policy_sha256=getattr(controller, "sha256", ""),
         robot=robot,
         trials=trials,
-        engine=type(body).__module__.rpartition(".")[2],
+        engine=type(engine).__module__.rpartition(".")[2],
         t=np.arange(pose.shape[1]) * robot.timing.bus_dt,
         target=target,
         pose=pose,
@@ -100,18 +92,19 @@ def _result(brain, robot, trials, body, start, target, rows) -> Result:
     )
 
 
-def _action(brain):
-    action = getattr(brain, "action", None)
+def _action(controller):
+    action = getattr(controller, "action", None)
     return None if action is None else np.array(action)[:, None]
 
 
-def _checked(brain, command, shape) -> np.ndarray:
+def _checked(controller, command, shape) -> np.ndarray:
     """The controller's answer, or one clear error; it belongs to somebody else."""
     command = np.asarray(command, float)
     if command.shape != shape or not np.isfinite(command).all():
         what = "" if np.isfinite(command).all() else " with values that are not finite"
         raise ConfigError(
-            f"controller {brain.name}: gave an array of shape {command.shape}{what}; expected finite bus commands {shape} in rad"
+            f"controller {controller.name}: gave an array of shape {command.shape}{what};"
+            f" expected finite bus commands {shape} in rad"
         )
     return command
 

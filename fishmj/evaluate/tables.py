@@ -1,8 +1,7 @@
-"""Tables for the terminal and the report: aligned, with units and intervals, every condition named."""
+"""Rows of the tables in the terminal and in the report: with units and intervals, every condition named."""
 
 from math import isfinite
 
-from fishmj import console
 from fishmj.evaluate.result import Result
 from fishmj.evaluate.statistics import APART, compare
 
@@ -36,15 +35,9 @@ def condition(result: Result) -> str:
     )
 
 
-def overall(summaries: list[dict], keys=MAIN) -> str:
+def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
     """One row a controller: value and 95 % interval over trials."""
-    rows = []
-    for s in summaries:
-        row = {"controller": s["controller"]}
-        for key in keys:
-            row[SHORT[key][0]] = cell(key, s["overall"][key])
-        rows.append(row)
-    return console.table(rows)
+    return [{"controller": s["controller"], **{SHORT[k][0]: cell(k, s["overall"][k]) for k in keys}} for s in summaries]
 
 
 def cell(key: str, e: dict, interval: bool = True) -> str:
@@ -73,16 +66,14 @@ def number(x: float, form: str) -> str:
     return format(x, form) if isfinite(x) else "-"
 
 
-def by_condition(summary: dict, which: str, keys=MAIN) -> str:
+def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
     """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
     head = {"by_speed": "flow [m/s]", "by_los": "los [deg]"}[which]
     order = sorted(summary[which], key=float)
-    return console.table(
-        [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
-    )
+    return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
 
 
-def paired(first: Result, second: Result, keys=MAIN) -> str:
+def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
     """second minus first, trial by trial: mean difference, its interval or why there is none, Welch's t-test."""
     rows = []
     for d in compare(first, second):
@@ -96,4 +87,4 @@ def paired(first: Result, second: Result, keys=MAIN) -> str:
         row["95 % interval"] = d.why or f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if d.apart else ''}"
         row |= {"pairs": d.n, "Welch t": number(d.welch_t, ".2f"), "Welch p": number(d.welch_p, ".2g")}
         rows.append(row)
-    return console.table(rows)
+    return rows

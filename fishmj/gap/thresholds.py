@@ -1,57 +1,143 @@
-"""Thresholds of the search, from `data/calib/gap.toml`."""
+"""Thresholds of the search, from `data/calib/gap.toml`: every constant that decides an answer, with its unit and its source.
 
+    thresholds().stepwise.attempts        frozen() is thresholds().gates
+
+They are read once a process and never change with the data. A table or key that a file of one's own leaves out is as shipped.
+"""
+
+from collections import namedtuple
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.calib import read_toml, resolve
+from fishmj import console
+from fishmj.calib import calib_folder, read_toml, resolve, shown_path
+from fishmj.errors import ConfigError
+
+RENAMED = {
+    "rest": "residual",
+    "joint": "min_joint_gain",
+    "again": "min_gain_per_sample",
+    "clear": "uncontested_discount",
+    "beside": "min_gain_fraction",
+    "enough": "min_gain_cap",
+    "ahead": "rival_margin_abs",
+    "most": "max_effects",
+}  # old key of [gates] -> its name now
 
 
 @dataclass(frozen=True)
 class Gates:
-    """Thresholds.
+    """Of a verdict, and of what a round of the selection must gain (twice the log likelihood of records not seen).
 
-    adequacy: |z|^2 / m that null runs do not reach. gain: drop of twice the negative log likelihood, every record predicted
-    without its fold, below which nothing is added; joint: what does instead for a first effect, on all records at once and each
-    fold given the others. A further effect must also take away `again` times the length of z, or the share `clear` of that where
-    no other comes near it; and in all `beside` of the gain so far, or `enough`. closure, rest, form, size, transfer: gates of
-    decide.py. margin, ahead: share of the gain, and |z|^2, that a candidate must be behind the best by to be no rival; p_best:
-    as in evidence.py. shortlist, finalists: candidates fitted, and judged by the evidence around themselves.
+    A first effect must gain `gain`, or `min_joint_gain` on all records at once and on each fold given the others. A further one
+
+        max(gain + min_gain_per_sample m, min(min_gain_fraction (gain so far), min_gain_cap))
+
+    where m is the length of z, and only the share `uncontested_discount` of the second summand where nothing else comes near.
+    A rival is a candidate behind the best by less than `margin` of the gain and `rival_margin_abs`, or one that wins more than
+    1 - `p_best` of the bootstrap draws. adequacy, closure, residual, form, size, transfer: see decide/decide.py.
     """
 
     adequacy: float
     gain: float
-    joint: float
-    again: float
-    beside: float
-    enough: float
-    clear: float
+    min_joint_gain: float
+    min_gain_per_sample: float
+    uncontested_discount: float
+    min_gain_fraction: float
+    min_gain_cap: float
     closure: float
     margin: float
-    ahead: float
+    rival_margin_abs: float
     p_best: float
-    rest: float
+    residual: float
     form: float
     size: float
     transfer: float
-    most: int
+    max_effects: int
     shortlist: int
     finalists: int
 
 
-def rest_allowed(checks: dict, gates: Gates) -> float:
-    """The |z|^2 / m, unseen, that may be left, by the gates of a verdict.
+class Thresholds(NamedTuple):
+    """All of them, by table of the file. But for the gates, the shipped file says which names a table has and of which kind."""
 
-        rest <= R,   or, where form <= F,   rest - 1 <= F^2 (adequacy - 1)
+    gates: Gates
+    fit: Any
+    likelihood: Any
+    model_error: Any
+    cross_validation: Any
+    stepwise: Any
+    decide: Any
+    secondary: Any
+    intervals: Any
+    library: Any
+    equivalence: Any
+    terms: Any
+    stronger: Any
+    workflow: Any
+
+
+@cache
+def thresholds(name: str | Path = "gap") -> Thresholds:
+    """The thresholds of a shipped file by name, or of a TOML of one's own.
+
+    Raises:
+        ConfigError: an unknown table or key, or a value of another kind.
+    """
+    path = resolve(name)
+    given = read_toml(path)
+    shipped = read_toml(calib_folder() / "gap.toml")
+    where = shown_path(path)
+    if unknown := sorted(set(given) - set(shipped)):
+        raise ConfigError(f"{where}: [{unknown[0][:64]}] is no table of thresholds; expected {', '.join(shipped)}")
+    tables = {key: _table(given.get(key, {}), shipped[key], f"{where}: [{key}]") for key in shipped}
+    frozen_tables = {key: namedtuple(key, table)(**table) for key, table in tables.items() if key != "gates"}
+    return Thresholds(Gates(**tables["gates"]), **frozen_tables)
+
+
+def _table(given: Any, shipped: dict, where: str) -> dict:
+    """One table: what is given over what is shipped."""
+    if not isinstance(given, dict):
+        raise ConfigError(f"{where}: got {given!r:.40}, expected a table of thresholds")
+    old = [key for key in given if key in RENAMED and RENAMED[key] in shipped]
+    if old:
+        console.warn(f"{where}: deprecated names: {', '.join(f'{key} is now {RENAMED[key]}' for key in old)}")
+    entries = {(RENAMED[key] if key in old else key): entry for key, entry in given.items()}
+    if unknown := sorted(set(entries) - set(shipped)):
+        raise ConfigError(f"{where}: {unknown[0][:64]!r} is no threshold; expected {', '.join(shipped)}")
+    return {key: _value(entries.get(key, entry), entry["value"], f"{where}: {key}") for key, entry in shipped.items()}
+
+
+def _value(entry: Any, shipped: Any, where: str) -> Any:
+    """A number or a list of numbers, written as it is or as { value, unit, source }, of the kind that is shipped."""
+    value: Any = entry.get("value") if isinstance(entry, dict) else entry
+    number = lambda x: isinstance(x, int | float) and not isinstance(x, bool)
+    if isinstance(shipped, list):
+        if isinstance(value, list) and value and all(map(number, value)):
+            return tuple(map(float, value))
+        raise ConfigError(f"{where}: got {value!r:.40}, expected a list of numbers")
+    if not number(value) or (isinstance(shipped, int) and value != int(value)):
+        raise ConfigError(f"{where}: got {value!r:.40}, expected {'a whole number' if isinstance(shipped, int) else 'a number'}")
+    return type(shipped)(value)
+
+
+def frozen() -> Gates:
+    """The gates as shipped: how they were set stands beside each in the file."""
+    return thresholds().gates
+
+
+def residual_allowed(checks: dict, gates: Gates) -> float:
+    """The |z|^2 / m of records predicted without their fold that may be left, by the gates of a verdict.
+
+        residual <= R,   or, where form <= F,   residual - 1 <= F^2 (adequacy - 1)
 
     S holds the form error in steps of 1.4, and in a gap of a thousand times the floor a fiftieth of it shows. A formula that was
     found right to within F, what a formula may be wrong by, may leave F of what it explains.
     """
     if checks.get("form", np.inf) > gates.form:
-        return gates.rest
-    return max(gates.rest, 1.0 + gates.form**2 * (checks.get("adequacy", 1.0) - 1.0))
-
-
-def frozen() -> Gates:
-    """The thresholds as shipped: docs/results/gap_benchmark.md says how they were set."""
-    return Gates(**read_toml(resolve("gap"))["gates"])
+        return gates.residual
+    return max(gates.residual, 1.0 + gates.form**2 * (checks.get("adequacy", 1.0) - 1.0))

@@ -33,7 +33,7 @@ class Verdict:
 
     effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, and instead of which. tentative: further
     effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
-    first (fallback/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision. explained: share of the
+    first (terms/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision. explained: share of the
     excess of twice the log likelihood, each record predicted without its fold, with what the formulas may be wrong by granted;
     it is no share of the gap, and the gap may grow beside it. steps: the rounds, decide.described.
     """

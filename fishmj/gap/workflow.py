@@ -1,6 +1,6 @@
 """`gap find` from end to end: a data set in, an answer out.
 
-read -> audit clocks -> repeatable? -> null runs -> find -> decide -> free forces -> gap on records that no decision saw
+read -> null runs -> forward selection -> gates -> free forces -> repeatable? -> gap on records that no decision saw
 """
 
 import time
@@ -14,20 +14,15 @@ from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search.cross_validation import split
-from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.search.stepwise import Selection, find
-from fishmj.gap.thresholds import Gates, frozen
+from fishmj.gap.search.likelihood import Likelihood, likelihood_of
+from fishmj.gap.search.stepwise import Selection, forward_select
+from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict, said
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import level, title
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
-
-SEEN = 4.0  # mean square over the floor from which a channel shows a gap
-GROWN = 0.1  # by which a gap of chance may grow
-UNSEEN = 9  # records from which on a quarter is set aside for the last figure only
 
 
 @dataclass(frozen=True)
@@ -51,7 +46,7 @@ class Inquiry:
 
 
 def investigate(
-    plant,
+    model,
     trials: list[Trial],
     *,
     gates: Gates | None = None,
@@ -64,7 +59,7 @@ def investigate(
     admit: Callable[[Likelihood], None] = lambda e: None,
     notes: tuple[str, ...] = (),
 ) -> Inquiry:
-    """Find what the model of `plant` is missing in `trials`.
+    """Find what the model of `model` is missing in `trials`.
 
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
@@ -73,25 +68,26 @@ def investigate(
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """
-    gates, null = gates or frozen(), null or SimulatedNull()
-    records = [record_of(t, plant.dt) for t in trials]
+    gates = gates or frozen()
+    null = null or SimulatedNull()
+    records = [record_of(t, model.dt) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
-    say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(plant.active.effects)} effects in question")
-    compiled(plant, say)
+    say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")
+    compiled(model, say)
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
-    weighed = mass_properties.sensor(page or {}, plant)
-    e = evidence_of(plant, mass_properties.with_page(seen, weighed), null, bars)
+    weighed = mass_properties.sensor(page or {}, model)
+    e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
-    with bars(gates.most + 1, "search", "rounds") as bar:
-        found = find(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
+    with bars(gates.max_effects + 1, "search", "rounds") as bar:
+        found = forward_select(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):
-        from fishmj.gap.terms import challenged
+        from fishmj.gap.terms import challenge
 
-        verdict = challenged(plant, e, found, verdict)
+        verdict = challenge(model, e, found, verdict)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
@@ -101,17 +97,18 @@ def investigate(
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null, bars)
     if further and verdict.answer == "UNEXPLAINED":
-        from fishmj.gap.terms import described
+        from fishmj.gap.terms import describe
 
         say("which force would it be?")
-        verdict = replace(verdict, terms=described(plant, e, null, seed))
+        verdict = replace(verdict, terms=describe(model, e, null, seed))
     apart = None
     if unseen.any():
-        apart = evidence_of(plant, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
-        before, after = apart.gap(plant.null)[0], apart.gap(found.best.row)[0]
+        apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
+        before = apart.gap(model.null)[0]
+        after = apart.gap(found.best.row)[0]
         verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
-        near = apart.around(found.best.row, found.near.form)
-        grown = after > before + GROWN and near.loss(found.best.row) > apart.loss(plant.null)
+        near = apart.linearised_at(found.best.row, found.near.form)
+        grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
         if grown and verdict.answer in ("NAMED", "CLASS"):
             why = f"the gap grows from {level(before)} to {level(after)} on records that no decision saw; the best is tentative"
             verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
@@ -119,24 +116,19 @@ def investigate(
     return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
 
 
-def evidence_of(plant, records: list[Record], null: SimulatedNull, bars: Bars = silent) -> Likelihood:
-    """Records with the null that their null runs make."""
-    return Likelihood(plant, records, null.residuals(plant, records, ResidualLayout(records), bars))
-
-
-def compiled(plant, say: Callable[[str], None]) -> None:
-    """Have the plant's step as machine code, and say how long that took: it is in no bar's time left."""
-    if "kernel" not in vars(plant):
-        say("compiling the plant's kernel: some 12 s on one core the first time, then cached")
+def compiled(model, say: Callable[[str], None]) -> None:
+    """Have the model's step as machine code, and say how long that took: it is in no bar's time left."""
+    if "kernel" not in vars(model):
+        say("compiling the model's kernel: some 12 s on one core the first time, then cached")
         begin = time.monotonic()
-        _ = plant.kernel
+        _ = model.kernel
         say(f"compiled in {time.monotonic() - begin:.1f} s")
 
 
 def set_aside(records: list[Record], seed: int) -> np.ndarray:
     """(L,) bool: a quarter of many records, none of few."""
     aside = np.zeros(len(records), bool)
-    if len(records) >= UNSEEN:
+    if len(records) >= thresholds().workflow.set_aside_from:
         aside[np.random.default_rng(seed + 1).permutation(len(records))[: len(records) // 4]] = True
     return aside
 
@@ -147,7 +139,7 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
     Mean square of the residual over its variance between replicates, the median over the channels that show a gap: a slow random
     drift may by chance lead all replicates of one channel the same way.
     """
-    residual = e.layout.residuals(e.plant.predict(e.records, e.plant.null))[0] / e.scale
+    residual = e.layout.residuals(e.model.predict(e.records, e.model.null))[0] / e.scale
     ratios = []
     for members in groups(trials).values():
         names = {t.name for t in members}
@@ -157,8 +149,9 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
         for same in zip(*([b for b in e.layout.blocks if b.record == i] for i in rows), strict=True):
             n = min(len(b.t) for b in same)
             values = np.stack([residual[b.where][:n] for b in same])
-            gap, between = float(np.mean(values**2)), float(np.mean(np.var(values, 0, ddof=1)))
-            if gap > SEEN:
+            gap = float(np.mean(values**2))
+            between = float(np.mean(np.var(values, 0, ddof=1)))
+            if gap > thresholds().workflow.replicate_gap:
                 ratios.append(gap / max(between, 1e-12))
     if ratios and np.median(ratios) <= RATIO:
         return f"records of the same experiment differ from each other as much as from the model (ratio {np.median(ratios):.2f})"

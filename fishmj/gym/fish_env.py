@@ -45,13 +45,13 @@ class FishEnv(gymnasium.Env):
         """Start this very episode; what `reset` does with a drawn one."""
         self.episodes.begin(scenario)
         distance = np.linalg.norm(scenario.launch.start.pose[0, :2] - self.episodes.target[0])
-        return self._look(), {"distance": float(distance), "power": 0.0, "diverged": False}
+        return self._observe(), {"distance": float(distance), "power": 0.0, "diverged": False}
 
     def step(self, action):
         """One control step."""
         out = self.episodes.step(np.asarray(action, float)[None])
         info = {"distance": float(out.distance[0]), "power": float(out.power[0]), "diverged": bool(out.diverged[0])}
-        return self._look(), float(out.reward[0]), bool(out.terminated[0]), bool(out.truncated[0]), info
+        return self._observe(), float(out.reward[0]), bool(out.terminated[0]), bool(out.truncated[0]), info
 
     def render(self):
         """A picture (480, 480, 3) uint8 from above, or None without a render mode."""
@@ -61,12 +61,6 @@ class FishEnv(gymnasium.Env):
             self._picture = Picture(self.rules.robot)
         return self._picture.draw(self.episodes.fish.q[0], self.episodes.target[0])
 
-    def close(self) -> None:
-        """Free the renderer."""
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
-
-    def _look(self) -> np.ndarray:
-        seen = self.episodes.look(self.np_random.standard_normal((1, self.rules.n_obs)))[0]
-        return spaces.clipped(seen, self._bounds)
+    def _observe(self) -> np.ndarray:
+        obs = self.episodes.observation(self.np_random.standard_normal((1, self.rules.n_obs)))[0]
+        return spaces.clipped(obs, self._bounds)

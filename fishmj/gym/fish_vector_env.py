@@ -70,7 +70,7 @@ class FishVectorEnv(vector.VectorEnv):
         self._over[rows] = False
         start = self.episodes.scenario.launch.start
         info = self._info(np.linalg.norm(start.pose[:, :2] - self.episodes.target, axis=-1), np.zeros(self.num_envs), self._over)
-        return self._look(rows), info
+        return self._observe(rows), info
 
     def step(self, actions):
         """One control step of all fish."""
@@ -82,12 +82,12 @@ class FishVectorEnv(vector.VectorEnv):
         if waiting.any():
             self._begin(np.flatnonzero(waiting))
             reward, terminated, truncated = (np.where(waiting, 0, a).astype(a.dtype) for a in (reward, terminated, truncated))
-        seen = self._look()
+        obs = self._observe()
         over = terminated | truncated
         if self.mode is AutoresetMode.SAME_STEP and over.any():
-            seen = self._restart(np.flatnonzero(over), over, seen, info)
+            obs = self._restart(np.flatnonzero(over), over, obs, info)
         self._over = over
-        return seen, reward, terminated, truncated, info
+        return obs, reward, terminated, truncated, info
 
     def render(self):
         """One picture a fish, or None without a render mode."""
@@ -96,35 +96,30 @@ class FishVectorEnv(vector.VectorEnv):
         self._picture = self._picture or Picture(self.rules.robot)
         return tuple(self._picture.draw(q, target) for q, target in zip(self.episodes.fish.q, self.episodes.target, strict=True))
 
-    def close_extras(self, **kwargs) -> None:
-        """Free the renderer."""
-        if self._picture is not None:
-            self._picture.close()
-
-    def _restart(self, rows, over, seen, info):
+    def _restart(self, rows, over, obs, info):
         """Begin new episodes at once; their last observations and infos go into `info`."""
         final = np.full(self.num_envs, None, object)
         for i in rows:
-            final[i] = seen[i].copy()
+            final[i] = obs[i].copy()
         info["final_info"] = {k: np.where(over, v, np.zeros_like(v)) for k, v in info.items() if not k.startswith("_")}
         info["final_info"].update({f"_{k}": over.copy() for k in list(info["final_info"])})
         info["final_obs"], info["_final_obs"], info["_final_info"] = final, over.copy(), over.copy()
         self._begin(rows)
-        seen = seen.copy()
-        seen[rows] = self._look(rows)[rows]
-        return seen
+        obs = obs.copy()
+        obs[rows] = self._observe(rows)[rows]
+        return obs
 
     def _begin(self, rows, options: dict | None = None) -> None:
         each = [self.rules.draws(self._rngs[i], 1) for i in rows]
         draws = Draws(*(np.concatenate(column) for column in zip(*each, strict=True)))
         self.episodes.begin(self.rules.scenario(draws, **spaces.fixed_by(self.rules, options, len(rows))), rows)
 
-    def _look(self, rows=None) -> np.ndarray:
+    def _observe(self, rows=None) -> np.ndarray:
         """Observations (n, n_obs) float32; only fish `rows` draw sensor noise."""
         normals = np.zeros((self.num_envs, self.rules.n_obs))
         for i in range(self.num_envs) if rows is None else rows:
             normals[i] = self._rngs[i].standard_normal(self.rules.n_obs)
-        return spaces.clipped(self.episodes.look(normals), self._bounds)
+        return spaces.clipped(self.episodes.observation(normals), self._bounds)
 
     def _info(self, distance, power, diverged) -> dict:
         every = np.ones(self.num_envs, bool)

@@ -57,7 +57,7 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
         ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
-    own = {"figure_eight": ("target",), "angle_of_attack": ("pose", "target")}.get(rules.name, ())
+    own = getattr(rules.course, "decides", ())
     fixed = {}
     for name, value in (options or {}).items():
         if name not in widths:

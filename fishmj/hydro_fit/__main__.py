@@ -5,18 +5,18 @@ from functools import partial
 from pathlib import Path
 
 from fishmj import console, interrupt
+from fishmj.calib import OWN, ROOTS
 from fishmj.console import Command
 from fishmj.errors import ConfigError, StoreError, TooMuch
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store.manifest import MANIFEST
+from fishmj.store.package_data import SOURCES
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
-_ROOT = Path(__file__).resolve().parents[1]
-DATA = _ROOT.parent / "data" / "hydro"
-PLACES = (DATA, _ROOT / "_data" / "hydro")  # checkout, installed wheel
-SHIPPED = tuple(place / name for name in ("swift", "tendon_fish") for place in PLACES)  # the default fish, the second one
+DATA = OWN / "hydro"
+SHIPPED = tuple(root / "hydro" / name for name in ("swift", "tendon_fish") for root in ROOTS)  # the default fish, the second one
 FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the model had been made
 
 
@@ -160,7 +160,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
         taught = {} if args.swims is None else {"swims": args.swims}
         settings = FitSettings(seed=args.seed, residual=not args.base, **taught)
         done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
-        with interrupt.keeping(done.words):
+        with interrupt.keeping(done.kept_so_far):
             model = replace(done.run(), name=args.name or robot.name)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
     for row in doubtful:
@@ -180,7 +180,8 @@ def chosen(robot: Robot, args) -> HydroModel:
         from fishmj.studies.water_ablation.ablation import unfitted
 
         return unfitted(robot)
-    place = Path(args.out or FOLDERS[0]) / f"{robot.name}.toml"
+    places = [folder / f"{robot.name}.toml" for folder in ([Path(args.out)] if args.out else FOLDERS)]
+    place = next((path for path in places if path.is_file()), places[0])
     if not args.model and not place.is_file():
         raise StoreError(
             f"{place}: no fitted water for {robot.name!r} yet; fit it: python -m fishmj.hydro_fit fit --fish {args.fish}"
@@ -209,6 +210,8 @@ def held_out(robot: Robot, folder: Path, args) -> tuple[list[SegmentRecord], lis
     records, repeats = [], []
     for place in [folder] if args.data or not (beside / MANIFEST).is_file() else [folder, beside]:
         data = open_dataset(place, test=True)
+        if not data.whole:
+            console.warn(f"judged on {place.name}'s first test episodes, which are installed; its other ones are {SOURCES} only")
         records += records_of(data, robot, "test", args.slip)
         repeats += repeats_of(data, args.slip)
     return records, repeats

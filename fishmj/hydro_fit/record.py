@@ -26,15 +26,7 @@ from fishmj.names import PATTERN
 from fishmj.store import read_json, read_npz, sha256, write_json, write_npz
 
 SCHEMA = "fishmj.segment/1"
-UNITS = {
-    "q": "m, rad",
-    "v": "m/s, rad/s",
-    "command": "rad",
-    "wrench": "N, N m",
-    "raw": "N, N m",
-    "flow": "m/s",
-    "power": "W",
-}
+UNITS = {"q": "m, rad", "v": "m/s, rad/s", "command": "rad", "wrench": "N, N m", "raw": "N, N m", "flow": "m/s", "power": "W"}
 PRECISE = ("q", "v")  # never in 16 bits: accelerations are their differences over a tick
 HALF = 1e-3  # greatest error of a channel kept in 16 bits, over its range
 KICK = 0.3  # s, of a free swim that begins at rest in a stream

@@ -5,19 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj import console
+from fishmj import pages
 from fishmj.hydro_fit import fit_figures, force_by_regime, free_swims
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.pages import as_html, document, escaped, picture
 from fishmj.store import write_json, write_text
 from fishmj.water.hydro_model import HydroModel
-
-STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;color:#222}
-h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2rem}.quiet{color:#5a6270}img{max-width:100%}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
-th,td{padding:.25rem .55rem;border-bottom:1px solid #e4e7ec;text-align:right;white-space:nowrap}
-th{background:#f5f7fa}th:first-child,td:first-child{text-align:left}"""
 
 
 def write(
@@ -42,16 +35,12 @@ def write(
     write_json(
         folder / "report.json", told | {"coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
     )
-    parts = [f"<h1>Water {escaped(model.name)}: against the flow solver</h1>"]
-    parts.append(f'<p class="quiet">{escaped(about(model, records))}</p>')
     tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
     tables += [("Swimming straight", grid), ("Turning", turns), ("Coefficients", coefficients(model))]
-    for title, rows in tables:
-        if rows:
-            parts += [f"<h2>{escaped(title)}</h2>", as_html(console.table(rows))]
-    for title, png in pictures:
-        parts.append(f"<h2>{escaped(title)}</h2>{picture(png, title)}")
-    return write_text(folder / "report.html", document("fishmj hydro_fit", "\n".join(parts), STYLE))
+    sections = [pages.Section(title, "", [pages.table(rows)]) for title, rows in tables]
+    sections += [pages.Section(title, "", [pages.figure(png, title, below=False)]) for title, png in pictures]
+    heading = f"Water {model.name}: against the flow solver"
+    return write_text(folder / "report.html", pages.report(heading, heading, sections, notes=[about(model, records)]))
 
 
 def about(model: HydroModel, records: Sequence[SegmentRecord]) -> str:

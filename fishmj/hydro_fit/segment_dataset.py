@@ -6,33 +6,38 @@
 
 A data set is a folder:  `segments/<id>.npz, .json`,  `split.json` (which episode is for what, written before the first segment
 was run) and `manifest.json` (sha256 of every file). Segments of one episode, at other slip ratios too, share its split.
+Where no segment but those of `INSTALLED` is there, as in an installed fishmj, the data set is open for judging alone.
 """
 
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
 from pathlib import Path
 
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit.record import SCHEMA, UNITS, SegmentRecord, described, read_record
-from fishmj.store import Manifest, read_json
+from fishmj.store import Manifest, left_out, read_json
 from fishmj.store.manifest import MANIFEST
+from fishmj.store.package_data import SOURCES
 
 SEGMENTS, SPLIT = "segments", "split.json"
 SPLITS = ("train", "val", "test")
+INSTALLED = tuple(f"{SEGMENTS}/test-*_{end}" for end in ("s1*", "s0.json", "s0.npz"))  # as pyproject.toml has the wheel
 SHOWN = 12  # files that a message lists by name
 
 
 @dataclass(frozen=True)
 class SegmentDataset:
-    """An opened data set. `about`: the meta data of every segment by id, test ones without their arrays."""
+    """An opened data set. `about`: the meta data of every segment by id, test ones without their arrays. whole: all are there."""
 
     folder: Path
     about: dict[str, dict]
     split_sha256: dict[str, str]  # by split, of its episodes; see `split_hashes`
     meta: dict
     test: bool = False
+    whole: bool = True
 
     @property
     def sha256(self) -> str:
@@ -48,10 +53,13 @@ class SegmentDataset:
         """Ids of the segments with arrays.
 
         Raises:
-            DatasetError: the test part, in a data set that was not opened for the check; an unknown split.
+            DatasetError: the test part, in a data set that was not opened for the check; a part that is not installed; an
+                unknown split.
         """
         if split not in SPLITS:
             raise DatasetError(f"{self.folder}: split {split!r}; expected one of {', '.join(SPLITS)}")
+        if split != "test" and not self.whole:
+            raise DatasetError(f"{self.folder}: the {split} part is not installed, only {SOURCES}; name it with --data")
         if split == "test" and not self.test:
             raise DatasetError(
                 f"{self.folder}: the test part is closed; only the check opens it: open_dataset(folder, test=True)"
@@ -88,7 +96,7 @@ def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
             that is not where the split says. Lists the files, what was expected and what was found.
     """
     folder = Path(folder)
-    manifest = _manifest(folder)
+    manifest, whole = _manifest(folder)
     episodes = _split(folder)
     ids = sorted(Path(name).stem for name in manifest.files if name.startswith(f"{SEGMENTS}/") and name.endswith(".json"))
     if not ids:
@@ -101,7 +109,7 @@ def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
         if episodes.get(meta["episode"]) != meta["split"]
     ]
     _refuse(folder, "not where split.json puts them", wrong)
-    return SegmentDataset(folder, about, split_hashes(episodes), manifest.meta, test)
+    return SegmentDataset(folder, about, split_hashes(episodes), manifest.meta, test, whole)
 
 
 def split_hashes(episodes: dict[str, str]) -> dict[str, str]:
@@ -110,17 +118,22 @@ def split_hashes(episodes: dict[str, str]) -> dict[str, str]:
     return {split: hashlib.sha256(json.dumps(names).encode()).hexdigest() for split, names in parts.items()}
 
 
-def _manifest(folder: Path) -> Manifest:
+def _manifest(folder: Path) -> tuple[Manifest, bool]:
+    """What must be there, every file checked, and whether that is all of the data set."""
     try:
         manifest = Manifest.read(folder)
     except StoreError as error:
         again = "a campaign that was interrupted has none: collect again into the same folder"
-        raise DatasetError(f"{folder}: no data set: {error}; {again}") from error
+        raise DatasetError(f"{folder}: no data set: {error}; {again}{left_out(folder)}") from error
+    rest = [n for n in manifest.files if n.startswith(SEGMENTS) and not any(fnmatch(n, pattern) for pattern in INSTALLED)]
+    whole = not rest or any((folder / name).is_file() for name in rest)
+    if not whole:
+        manifest = replace(manifest, files={name: told for name, told in manifest.files.items() if name not in set(rest)})
     wrong = [str(change) for change in manifest.check(folder)]
     found = Manifest.of(folder).files
     wrong += [f"{name}: expected no such file (not in {MANIFEST}), got one" for name in found if name not in manifest.files]
     _refuse(folder, "missing, changed or not in the manifest", wrong)
-    return manifest
+    return manifest, whole
 
 
 def _split(folder: Path) -> dict[str, str]:

@@ -13,7 +13,7 @@ main = console.CommandGroup(
             "fishmj lbm_oracle cases poiseuille couette",
         ),
         "converge": Command(
-            "fishmj.lbm_oracle.cases.converge",
+            "fishmj.studies.solver_grid.converge",
             "order of convergence of the fluid on closed solutions",
             "fishmj lbm_oracle converge --device cpu",
         ),

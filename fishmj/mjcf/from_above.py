@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from fishmj.calib import constant
 from fishmj.errors import MissingExtra
-from fishmj.mjcf.skin import Skin, posed
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.skin import Skin, posed, skin
 
 WATER, LINE, METRE = (150, 112, 36), (176, 140, 66), (206, 180, 122)  # BGR, as all colours here
 INSIDE, OUTSIDE = (106, 212, 63), (29, 138, 240)  # the target's ring: reached or not
@@ -47,6 +49,13 @@ class FromAbove:
         whole = np.round(self.pixel(points) * 16).astype(np.int32).reshape(-1, 1, 2)
         self.cv2.polylines(image, [whole], False, colour, thickness, self.cv2.LINE_AA, 4)
 
+    def swimmer(self, image, q, target, s: Skin, tint=None) -> None:
+        """The target (2,) [m], if any (NaN: none), in a ring that is green around a fish that has arrived; and the fish."""
+        if np.isfinite(target).all():
+            radius = constant("protocol", "arrival_radius")
+            self.target(image, target, radius, bool(np.hypot(*(target - q[:2])) <= radius))
+        self.fish(image, q, s, tint)
+
     def target(self, image, target, radius: float, reached: bool) -> None:
         """A ring of `radius` [m] around the target (2,), m."""
         at = tuple(int(v) for v in np.round(self.pixel(target) * 16))
@@ -78,6 +87,11 @@ class FromAbove:
         patch[:] = small if tint is None else self.cv2.addWeighted(small, 0.7, patch, 0.3, 0)
 
 
+def coarse_skin(robot: Robot) -> Skin:
+    """The skin that `FromAbove` draws: as fine as a picture from above shows."""
+    return skin(robot, spacing=0.012, around=12, smooth=True)
+
+
 def opencv() -> Any:
     """The module cv2. Raises MissingExtra."""
     try:
@@ -87,4 +101,4 @@ def opencv() -> Any:
     return cv2
 
 
-__all__ = ["FromAbove", "opencv"]
+__all__ = ["FromAbove", "coarse_skin", "opencv"]

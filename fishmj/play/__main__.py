@@ -40,31 +40,31 @@ EXAMPLES = (
 )
 
 
-def swim(pond: LiveSession, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
+def swim(session: LiveSession, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
     """The live loop: in real time, or as fast as it goes for `seconds` of simulated time."""
     names = (*controllers.shipped_policies(), *controllers.NAMES)
-    listed: list[controllers.Controller | str] = [pond.controller]
-    listed += [name for name in names if name != pond.controller.name and pond.able(name)]
-    brains = cycle(listed)
-    next(brains)
-    tick = pond.robot.timing.bus_dt
+    listed: list[controllers.Controller | str] = [session.controller]
+    listed += [name for name in names if name != session.controller.name and session.can_steer(name)]
+    choices = cycle(listed)
+    next(choices)
+    tick = session.robot.timing.bus_dt
     stride = max(1, round(FRAME / tick))
     paused, due = False, time.monotonic()
-    view.show(pond.q, pond.target, pond.flow.mean[:2])
-    while seconds is None or pond.time < seconds - 1e-9:
+    view.show(session.q, session.target, session.flow.mean[:2])
+    while seconds is None or session.time < seconds - 1e-9:
         for key in keys.read():
             if key == "q":
                 return
-            press(pond, key, brains)
+            press(session, key, choices)
             if key == "r":
                 view.clear_trail()
             paused ^= key == " "
         if paused:
             time.sleep(FRAME)
             due = time.monotonic()
-            view.show(pond.q, pond.target, pond.flow.mean[:2])
+            view.show(session.q, session.target, session.flow.mean[:2])
             continue
-        chunk = pond.step()
+        chunk = session.step()
         for q in chunk.q[stride - 1 :: stride]:
             due += stride * tick
             if seconds is None:
@@ -72,17 +72,17 @@ def swim(pond: LiveSession, view, keys: Keyboard, seconds: float | None, status:
                 if wait < -LATE:  # too slow for real time: skip pictures, never physics
                     continue
                 time.sleep(max(0.0, wait))
-            view.show(q, pond.target, pond.flow.mean[:2])
+            view.show(q, session.target, session.flow.mean[:2])
         due = max(due, time.monotonic() - 1.0)  # after a long stall go on from here, without a burst
         view.trail(chunk.q[-1, :2])
-        status(line(pond, chunk))
+        status(line(session, chunk))
 
 
-def line(pond: LiveSession, chunk) -> str:
+def line(session: LiveSession, chunk) -> str:
     """The status line."""
-    gap, flow = np.hypot(*(pond.target - chunk.q[-1, :2])), pond.flow
+    gap, flow = np.hypot(*(session.target - chunk.q[-1, :2])), session.flow
     return (
-        f"{pond.time:6.1f} s  {pond.controller.name}  current {flow.speed:.2f} m/s to {np.degrees(flow.direction):3.0f} deg"
+        f"{session.time:6.1f} s  {session.controller.name}  current {flow.speed:.2f} m/s to {np.degrees(flow.direction):3.0f} deg"
         f"  distance {gap:.2f} m  {chunk.power.mean():.1f} W"
     )
 
@@ -118,7 +118,7 @@ def options() -> console.Parser:
     return parser
 
 
-def steersman(args, robot: Robot) -> controllers.Controller:
+def controller_of(args, robot: Robot) -> controllers.Controller:
     """The controller asked for; where none was, the best shipped one that can steer this robot."""
     if args.controller is not None:
         return controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
@@ -140,26 +140,22 @@ def main(argv: list[str] | None = None) -> int:
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     check_host(args.host)
     robot = load_robot(args.robot)
-    brain = steersman(args, robot)
-    pond = LiveSession(brain, robot, flow, args.engine)
+    controller = controller_of(args, robot)
+    session = LiveSession(controller, robot, flow, args.engine)
     alone = args.headless_seconds is not None
-    with (
-        interrupt.raising(),
-        LiveView(pond.robot, args.host) as view,
-        Keyboard() if alone else Keyboard.of_terminal() as keys,
-    ):
+    with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
         reach = "this machine only" if args.host in (LOCAL, "localhost", "::1") else "whoever can reach this machine"
         console.say(f"open {view.url} in a browser (served on {args.host}: {reach})", "" if alone else KEYS)
         try:
-            swim(pond, view, keys, args.headless_seconds, (lambda text: None) if alone else show_status)
+            swim(session, view, keys, args.headless_seconds, (lambda text: None) if alone else show_status)
         except KeyboardInterrupt:
             pass  # the usual way to stop; what was swum is still saved
-    saved = str(write_trial(args.save, pond.trial(), overwrite=True)) if args.save else None
+    saved = str(write_trial(args.save, session.trial(), overwrite=True)) if args.save else None
     if saved:
         console.say(f"wrote {saved}")
     if args.json:
-        gap = float(np.hypot(*(pond.target - pond.q[:2])))
-        console.emit_json({"seconds": pond.time, "controller": pond.controller.name, "distance": gap, "saved": saved})
+        gap = float(np.hypot(*(session.target - session.q[:2])))
+        console.emit_json({"seconds": session.time, "controller": session.controller.name, "distance": gap, "saved": saved})
     return 0
 
 

@@ -55,16 +55,16 @@ class Keyboard:
         return keys
 
 
-def press(pond: LiveSession, key: str, brains: Iterator[Controller | str]) -> None:
+def press(session: LiveSession, key: str, choices: Iterator[Controller | str]) -> None:
     """What a key does: arrows change the current, w a s d the target, c the controller, r starts again; others do nothing."""
-    flow = pond.flow
+    flow = session.flow
     if key in ("up", "down"):
-        pond.set_flow(flow.speed + (SPEED_STEP if key == "up" else -SPEED_STEP), flow.direction)
+        session.set_flow(flow.speed + (SPEED_STEP if key == "up" else -SPEED_STEP), flow.direction)
     elif key in ("left", "right"):
-        pond.set_flow(flow.speed, flow.direction + (TURN_STEP if key == "left" else -TURN_STEP))
+        session.set_flow(flow.speed, flow.direction + (TURN_STEP if key == "left" else -TURN_STEP))
     elif key in MOVES:
-        pond.target = np.clip(pond.target + TARGET_STEP * np.array(MOVES[key]), -REACH, REACH)
+        session.target = np.clip(session.target + TARGET_STEP * np.array(MOVES[key]), -REACH, REACH)
     elif key == "c":
-        pond.choose(next(brains))
+        session.choose(next(choices))
     elif key == "r":
-        pond.reset()
+        session.reset()

@@ -12,9 +12,8 @@ from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
-from fishmj.tasks import station_hold as task
+from fishmj.tasks.loop import ControlLoop, Scenario
 from fishmj.tasks.recorded_sensors import NOTE, clocks, sensed, sigmas
-from fishmj.tasks.sensing import Sensors, readings
 from fishmj.units import wrap
 
 FASTEST = 0.5  # m/s
@@ -50,13 +49,13 @@ class LiveSession:
     ):
         self.robot = load_robot(robot)
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
-        self.engine = engines.make(engine, self.robot) if isinstance(engine, str) else engine
-        self.engine_name = type(self.engine).__module__.rpartition(".")[2]
+        self.loop = ControlLoop(self.robot, engine)
+        self.engine_name = type(self.loop.engine).__module__.rpartition(".")[2]
         self._chain = planar_chain.chain_of(self.robot)
-        self._params, self._sensors = engines.nominal_params(self.robot, 1), Sensors(self.robot)
-        late = float(self._sensors.added.late(np, self._params.effects[0], "pose"))
-        self._camera = np.array([max(0, round((self.robot.timing.camera_latency + late) / self.robot.timing.bus_dt))])
-        self._ticks = engines.ticks_per(self.robot)[1]
+        params = engines.nominal_params(self.robot, 1)
+        late = float(self.loop.sensors.added.late(np, params.effects[0], "pose"))
+        camera = np.array([max(0, round((self.robot.timing.camera_latency + late) / self.robot.timing.bus_dt))])
+        self._nominal = Scenario(params, camera, self.flow.current())
         self.choose(controller)
         self.reset()
 
@@ -65,7 +64,7 @@ class LiveSession:
         self.controller = controllers.make(controller, self.robot) if isinstance(controller, str) else controller
         self.controller.reset(1)
 
-    def able(self, name: str) -> bool:
+    def can_steer(self, name: str) -> bool:
         """Whether a controller by name can steer this fish."""
         try:
             controllers.make(name, self.robot)
@@ -76,19 +75,16 @@ class LiveSession:
     def reset(self) -> None:
         """Back to the start: at rest 0.7 m from the target, heading upstream. What was recorded is dropped."""
         start = np.array([[-0.7, 0.0, wrap(np, np.pi + self.flow.direction)]])
-        self.target, self.count = np.array([0.7, 0.0]), 0
+        self.target = np.array([0.7, 0.0])
         self._start = start[0]
-        self._state = engines.at_rest(self.robot, start)
-        self._history = np.repeat(start[:, None], task.history_length(self.robot), 1)
-        self._joint = np.zeros((1, self.robot.n_joints))
-        self._recent = np.zeros((1, self._sensors.behind + 1, 2 * self.robot.n_joints))
-        self._current, self._random = self.flow.current(), np.random.default_rng(self.flow.seed)
+        self.loop.start(start, self._nominal._replace(current=self.flow.current()))
+        self._random = np.random.default_rng(self.flow.seed)
         self.controller.reset(1)
         self.chunks: list[Chunk] = []
 
     def set_flow(self, speed: float, direction: float) -> None:
         """Change the mean current [m/s, rad]; the eddies around the fish stay where they are."""
-        before = self._current
+        before = self.loop.scenario.current
         self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
         now = self.flow.current()
         if now.table.ndim == 4:  # frozen eddies ride on the mean: carry their phase over
@@ -96,46 +92,40 @@ class LiveSession:
             c, s = now.turn[0]
             moved = np.array([[c * shift[0] + s * shift[1], c * shift[1] - s * shift[0]]]) / now.cell
             now = now._replace(offset=before.offset + moved)
-        self._current = now
+        self.loop.scenario = self.loop.scenario._replace(current=now)
 
     @property
     def time(self) -> float:
         """Simulated seconds since the start."""
-        return self.count * self.robot.timing.control_dt
+        return int(self.loop.count[0]) * self.robot.timing.control_dt
 
     @property
     def q(self) -> np.ndarray:
         """(2 + N,) pose and joint angles now, m, rad."""
-        return np.concatenate([self._history[0, -1], self._joint[0]])
+        return np.concatenate([self.loop.window.pose[0, -1], self.loop.window.joint[0, -1, : self.robot.n_joints]])
 
     def step(self) -> Chunk:
         """One control step of 0.2 s."""
         noise = self.noise * self._random.standard_normal((1, 5 + 2 * self.robot.n_joints))
-        seen = (self._history, self._camera, self._recent, self.target[None], noise)
-        obs = task.observe_with_sensors(np, self.robot, self._sensors, self._params, *seen)
+        obs = self.loop.observe(self.target[None], noise)
         command = np.asarray(self.controller(obs), float)
-        first = np.array([self.count * self._ticks])
-        self._state, trace = self.engine.advance(self._state, command, self._params, self._current, first)
-        trace = engines.Trace(*(np.asarray(a, float) for a in trace))
-        self._history = np.concatenate([self._history, trace.pose], 1)[:, -task.history_length(self.robot) :]
-        self._joint = trace.joint[:, -1]
-        self._recent = np.concatenate([self._recent, readings(np, trace.joint, trace.rate)], 1)[:, -self._sensors.behind - 1 :]
+        ticks = self.loop.count * self.loop.ticks + 1 + np.arange(self.loop.ticks)
+        trace = self.loop.act(command)
         q = np.concatenate([trace.pose[0], trace.joint[0]], -1)
-        ticks = first + 1 + np.arange(self._ticks)
+        action = getattr(self.controller, "action", None)
         chunk = Chunk(
             t=ticks * self.robot.timing.bus_dt,
             q=q,
             v=np.concatenate([trace.velocity[0], trace.rate[0]], -1),
-            flow=sample(np, self._current, _centres(self._chain, q), ticks)[0],
+            flow=sample(np, self.loop.scenario.current, _centres(self._chain, q), ticks)[0],
             power=trace.power[0] + self.robot.servo.idle_power,
             command=command[0],
             target=self.target.copy(),
             obs=obs[0],
-            action=None if (action := getattr(self.controller, "action", None)) is None else np.array(action, float)[0],
+            action=None if action is None else np.array(action, float)[0],
             controller=self.controller.name,
             current=(self.flow.speed, self.flow.direction),
         )
-        self.count += 1
         self.chunks.append(chunk)
         return chunk
 
@@ -145,7 +135,7 @@ class LiveSession:
             raise ConfigError("play: nothing recorded yet; swim for a moment before saving")
         t, q, v, flow, power, command = (np.concatenate([getattr(c, name) for c in self.chunks]) for name in Chunk._fields[:6])
         begun = t - self.robot.timing.bus_dt
-        slow = begun[:: self._ticks]
+        slow = begun[:: self.loop.ticks]
         target, obs = (np.array([getattr(c, name) for c in self.chunks]) for name in ("target", "obs"))
         volts, robot = self.robot.servo.voltage, self.robot
         pose, joint, rate = q[:, :3], q[:, 3:], v[:, 3:]
@@ -159,8 +149,8 @@ class LiveSession:
                 joint,
                 rate,
                 start=self._start,
-                camera=int(self._camera[0]),
-                effects=np.asarray(self._params.effects[0], float),
+                camera=int(self._nominal.camera[0]),
+                effects=np.asarray(self._nominal.params.effects[0], float),
                 random=np.random.default_rng([self.flow.seed, SENSED]),
                 strength=self.noise,
             ),
@@ -175,16 +165,14 @@ class LiveSession:
             "obs": {"t": slow, **numbered("o#", obs)},
             "flow": {"t": t, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
         }
-        steered = [
-            i for i, c in enumerate(self.chunks) if c.action is not None
-        ]  # a policy answers, a classical controller does not
-        if steered:
-            tables["action"] = {"t": slow[steered], **numbered("a#", np.array([self.chunks[i].action for i in steered]))}
+        acted = [i for i, c in enumerate(self.chunks) if c.action is not None]  # by a policy; a classical controller has none
+        if acted:
+            tables["action"] = {"t": slow[acted], **numbered("a#", np.array([self.chunks[i].action for i in acted]))}
         return Trial(self._meta(tables), tables)
 
     def _meta(self, tables: dict) -> dict:
         """What a reader must know about the swim."""
-        brains = list(dict.fromkeys(c.controller for c in self.chunks))
+        names = list(dict.fromkeys(c.controller for c in self.chunks))
         steady = len({c.current for c in self.chunks}) == 1
         notes = [NOTE]
         if not steady:
@@ -193,8 +181,8 @@ class LiveSession:
             )
         if not (still := len({(*c.target,) for c in self.chunks}) == 1):
             notes.append("the target was moved by hand: target is where it was last, the table target is exact")
-        if len(brains) > 1:
-            notes.append(f"steered by {', '.join(brains)}, one after the other")
+        if len(names) > 1:
+            notes.append(f"steered by {', '.join(names)}, one after the other")
         return {
             "schema": SCHEMA,
             "origin": "synthetic",
@@ -204,7 +192,7 @@ class LiveSession:
             "water": str(self.robot.water.get("model", "structured")),
             "root": "planar",
             "engine": self.engine_name,
-            "controller": brains[-1],
+            "controller": names[-1],
             "policy_sha256": str(getattr(self.controller, "sha256", "")),
             "target": self.chunks[-1].target.tolist(),
             "excitation": "station holding" if still and steady else "live",
@@ -214,8 +202,8 @@ class LiveSession:
             "sigma": sigmas(self.robot.n_joints, self.noise),
             "clock": clocks(tables),
             "latency": {
-                "pose": float(self._camera[0]) * self.robot.timing.bus_dt,
-                "command": float(np.asarray(self._params.delay)[0]) * self.robot.timing.physics_dt,
+                "pose": float(self._nominal.camera[0]) * self.robot.timing.bus_dt,
+                "command": float(np.asarray(self._nominal.params.delay)[0]) * self.robot.timing.physics_dt,
             },
             "seed": self.flow.seed,
             **made_by("numpy", "mujoco"),

@@ -5,7 +5,6 @@ controls still switch them; the player moves the skin, as `fishmj.mjcf.skin.pose
 """
 
 import base64
-import re
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 from fishmj.replay.wake import page_data, read_wake
 from fishmj.store import write_text
 
-_PAGE = Path(__file__).parent / "page"
-SCRIPTS = ("scene.js", "fish.js", "wake.js", "chart.js", "player.js")
+SCRIPTS = Path(__file__).parent / "page"
+PLAYER = ("scene.js", "fish.js", "wake.js", "chart.js", "player.js")
 TANK = 4.0  # m, side of the tank that is drawn
 
 
@@ -66,17 +65,9 @@ def write_html(
 
 def page(title: str, data: dict) -> str:
     """The whole document as text."""
-    read = lambda name: _lines((_PAGE / name).read_text(encoding="utf-8"))
-    text, ours = read("page.html"), {"@STYLE@": read("style.css"), "@VIEWER@": _lines(viewer_bundle())}
-    ours["@PLAYER@"] = "\n".join(read(name) for name in SCRIPTS)
-    fill = lambda part, given: "".join(given.get(piece, piece) for piece in re.split(r"(@[A-Z]+@)", part))
-    scripts = [fill(found, ours) for found in re.findall(r"<script>(.*?)</script>", text, re.DOTALL)]
-    return fill(text, {**ours, "@POLICY@": pages.policy(scripts), "@TITLE@": pages.escaped(title), "@DATA@": pages.data(data)})
-
-
-def _lines(text: str) -> str:
-    """With the line ends that a browser sees, so that the sums of the page's policy are those of its scripts."""
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    read = lambda name: (SCRIPTS / name).read_text(encoding="utf-8")
+    player = '"use strict";\n' + "\n".join(map(read, PLAYER))
+    return pages.page("replay.html", title, [read("trouble.js"), viewer_bundle(), player], data=pages.data(data))
 
 
 def viewer_bundle() -> str:
@@ -104,22 +95,10 @@ def _track_data(t: Track, colour: str) -> dict:
         "links": t.q.shape[1] - 2,
         "meanFlow": t.mean_flow,
         "source": t.pose_from if t.pose_from == t.joints_from else f"{t.pose_from} and {t.joints_from}",
-        "q": _pack(t.q, "<f4"),
-        "target": _pack(t.target, "<f4"),
-        "flow": _pack(t.flow, "<f4"),
-        "power": _pack(t.power, "<f4"),
-        "speed": _pack(t.speed, "<f4"),
-        "distance": _pack(t.distance, "<f4"),
+        **{key: _pack(getattr(t, key), "<f4") for key in ("q", "target", "flow", "power", "speed", "distance")},
     }
 
 
 def _skin_data(s: Skin) -> dict:
-    return {
-        "vertices": _pack(s.vertices, "<f4"),
-        "normals": _pack(s.normals, "<f4"),
-        "faces": _pack(s.faces, "<u4"),
-        "hinge": _pack(s.hinge, "<u4"),
-        "share": _pack(s.share, "<f4"),
-        "colour": _pack(s.colour, "<f4"),
-        "hingeX": s.hinge_x,
-    }
+    kinds = {"vertices": "<f4", "normals": "<f4", "faces": "<u4", "hinge": "<u4", "share": "<f4", "colour": "<f4"}
+    return {key: _pack(getattr(s, key), kind) for key, kind in kinds.items()} | {"hingeX": s.hinge_x}

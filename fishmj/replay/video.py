@@ -8,8 +8,7 @@ from fishmj.console import printable
 from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.from_above import FromAbove, opencv
-from fishmj.mjcf.skin import skin
+from fishmj.mjcf.from_above import FromAbove, coarse_skin, opencv
 from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
 from fishmj.replay.wake import Wake, colours, read_wake
 
@@ -81,7 +80,7 @@ class TopView:
         self.cv2, self.size, self.title = opencv(), size, title
         robots = [robot_of(trial, robot) for trial in trials]
         self.tracks = tracks_of(trials, robots)
-        self.skins = [skin(one, spacing=0.012, around=12, smooth=True) for one in robots]
+        self.skins = [coarse_skin(one) for one in robots]
         self.colours = [tuple(int(TRACKS[i % len(TRACKS)][k : k + 2], 16) for k in (5, 3, 1)) for i in range(len(trials))]
         self.duration = max(float(t.t[-1]) for t in self.tracks)
         points = np.concatenate([a for t in self.tracks for a in (t.q[:, :2], t.target[np.isfinite(t.target).all(1)])])
@@ -101,8 +100,7 @@ class TopView:
         for t, skin_, colour in reversed(list(zip(self.tracks, self.skins, self.colours, strict=True))):
             i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
             self._trail(image, t, i, colour)
-            self._target(image, t, i)
-            self.view.fish(image, t.q[i], skin_, None if colour == self.colours[0] else colour)
+            self.view.swimmer(image, t.q[i], t.target[i], skin_, None if colour == self.colours[0] else colour)
             self._wind(image, t, i)
         self._chart(image, time)
         self._words(image, time)
@@ -151,10 +149,6 @@ class TopView:
             layer = image.copy()
             self.view.line(layer, t.q[: i + 1 : 2, :2], colour, 2)
             self.cv2.addWeighted(layer, 0.6, image, 0.4, 0, dst=image)
-
-    def _target(self, image, t: Track, i: int) -> None:
-        if np.isfinite(t.target[i]).all():
-            self.view.target(image, t.target[i], ARRIVAL, bool(t.distance[i] <= ARRIVAL))
 
     def _wind(self, image, t: Track, i: int) -> None:
         speed = np.hypot(*t.flow[i])

@@ -24,9 +24,9 @@ from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import EpisodeDraw, TaskOptions, TaskSpec
+from fishmj.tasks.loop import SensorWindow
 from fishmj.tasks.own_task import options_of
 from fishmj.tasks.reference import StepTruth
-from fishmj.tasks.sensing import readings
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
@@ -34,7 +34,7 @@ DOMAIN = "fish"
 
 @SUITE.add("benchmarking")
 def station_hold(random=None, environment_kwargs=None, root="planar", **setting):
-    """Swim to a target and keep it in a current that the fish cannot sense. Options: `tasks.episode.Setting`."""
+    """Swim to a target and keep it in a current that the fish cannot sense. Options: `tasks.episode.TaskOptions`."""
     return environment("station_hold", {}, random, environment_kwargs, root, setting)
 
 
@@ -52,7 +52,7 @@ def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=N
 
 
 def own(task_class, random=None, environment_kwargs=None, root="planar", **setting):
-    """A task of one's own (tasks.own). Options: its own, and `TaskOptions`."""
+    """A task of one's own (tasks.own_task). Options: its own, and `TaskOptions`."""
     mine = options_of(task_class)
     course = {name: value for name, value in setting.items() if name in mine}
     rest = {name: value for name, value in setting.items() if name not in mine}
@@ -106,7 +106,7 @@ class FishTask(base.Task):
 
     def begin(self, physics: Physics, scenario: EpisodeDraw) -> None:
         """Start a given episode instead of a drawn one; call inside `physics.reset_context()`."""
-        self._start(scenario, self._sensors())
+        self._start(scenario, self._draw_normals())
         physics.begin(scenario.launch.start.pose[0], scenario.params, scenario.current)
         physics.place_target(self._target())
 
@@ -116,7 +116,8 @@ class FishTask(base.Task):
         if action.shape != (self.rules.n_act,) or not np.isfinite(action).all():
             raise ConfigError(f"suite: action {action.tolist()}; expected {self.rules.n_act} finite numbers in [-1, 1]")
         commands = task.chunk(np, self.rules.robot, self.command, action[None])
-        self.command, self.action = commands[:, -1], action[None]
+        self.command = commands[:, -1]
+        self.action = action[None]
         physics.send(commands[0])
 
     def after_step(self, physics: Physics) -> None:
@@ -124,35 +125,37 @@ class FishTask(base.Task):
         trace = physics.trace()
         if trace.pose.shape[1]:
             self.count += 1
-            self.history = np.concatenate([self.history, trace.pose], 1)[:, -self.rules.history :]
-            self.rate, self.trace, late = trace.rate[:, -1], trace, self.rules.sensors.behind
-            self.recent = np.concatenate([self.recent, readings(np, trace.joint, trace.rate)], 1)[:, -late - 1 :]
-            self.normals = self._sensors()
+            self.trace = trace
+            self.window = self.window.after(trace.pose, trace.joint, trace.rate)
+            self.normals = self._draw_normals()
             physics.place_target(self._target())
         super().after_step(physics)
 
     def get_observation(self, physics: Physics) -> OrderedDict:
         """The egocentric observation by name."""
-        rules, now = self.rules, self.scenario
-        sight = (self.history, now.camera, self.recent, self._target()[None], rules.noise(self.normals))
-        seen = task.observe_with_sensors(np, rules.robot, rules.sensors, now.params, *sight)[0]
-        names = spans(rules.n_act)
-        parts = np.split(seen, np.cumsum([*names.values()])[:-1])
-        return OrderedDict((name, part.copy()) for name, part in zip(names, parts, strict=True))
+        rules = self.rules
+        senses = (self.window.pose, self.scenario.camera, self.window.joint)
+        target, noise = self._target()[None], rules.noise(self.normals)
+        obs = task.observe_with_sensors(np, rules.robot, rules.sensors, self.scenario.params, *senses, target, noise)[0]
+        widths = spans(rules.n_act)
+        parts = np.split(obs, np.cumsum([*widths.values()])[:-1])
+        return OrderedDict((name, part.copy()) for name, part in zip(widths, parts, strict=True))
 
     def get_reward(self, physics: Physics) -> float:
         """The task's reward of the control step just taken."""
-        pose, target, trace = self.history[:, -1], self._target()[None], self.trace
+        pose = self.window.pose[:, -1]
+        target = self._target()[None]
+        trace = self.trace
         if trace is None:  # before the first step: at rest
-            rest = self.rate[:, None]
-            trace = Trace(pose[:, None], 0.0 * rest, rest, 0.0 * pose[:, None], np.zeros((1, 1)))
+            still = np.zeros((1, 1, self.rules.n_act))
+            trace = Trace(pose[:, None], still, still, 0.0 * pose[:, None], np.zeros((1, 1)))
         distance = np.linalg.norm(pose[:, :2] - target, axis=-1)
         step = StepTruth(trace, target, distance, self.action, np.array([self.count * self.rules.dt]))
         return float(self.rules.reward(step)[0])
 
     def get_termination(self, physics: Physics) -> float | None:
         """0.0 outside the domain, 1.0 when time is up, else None."""
-        if self.rules.outside(np, self.history[:, -1])[0]:
+        if self.rules.outside(np, self.window.pose[:, -1])[0]:
             return 0.0
         return 1.0 if self.count >= self.rules.limit else None
 
@@ -162,13 +165,14 @@ class FishTask(base.Task):
         return specs.BoundedArray(one.shape, one.dtype, -one, one, name="action")
 
     def _start(self, scenario: EpisodeDraw, normals) -> None:
-        self.scenario, self.normals, self.count = scenario, normals, 0
+        self.scenario = scenario
+        self.normals = normals
+        self.count = 0
         self.trace = None
-        self.history = np.repeat(scenario.launch.start.pose[:, None], self.rules.history, 1)
-        self.command = self.rate = self.action = np.zeros((1, self.rules.n_act))
-        self.recent = np.zeros((1, self.rules.sensors.behind + 1, 2 * self.rules.n_act))
+        self.window = SensorWindow.at_rest(self.rules.robot, self.rules.sensors, scenario.launch.start.pose)
+        self.command = self.action = np.zeros((1, self.rules.n_act))
 
-    def _sensors(self) -> np.ndarray:
+    def _draw_normals(self) -> np.ndarray:
         return self.random.standard_normal((1, self.rules.n_obs))
 
     def _target(self) -> np.ndarray:

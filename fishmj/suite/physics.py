@@ -2,7 +2,7 @@
 
     planar root   Q_water - M_a a goes into qfrc_applied before each mj_step: the same step as the callback, and nothing that
                   the process shares, so any number of environments and threads may run side by side
-    free root     the passive callback of `hydro_fit.inject`, installed during `step` only; one thread
+    free root     the passive callback of `water.injection`, installed during `step` only; one thread
 
 A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy` takes all of it along;
 `get_state` and `set_state` mean MuJoCo's part only.
@@ -22,12 +22,12 @@ from fishmj import engines
 from fishmj.dynamics import planar_chain as chain
 from fishmj.engines import FishParams
 from fishmj.engines.planar import arrived, link_centres, quantise
+from fishmj.engines.single import StripWater
 from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.tasks.mjcf_scene import TARGET, build_scene
-from fishmj.water.injection import inject
 from fishmj.water.spatial_water import FreeWater
 
 PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
@@ -114,11 +114,8 @@ class Physics(dm_mujoco.Physics):
     def step(self, n_sub_steps: int = 1) -> None:
         """Advance by physics steps. Raises dm_control's PhysicsError when the fish leaves the finite numbers."""
         with self.check_invalid_state():
-            if self.free_water is None:
-                for _ in range(n_sub_steps):
-                    self._step_planar()
-            else:
-                self._step_free(self.free_water, n_sub_steps)
+            for _ in range(n_sub_steps):
+                self._step_planar() if self.free_water is None else self._step_free(self.free_water)
             if self.legacy_step:
                 mujoco.mj_step1(self.model.ptr, self.data.ptr)
 
@@ -190,21 +187,17 @@ class Physics(dm_mujoco.Physics):
         mujoco.mj_step(self.model.ptr, data)
         self._remember(attached, float(power[0]))
 
-    def _step_free(self, water: FreeWater, n: int) -> None:
-        model, data = self.model.ptr, self.data.ptr
-        water.attached = float(self.swim.attached[0])
+    def _step_free(self, strips: FreeWater) -> None:
+        water, data = StripWater(self.model.ptr, strips), self.data.ptr
+        data.ctrl[:] = self._command()[0]
+        flow, ambient = self.swim.water
+        water.set_flow(flow[0], ambient[0])
+        strips.attached = float(self.swim.attached[0])
         try:
-            with inject(model, water) as fish:
-                for _ in range(n):
-                    data.ctrl[:] = self._command()[0]
-                    flow, ambient = self.swim.water
-                    water.set_flow(flow[0], ambient[0])
-                    rates = [0.0, 0.0, 0.0, *data.qvel[-model.nu :]]
-                    fish.step(data)
-                    power = float(chain.electrical_power(np, water.swimmer, rates, data.actuator_force))
-                    self._remember(np.array([water.attached]), power)
+            water.step(data)
         except SimDiverged as error:
             raise control.PhysicsError(str(error)) from error
+        self._remember(np.array([strips.attached]), water.power)
 
     def _remember(self, attached, power: float) -> None:
         s = self.swim

@@ -20,6 +20,7 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.loop import slide
 from fishmj.tasks.own_task import course_of
 from fishmj.tasks.reference import StepTruth
 from fishmj.tasks.sensing import Sensors, readings
@@ -133,8 +134,7 @@ class StationHold:
         commands = task.chunk(jnp, self.robot, state.command, action)
         fish, trace = self.engine.advance(state.fish, commands, state.params, state.current, state.tick)
         bad = ~(jnp.all(jnp.isfinite(fish.q), -1) & jnp.all(jnp.isfinite(fish.v), -1))
-        history = jnp.concatenate([state.history, trace.pose], 1)[:, -self.length :]
-        history = jnp.where(bad[:, None, None], 0.0, history)
+        history = jnp.where(bad[:, None, None], 0.0, slide(jnp, state.history, trace.pose))
         tick = state.tick + commands.shape[1]
         target = self._target(state.launch, tick) if self.moves else state.target
         distance = jnp.linalg.norm(trace.pose[:, -1, :2] - target, axis=-1)
@@ -142,21 +142,15 @@ class StationHold:
         terminated = (self.outside or task.outside)(jnp, trace.pose[:, -1]) & ~bad
         truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
         moved = state._replace(
-            fish=fish,
-            history=history,
-            command=commands[:, -1],
-            tick=tick,
-            target=target,
-            count=state.count + 1,
-            key=key,
+            fish=fish, history=history, command=commands[:, -1], tick=tick, target=target, count=state.count + 1, key=key
         )
         recent = jnp.concatenate([state.joints, readings(jnp, trace.joint, trace.rate)], 1)[:, -self.sensors.behind - 1 :]
         moved = moved._replace(joints=jnp.where(bad[:, None, None], 0.0, recent[:, 1:]))
-        sight = self._look(moved, recent, k_noise)
-        obs = self._remember(state.obs, action, sight)
+        obs_now = self._observe(moved, recent, k_noise)
+        obs = self._stack_memory(state.obs, action, obs_now)
         fresh = self._fresh(k_fresh, n)
         moved = moved._replace(
-            obs=obs, privileged=self._privileged(moved, sight), reward=gain, terminated=terminated, truncated=truncated,
+            obs=obs, privileged=self._privileged(moved, obs_now), reward=gain, terminated=terminated, truncated=truncated,
             distance=distance, diverged=bad,
         )  # fmt: skip
         done = terminated | truncated | bad
@@ -220,25 +214,25 @@ class StationHold:
             distance=jnp.linalg.norm(start.pose[:, :2] - target, axis=-1), diverged=no,
             launch=launch if self.moves else None,
         )  # fmt: skip
-        sight = self._look(state, jnp.zeros((n, self.sensors.behind + 1, 2 * self.n_act)), keys[3])
-        seen = self._privileged(state, sight)
-        return state._replace(obs=self._remember(None, None, sight), privileged=seen, final_privileged=seen)
+        obs_now = self._observe(state, jnp.zeros((n, self.sensors.behind + 1, 2 * self.n_act)), keys[3])
+        privileged = self._privileged(state, obs_now)
+        return state._replace(obs=self._stack_memory(None, None, obs_now), privileged=privileged, final_privileged=privileged)
 
-    def _look(self, state: EnvState, recent, key):
+    def _observe(self, state: EnvState, recent, key):
         noise = self.options.noise * jax.random.normal(key, (state.target.shape[0], self.n_obs))
-        seen = (state.history, state.camera, recent, state.target, noise)
-        return self.mask * task.observe_with_sensors(jnp, self.robot, self.sensors, state.params, *seen)
+        senses = (state.history, state.camera, recent, state.target, noise)
+        return self.mask * task.observe_with_sensors(jnp, self.robot, self.sensors, state.params, *senses)
 
-    def _remember(self, obs, action, sight):
+    def _stack_memory(self, obs, action, obs_now):
         """Policy input: the newest observation first, then (action, observation) pairs back in time."""
         if self.options.memory == 1:
-            return sight
+            return obs_now
         if obs is None:
-            rest = jnp.concatenate([jnp.zeros_like(sight[:, : self.n_act]), sight], -1)
-            return jnp.concatenate([sight] + [rest] * (self.options.memory - 1), -1)
-        return jnp.concatenate([sight, action, obs], -1)[:, : self.n_input]
+            rest = jnp.concatenate([jnp.zeros_like(obs_now[:, : self.n_act]), obs_now], -1)
+            return jnp.concatenate([obs_now] + [rest] * (self.options.memory - 1), -1)
+        return jnp.concatenate([obs_now, action, obs], -1)[:, : self.n_input]
 
-    def _privileged(self, state: EnvState, sight):
+    def _privileged(self, state: EnvState, obs_now):
         """Noise-free target and flow in the true body frame, true velocity and the time left: for critics only."""
         q, v = state.fish.q, state.fish.v
         c, s = jnp.cos(q[:, 2]), jnp.sin(q[:, 2])

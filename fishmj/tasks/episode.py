@@ -3,7 +3,7 @@
     rules = Rules("station_hold", Setting(turbulence="gust"))
     scenario = rules.scenario(rules.draws(rng, n=4))            # everything random about 4 episodes
     episodes = Episodes(rules, engine="batch", n=4)
-    episodes.begin(scenario);  seen = episodes.look(noise);  outcome = episodes.step(action)
+    episodes.begin(scenario);  obs = episodes.observation(normals);  result = episodes.step(action)
 
 The functional JAX environment (`tasks.env`) is made from the same functions; a test holds all of them equal.
 """
@@ -19,9 +19,10 @@ from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.loop import ControlLoop
 from fishmj.tasks.own_task import course_of
 from fishmj.tasks.reference import EpisodeStart, StepTruth
-from fishmj.tasks.sensing import Sensors, readings
+from fishmj.tasks.sensing import Sensors
 
 WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward
 LARGEST = {
@@ -108,7 +109,7 @@ class TaskSpec:
         if self.limit < 1:
             raise ConfigError(f"task: seconds = {setting.seconds} is less than one control step of {self.dt} s")
         self.table, self.cell = flow.table_of(setting.turbulence, flow.BOXES[setting.box])
-        self.history, self.sensors = task.history_length(self.robot), Sensors(self.robot)
+        self.sensors = Sensors(self.robot)
         self.n_obs, self.n_act = 5 + 2 * self.robot.n_joints, self.robot.n_joints
 
     def draws(self, rng, n: int) -> Draws:
@@ -125,7 +126,7 @@ class TaskSpec:
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:
-            if self.name == "angle_of_attack":  # the heading is given against the flow: it turns along
+            if getattr(self.course, "heads_by_flow", False):  # the heading is given against the flow: it turns along
                 turned = (direction - start.direction)[:, None] * np.array([0.0, 0.0, 1.0])
                 start = start._replace(pose=start.pose + turned)
             start = start._replace(direction=direction + 0.0 * start.direction)
@@ -163,29 +164,27 @@ class StepResult(NamedTuple):
     diverged: np.ndarray  # (B,) bool
 
 
-class Episodes:
-    """n running episodes on a batched engine. Ends are reported, never acted on: call `begin` with the rows to restart."""
+class Episodes(ControlLoop):
+    """n running episodes on a batched engine. Ends are reported, never acted on: call `begin` with the rows to restart.
+
+    Attributes:
+        diverged: (n,) bool, the physics of these fish failed in the last step. command: (n, J) last bus command, rad.
+    """
 
     def __init__(self, rules: TaskSpec, engine, n: int):
+        super().__init__(rules.robot, engine)
         self.rules, self.n = rules, n
-        self.engine = engines.make(engine, rules.robot) if isinstance(engine, str) else engine
+        self.diverged = np.zeros(n, bool)
         self.begin(rules.scenario(rules.draws(np.random.default_rng(0), n)))
 
     def begin(self, scenario: EpisodeDraw, rows=slice(None)) -> None:
         """Start the episodes `rows` (index array; all by default) at rest over ground, as many as `scenario` has."""
-        robot, first = self.rules.robot, scenario.launch.start
-        n = len(first.pose)
-        fish = engines.at_rest(robot, first.pose)
-        fish = fish._replace(q=np.concatenate([first.pose, scenario.params.zero], -1))
-        history = np.repeat(first.pose[:, None], self.rules.history, 1)
-        recent = np.zeros((n, self.rules.sensors.behind + 1, 2 * robot.n_joints))
-        fresh = (scenario, fish, history, recent[:, 0, : robot.n_joints], recent, np.zeros(n, np.int64))
-        if isinstance(rows, slice):
-            running = fresh
-        else:
-            old = (self.scenario, self.fish, self.history, self.command, self.recent, self.count)
-            running = _merged(old, fresh, np.asarray(rows))
-        self.scenario, self.fish, self.history, self.command, self.recent, self.count = running
+        before = None if isinstance(rows, slice) else self._running()
+        self.start(scenario.launch.start.pose, scenario)
+        self.command = np.zeros((len(self.count), self.rules.n_act))
+        if before is not None:
+            merged = _merged(before, self._running(), np.asarray(rows))
+            self.scenario, self.fish, self.window, self.command, self.count = merged
 
     def step(self, action) -> StepResult:
         """One control step with action (n, J) in [-1, 1].
@@ -197,54 +196,50 @@ class Episodes:
         if action.shape != (self.n, rules.n_act) or not np.isfinite(action).all():
             raise ConfigError(f"{rules.name}: action of shape {action.shape}; expected finite ({self.n}, {rules.n_act})")
         commands = task.chunk(np, rules.robot, self.command, action)
-        fish, trace, diverged = self._advance(commands)
-        self.fish, self.command, self.count = fish, commands[:, -1], self.count + 1
-        self.history = np.concatenate([self.history, trace.pose], 1)[:, -rules.history :]
-        late = rules.sensors.behind
-        self.recent = np.concatenate([self.recent, readings(np, trace.joint, trace.rate)], 1)[:, -late - 1 :]
+        trace = self.act(commands)
+        self.command = commands[:, -1]
         distance = np.linalg.norm(trace.pose[:, -1, :2] - self.target, axis=-1)
-        terminated = rules.outside(np, trace.pose[:, -1]) & ~diverged
-        stride = StepTruth(trace, self.target, distance, action, self.count * rules.dt)
+        terminated = rules.outside(np, trace.pose[:, -1]) & ~self.diverged
+        truth = StepTruth(trace, self.target, distance, action, self.count * rules.dt)
         return StepResult(
-            reward=np.where(diverged, 0.0, rules.reward(stride)),
+            reward=np.where(self.diverged, 0.0, rules.reward(truth)),
             terminated=terminated,
-            truncated=((self.count >= rules.limit) & ~terminated) | diverged,
+            truncated=((self.count >= rules.limit) & ~terminated) | self.diverged,
             distance=distance,
             power=trace.power.mean(-1),
-            diverged=diverged,
+            diverged=self.diverged,
         )
 
-    def look(self, normals) -> np.ndarray:
+    def observation(self, normals) -> np.ndarray:
         """Observations (n, n_obs) now; normals: (n, n_obs) standard normal draws of the sensors' noise."""
-        rules, now = self.rules, self.scenario
-        seen = (self.history, now.camera, self.recent, self.target, rules.noise(normals))
-        return task.observe_with_sensors(np, rules.robot, rules.sensors, now.params, *seen)
+        return self.observe(self.target, self.rules.noise(normals))
 
     @property
     def target(self) -> np.ndarray:
         """Targets (n, 2) m, now."""
         return self.rules.target(self.scenario, self.count)
 
-    def _advance(self, commands) -> tuple[FishState, engines.Trace, np.ndarray]:
+    def advance(self, fish: FishState, commands) -> tuple[FishState, engines.Trace]:
         """The engine's step; fish that diverge are frozen at rest where they were, and flagged."""
-        tick = self.count * self.rules.ticks
-        go = lambda fish: self.engine.advance(fish, commands, self.scenario.params, self.scenario.current, tick)
-        numpy = lambda out: type(out)(*(np.asarray(a, float) for a in out))
         diverged = np.zeros(self.n, bool)
         try:
-            fish, trace = go(self.fish)
+            after, trace = super().advance(fish, commands)
         except SimDiverged as error:
             if error.states is None:
                 raise
             diverged[np.asarray(error.states)] = True
-            fish, trace = go(_at_rest(self.fish, diverged))
-        fish, trace = numpy(fish), numpy(trace)
-        lost = ~(np.isfinite(fish.q).all(-1) & np.isfinite(fish.v).all(-1))
-        if lost.any():
-            fish = FishState(*(_pick(lost, b, a) for a, b in zip(fish, _at_rest(self.fish, lost), strict=True)))
-            still = {name: _pick(lost, 0.0, value) for name, value in trace._asdict().items() if name != "pose"}
-            trace = engines.Trace(pose=_pick(lost, self.history[:, -1:], trace.pose), **still)
-        return fish, trace, diverged | lost
+            after, trace = super().advance(_at_rest(fish, diverged), commands)
+        after = FishState(*(np.asarray(a, float) for a in after))
+        nonfinite = ~(np.isfinite(after.q).all(-1) & np.isfinite(after.v).all(-1))
+        if nonfinite.any():
+            after = FishState(*(_pick(nonfinite, b, a) for a, b in zip(after, _at_rest(fish, nonfinite), strict=True)))
+            still = {name: _pick(nonfinite, 0.0, value) for name, value in trace._asdict().items() if name != "pose"}
+            trace = engines.Trace(pose=_pick(nonfinite, self.window.pose[:, -1:], trace.pose), **still)
+        self.diverged = diverged | nonfinite
+        return after, trace
+
+    def _running(self) -> tuple:
+        return self.scenario, self.fish, self.window, self.command, self.count
 
 
 def _at_rest(fish: FishState, rows) -> FishState:

@@ -59,6 +59,9 @@ class StationHoldReference:
 class AngleOfAttackReference:
     """Start on the target, turned from upstream. angle in rad; None draws one of the paper's four."""
 
+    decides = ("pose", "target")  # what no caller may fix of a start
+    heads_by_flow = True  # the start's heading is given against the flow
+
     angle: float | None = None
     seconds: float = constant("task", "episode_time")
 
@@ -81,6 +84,8 @@ class AngleOfAttackReference:
 @dataclass(frozen=True, kw_only=True)
 class FigureEightReference:
     """Follow a point on a figure eight. phase: m along the path at t = 0; None draws it."""
+
+    decides = ("target",)
 
     speed: float = constant("experiments", "figure8_speed")  # m/s
     cycles: float = constant("experiments", "figure8_cycles")

@@ -10,12 +10,13 @@ from fishmj import console
 from fishmj.errors import ConfigError
 
 CRITICS = ("plain", "privileged")
+LOOKS = 10  # assessments in an algorithm's own budget of steps
 SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
   fishmj train                                   a policy for your laptop in a minute or two
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
-  fishmj train --algo sac --steps 300000         soft actor-critic
+  fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --memory 8                        the policy sees its last eight observations
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
@@ -46,21 +47,14 @@ def options() -> console.Parser:
     add("--task", type=console.text, metavar="NAME", help=task)
     engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)
-    steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')})"
+    own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
+    steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    add(
-        "--envs",
-        type=console.whole(1, 2**20),
-        metavar="N",
-        help=f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})",
-    )
+    envs = f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})"
+    add("--envs", type=console.whole(1, 2**20), metavar="N", help=envs)
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
-    add(
-        "--seeds",
-        type=console.Listed(SEED),
-        metavar="N,..",
-        help="several runs, one after the other, for example 0,1,2 (default: --seed)",
-    )
+    seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
+    add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
     together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
     add("--together", action="store_true", help=together)
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
@@ -68,17 +62,10 @@ def options() -> console.Parser:
     critic = "of PPO. privileged: it sees the flow, the policy does not; plain: what the policy sees (default: privileged)"
     add("--critic", choices=CRITICS, help=critic)
     widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
-    add(
-        "--hidden",
-        type=widths,
-        metavar="N,..",
-        help=f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})",
-    )
-    add(
-        "--learning-rate",
-        type=console.number(0, 1, above=True),
-        help="of the algorithm (default: the preset's, else the algorithm's)",
-    )
+    hidden = f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})"
+    add("--hidden", type=widths, metavar="N,..", help=hidden)
+    rate = "of the algorithm (default: the preset's, else the algorithm's)"
+    add("--learning-rate", type=console.number(0, 1, above=True), help=rate)
     add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")
     intensity = "largest turbulence intensity, u_rms / max(speed, 0.1 m/s); each episode draws from 0 to it"
     intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
@@ -101,9 +88,8 @@ def options() -> console.Parser:
     out += " (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
     p.add_argument("--yes", action="store_true", help="begin also what takes more than a week, or more memory than there is")
-    p.add_argument(
-        "--resume", action="store_true", help="go on with the run in --out, under its own settings: only --steps may differ"
-    )
+    resume = "go on with the run in --out, under its own settings: only --steps may differ"
+    p.add_argument("--resume", action="store_true", help=resume)
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     return p
 
@@ -139,18 +125,15 @@ def settings_from(args, run=None):
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
     algorithm, task, reward = {}, {}, dict(args.reward)
-    top = {
-        name: value
-        for name in ("preset", "engine", "robot", "water", "seed", "command_path")
-        if (value := getattr(args, name)) is not None
-    }
+    plain = ("preset", "engine", "robot", "water", "seed", "command_path")
+    top = {name: value for name in plain if (value := getattr(args, name)) is not None}
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
-        if args.together:
-            raise ConfigError("--together trains fishmj's own algorithms only; train the seeds one after another")
         s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
     elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
+        if budget := ALGORITHMS[args.algo].budget:  # nor does how long it takes to learn
+            s = replace(s, steps=budget, assess_every=budget // LOOKS)
     if len(reward) < len(args.reward):
         raise ConfigError("--reward: one weight stands there twice; name each once")
     if args.steps is not None:
@@ -176,6 +159,8 @@ def settings_from(args, run=None):
         task["hide"] = tuple(args.hide)
     if args.randomise_effects:
         task["effects"] = tuple(args.randomise_effects)
+    if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
+        raise ConfigError(f"--together trains fishmj's own algorithms only, not {s.algo}; train the seeds one after another")
     return change(s, algorithm=algorithm, task=task, reward=reward, **top)
 
 
@@ -219,8 +204,12 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
         several = args.together and any(folder.glob("seed-*/settings.json"))
         if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
-    if args.resume and not any((folder / "checkpoints").is_dir() for folder in found.values()) and settings.algo != "sb3-sac":
-        raise ConfigError(f"{', '.join(map(str, found.values()))}: nothing to resume; start without --resume")
+    if args.resume and not any((folder / "checkpoints").is_dir() for folder in found.values()):
+        said = "start without --resume"
+        if inside := sorted(path.parent.name for path in (args.out or Path()).glob("seed-*/checkpoints")):
+            listed = ",".join(name.removeprefix("seed-") for name in inside)
+            said = f"there are the runs {', '.join(inside)}: add --seeds {listed}"
+        raise ConfigError(f"{', '.join(map(str, found.values()))}: nothing to resume; {said}")
     return found
 
 
@@ -229,7 +218,8 @@ def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     from fishmj.store import Checkpoints
     from fishmj.train import training_cost
-    from fishmj.train.settings import as_dict, change, of_run, same
+    from fishmj.train.build import referred
+    from fishmj.train.settings import ALGORITHMS, as_dict, change, of_run, same
 
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
@@ -257,25 +247,22 @@ def main(argv: list[str]) -> int:
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
         resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
-        if one.algo == "sb3-sac":
-            from fishmj.train.sb3 import train_sb3
+        if train := one.algo in ALGORITHMS and ALGORITHMS[one.algo].train:
+            results.append(referred(train)(one, folder, resume=resume))
+        else:
+            from fishmj.train.training_run import TrainingRun, learner_of
 
-            results.append(train_sb3(one, folder, resume=resume))
-            if results[-1]["stopped"]:
-                break
-            continue
-        from fishmj.train.training_run import TrainingRun, learner_of
-
-        learner = learner or learner_of(one)
-        results.append(TrainingRun(one, folder, resume=resume, learner=learner).go())
+            learner = learner or learner_of(one)
+            results.append(TrainingRun(one, folder, resume=resume, learner=learner).go())
         if results[-1]["stopped"]:
             break
     for r in results:
-        arrival, rmse = (r.get(f"tune_{k}", float("nan")) for k in ("arrival", "rmse_last10"))
-        took = console.duration(r["seconds"])
+        took, judged = console.duration(r["seconds"]), "not yet judged on the tuning flows"
+        if "tune_arrival" in r:
+            held = f"RMSE of the last 10 s {r['tune_rmse_last10']:.3f} m"
+            judged = f"tuning flows: arrival {r['tune_arrival']:.1%}, {held}"
         console.say(
-            f"{r['algorithm']} seed {r['seed']}: {r['steps']:,} control steps in {took} on {r['engine']}; "
-            f"tuning flows: arrival {arrival:.1%}, RMSE of the last 10 s {rmse:.3f} m",
+            f"{r['algorithm']} seed {r['seed']}: {r['steps']:,} control steps in {took} on {r['engine']}; {judged}",
             f"policy: {r['policy']}",
         )
     if args.json:

@@ -1,6 +1,8 @@
 """From settings to the pieces of a run: robot, engine, environment, algorithm, and the policy that comes out."""
 
 from dataclasses import fields, replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.mjcf.structure import observation_of, structure_of
 from fishmj.policy import Policy
 from fishmj.tasks.station_hold import visible
+from fishmj.train.learner import Learner, PolicyLayers
 from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, Settings
 
@@ -52,19 +55,33 @@ def environment(settings: Settings, box: str = "train"):
     return StationHold(robot, engine, from_table("task option", Options, {**settings.task, "box": box}), **settings.reward)
 
 
-def algorithm(settings: Settings, env):
-    """The learner named by settings.algo. Raises ConfigError, UnknownName."""
-    if settings.algo == "ppo":
-        from fishmj.train import ppo
+def algorithm(settings: Settings, env) -> Learner:
+    """The learner named by settings.algo. Raises ConfigError, UnknownName, OwnCodeError."""
+    config = config_of(settings)
+    if settings.algo in ALGORITHMS:
+        return referred(ALGORITHMS[settings.algo].learner)(env, config, settings.steps)
+    from fishmj.train.own_algorithm import OwnAlgorithm
 
-        return ppo.PPO(env, from_table("setting of ppo", ppo.PPOConfig, settings.algorithm), settings.steps)
-    if settings.algo != "sac":  # of the user's own: only what this process has loaded
-        from fishmj.train.own_algorithm import OwnAlgorithm
+    return OwnAlgorithm(settings.algo, env, config, settings.steps, settings)
 
-        return OwnAlgorithm(settings.algo, env, own_config(settings), settings.steps, settings)
-    from fishmj.train import sac
 
-    return sac.SAC(env, from_table("setting of sac", sac.SACConfig, settings.algorithm), settings.steps)
+def config_of(settings: Settings) -> Any:
+    """The algorithm's hyperparameters. Raises UnknownName for an algorithm or a key that is not there, ConfigError."""
+    if settings.algo in ALGORITHMS:
+        kind = referred(ALGORITHMS[settings.algo].config)
+    elif settings.algo in plugins.loaded("algorithm"):  # of the user's own: only what this process has loaded
+        from fishmj.train import own_algorithm
+
+        kind = own_algorithm.config_of(settings.algo)
+    else:
+        raise UnknownName("algorithm", settings.algo, ALGORITHMS)
+    return from_table(f"setting of {settings.algo}", kind, settings.algorithm)
+
+
+def referred(text: str) -> Any:
+    """What `module:Name` of the register names."""
+    module, _, name = text.partition(":")
+    return getattr(import_module(module), name)
 
 
 def from_table(what: str, kind, table: dict):
@@ -76,27 +93,11 @@ def from_table(what: str, kind, table: dict):
     return kind(**table)
 
 
-def own_config(settings: Settings):
-    """Settings of an algorithm of one's own. Raises OwnCodeError, UnknownName."""
-    from fishmj.train.own_algorithm import config_of
-
-    return from_table(f"setting of {settings.algo}", config_of(settings.algo), settings.algorithm)
-
-
-def activation_of(settings: Settings) -> str:
-    """Activation of the actor's hidden layers."""
-    if settings.algo in ALGORITHMS:
-        return settings.algorithm.get("activation", {"ppo": "tanh"}.get(settings.algo, "relu"))
-    return getattr(own_config(settings), "activation", "tanh")
-
-
-def policy_of(actor, settings: Settings, meta: dict) -> Policy:
-    """The NumPy policy for a trained actor: list of (weights (in, out), bias)."""
+def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
+    """The NumPy policy for what `Learner.policy_layers` gives of a trained actor."""
     robot = robot_for(settings)
     joints, memory = robot.n_joints, settings.task.get("memory", 1)
-    layers = [(np.asarray(w, np.float32).T, np.asarray(b, np.float32)) for w, b in actor]
-    w, b = layers[-1]
-    layers[-1] = (w[:joints], b[:joints])  # SAC's actor also gives log sigma
+    layers = [(np.asarray(w, np.float32).T, np.asarray(b, np.float32)) for w, b in network.layers]
     seen = visible(joints, settings.task.get("hide", ()))
     seen = seen + ([True] * joints + seen) * (memory - 1)
     layers[0] = (layers[0][0] * np.asarray(seen, np.float32), layers[0][1])  # what training hid stays hidden on the robot
@@ -107,7 +108,7 @@ def policy_of(actor, settings: Settings, meta: dict) -> Policy:
         "observation": observation_of(joints),
         "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": scale(joints).tolist(),
-        "activation": activation_of(settings),
+        "activation": network.activation,
         "memory": memory,
         "control_dt": robot.timing.control_dt,
         "command_path": settings.command_path,

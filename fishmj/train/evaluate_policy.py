@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from fishmj.calib import constant
 from fishmj.tasks.env import StationHold
+from fishmj.tasks.station_hold import control_steps
 
 
 class Assessment:
@@ -14,11 +15,12 @@ class Assessment:
 
     def __init__(self, env: StationHold, act, episodes: int = 256):
         self.env, self.act, self.episodes = env, act, episodes
-        self.radius = constant("protocol", "arrival_radius")
+        self.radius, self.bound = constant("protocol", "arrival_radius"), constant("task", "bound")
+        self.last10 = control_steps(10.0, env.robot)
 
     @partial(jax.jit, static_argnums=0)
     def __call__(self, actor, key):
-        """Figures as scalars: return, arrival, rmse_last10, within (share of episodes with rmse_last10 < 0.1 m), power proxy."""
+        """Figures as scalars: return, arrival, rmse_last10, within (share of episodes with rmse_last10 < 0.1 m)."""
         state = self.env.reset(key, self.episodes, False)
 
         def one(carry, _):
@@ -30,13 +32,13 @@ class Assessment:
 
         steps = self.env.limit
         (_, alive), (distance, reward) = jax.lax.scan(one, (state, jnp.ones(self.episodes, bool)), None, steps)
-        far = jnp.nan_to_num(distance, nan=2.0)
-        late = jnp.sqrt(jnp.mean(jnp.square(far[-50:]), 0))
+        far = jnp.nan_to_num(distance, nan=self.bound)  # outside the tank
+        late = jnp.sqrt(jnp.mean(jnp.square(far[-self.last10 :]), 0))
         return {
             "return": reward.sum(0).mean(),
             "arrival": jnp.mean(jnp.any(far < self.radius, 0)),
             "stayed": alive.mean(),
             "rmse_last10": late.mean(),
             "rmse_last10_median": jnp.median(late),
-            "within": jnp.mean(late < 0.1),
+            "within": jnp.mean(late < self.radius),
         }

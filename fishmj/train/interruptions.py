@@ -39,7 +39,8 @@ def when_there_is_room(write: Callable[[], object], asked: list, pause: float | 
     Returns:
         True when it is written; False when a stop was asked for while there was no room. Any other failure is raised.
     """
-    pause, waiting = PAUSE if pause is None else pause, False
+    pause = PAUSE if pause is None else pause
+    waiting = False
     while True:
         try:
             write()

@@ -4,6 +4,7 @@ Not resumable; for a run that must survive, train seed by seed.
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -12,11 +13,10 @@ import numpy as np
 
 from fishmj import console, store
 from fishmj.errors import SimDiverged
-from fishmj.train.build import pick_engine, policy_of
 from fishmj.train.interruptions import stop_on_signal
 from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import Settings, as_dict, change
-from fishmj.train.training_run import MAX_DIVERGED, is_better, learner_of
+from fishmj.train.training_run import MAX_DIVERGED, export, is_better, learner_of, summary_of
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
@@ -26,10 +26,11 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
     look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
-    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}") for seed in seeds]
+    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}", learner.policy_layers) for seed in seeds]
     bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
     bar.stage("compiling the first iteration")
-    done, next_look, episodes, dropped = 0, settings.assess_every, 0.0, 0.0
+    done, episodes, dropped = 0, 0.0, 0.0
+    next_look = settings.assess_every
     with stop_on_signal(lambda: f"the best policies so far are in {folder}; --together cannot go on") as asked, bar:
         while done < settings.steps and not asked:
             training, figures = iterate(training)
@@ -55,14 +56,15 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
     for i, lane in enumerate(lanes):
         lane.export("last", training.actor, i, done)
     seconds = time.monotonic() - start
-    return [{**lane.summary(done, seconds), "stopped": bool(asked), "together": len(seeds)} for lane in lanes]
+    told = [summary_of(lane.settings, lane.folder, done, seconds, lane.best, bool(asked)) for lane in lanes]
+    return [{**one, "together": len(seeds)} for one in told]
 
 
 class Lane:
     """One seed among the others: its folder, its figures, its best policy."""
 
-    def __init__(self, settings: Settings, folder: Path):
-        self.settings, self.folder = settings, folder
+    def __init__(self, settings: Settings, folder: Path, policy_layers: Callable):
+        self.settings, self.folder, self.policy_layers = settings, folder, policy_layers
         self.best: dict | None = None
         self.board = MetricsLog(folder)
         store.write_json(folder / "settings.json", as_dict(settings))
@@ -76,21 +78,6 @@ class Lane:
 
     def export(self, name: str, actors, i: int, done: int) -> None:
         """Write the policy `name`."""
-        s = self.settings
-        meta = {"steps": done, "engine": pick_engine(s.engine), "preset": s.preset, "task": as_dict(s)["task"]}
-        meta |= {"tune": self.best} if name == "best" else {}
-        policy_of(jax.tree.map(lambda a: a[i], actors), s, meta).save(self.folder / f"{name}.safetensors")
-
-    def summary(self, done: int, seconds: float) -> dict:
-        """As `Run.summary`; the steps are this seed's, the seconds those of all."""
-        return {
-            "folder": str(self.folder),
-            "policy": str(self.folder / f"{'best' if self.best else 'last'}.safetensors"),
-            "algorithm": self.settings.algo,
-            "engine": pick_engine(self.settings.engine),
-            "seed": self.settings.seed,
-            "steps": done,
-            "seconds": round(seconds, 2),
-            "steps_per_second": round(done / max(seconds, 1e-9)),
-            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
-        }
+        network = self.policy_layers(jax.tree.map(lambda a: a[i], actors))
+        meta = {"steps": done, **({"tune": self.best} if name == "best" else {})}
+        export(network, self.settings, meta, self.folder / f"{name}.safetensors")

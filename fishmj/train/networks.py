@@ -7,8 +7,8 @@ import numpy as np
 from fishmj.errors import ConfigError, UnknownName
 
 ACTIVATIONS = {"relu": jax.nn.relu, "tanh": jnp.tanh}
-# target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
-SCALE = {"target": 1.0, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
+# target m, the same within reach m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
+SCALE = {"target": 1.0, "near": 0.1, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
 
 
 def scale(joints: int) -> np.ndarray:
@@ -21,15 +21,25 @@ def scale(joints: int) -> np.ndarray:
 
 def input_scale(joints: int, memory: int) -> np.ndarray:
     """Divisors of the whole policy input: observation, then (action, observation) pairs."""
+    # fixed numbers, no running statistics: a policy file holds them, and the robot divides as training did
     one = scale(joints)
     return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
 
 
+def privileged_scale(joints: int) -> np.ndarray:
+    """Divisors of what a privileged critic sees besides: true observation, flow, share of time left, target within reach."""
+    s = SCALE
+    return np.concatenate([scale(joints), [s["velocity"]] * 2, [1.0], [s["near"]] * 2])
+
+
 def mlp(key, sizes, last: float = 0.01):
-    """Orthogonal weights with gain sqrt(2), the last layer with gain `last`; biases zero."""
+    """Orthogonal weights with gain sqrt(2), the last layer with gain `last`; biases zero. Saxe et al. 2014, arXiv 1312.6120."""
     layers = []
     for i, (a, b) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        # sqrt(2) makes up for the half that ReLU cuts off, so that signals keep their size through the layers; an actor's small
+        # last gain starts it near rest, where tanh is no plateau, and leaves exploring to sigma
         gain = last if i == len(sizes) - 2 else np.sqrt(2)
+        # a key for each layer: one more layer at the end leaves the weights before it as they were
         w = jax.nn.initializers.orthogonal(gain)(jax.random.fold_in(key, i), (a, b), jnp.float32)
         layers.append((w, jnp.zeros(b)))
     return layers

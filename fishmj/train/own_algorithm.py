@@ -5,8 +5,9 @@
         def __init__(self, env, config, steps): ..  steps: control steps of the whole run, all fish together
         steps_per_iteration: int                    control steps that one `iterate` takes
         def init(self, key): ..                     -> a NamedTuple of arrays, with actor: [(weights (in, out), bias), ..]
-        def iterate(self, training): ..             -> (training, figures): see FIGURES
+        def iterate(self, training): ..             -> (training, metrics): see learner.METRICS
         def act(self, actor, obs): ..               -> actions (B, J) in [-1, 1] for raw observations, in JAX
+        def policy_layers(self, actor): ..          -> learner.PolicyLayers; left out: all of actor, Config.activation or tanh
 
 What is trained must be what is written: a policy file holds tanh(MLP(observation / scale)), and `act` is compared with it.
 """
@@ -19,10 +20,9 @@ import numpy as np
 
 from fishmj import plugins
 from fishmj.errors import OwnCodeError
+from fishmj.train.learner import METRICS, NEEDED, PolicyLayers
 from fishmj.train.settings import Settings
 
-FIGURES = ("reward", "late_distance", "late_arrived", "left_tank", "episodes", "diverged")
-NEEDED = ("reward", "late_distance", "episodes", "diverged")  # for the progress line and the stop on diverged episodes
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
 
@@ -38,7 +38,8 @@ class OwnAlgorithm:
     """Wraps `Name(env, config, steps)`. Raises OwnCodeError."""
 
     def __init__(self, text: str, env, config: Any, steps: int, settings: Settings):
-        self.what, self.settings, self.env = f"algorithm {text}", settings, env
+        self.what = f"algorithm {text}"
+        self.settings, self.env, self.config = settings, env, config
         made = plugins.loaded("algorithm")[text]
         plugins.takes(self.what, made, "Name(env, config, steps)", 3)
         self.mine = plugins.call(self.what, made, env, config, steps)
@@ -63,7 +64,7 @@ class OwnAlgorithm:
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Mapping)):
             raise OwnCodeError(f"{self.what}: iterate gave {type(answer).__name__}; expected (training, figures as a dict)")
         if lacking := [name for name in NEEDED if name not in answer[1]]:
-            raise OwnCodeError(f"{self.what}: its figures lack {', '.join(lacking)}; expected {', '.join(FIGURES)}, numbers each")
+            raise OwnCodeError(f"{self.what}: its figures lack {', '.join(lacking)}; expected {', '.join(METRICS)}, numbers each")
         for name, value in answer[1].items():
             if np.shape(value) != ():
                 raise OwnCodeError(f"{self.what}: figure {name} has shape {np.shape(value)}; expected one number")
@@ -73,11 +74,17 @@ class OwnAlgorithm:
         """Actions for raw observations."""
         return plugins.call(f"{self.what}: act", self.mine.act, actor, obs)
 
+    def policy_layers(self, actor) -> PolicyLayers:
+        """What a policy file holds."""
+        if mine := getattr(self.mine, "policy_layers", None):
+            return PolicyLayers(*plugins.call(f"{self.what}: policy_layers", mine, actor))
+        return PolicyLayers(actor, getattr(self.config, "activation", "tanh"))
+
     def _check(self, training) -> None:
         from fishmj.train.build import policy_of
 
         try:
-            policy = policy_of(training.actor, self.settings, {})
+            policy = policy_of(self.policy_layers(training.actor), self.settings, {})
             policy.check("what it would write")
         except Exception as error:
             raise OwnCodeError(

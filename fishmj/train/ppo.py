@@ -1,7 +1,7 @@
 """Proximal policy optimisation on one page. Schulman et al. 2017, arXiv 1707.06347; GAE: arXiv 1506.02438.
 
     L = -E min(rho A, clip(rho, 1 - eps, 1 + eps) A) + c_v E (V - R)^2 - c_e H
-    A_t = sum_k (gamma lambda)^k delta_{t+k},   delta_t = r_t + gamma V(s'_t) - V(s_t)
+    A_t = sum_k (gamma lambda)^k delta_{t+k},   delta_t = r_t + gamma V(s'_t) - V(s_t),   R_t = A_t + V(s_t)
 
 The action is tanh(u) with u ~ N(mu(s), sigma); u is stored, so the ratio needs no correction for tanh. An episode that ends
 because its time is up bootstraps from the observation before the restart; one that leaves the tank does not.
@@ -17,7 +17,13 @@ import numpy as np
 import optax
 
 from fishmj.errors import ConfigError
-from fishmj.train.networks import check_config, forward, input_scale, mlp
+from fishmj.train.learner import PolicyLayers
+from fishmj.train.networks import check_config, forward, input_scale, mlp, privileged_scale
+from fishmj.train.rollout import metrics_of, record_of
+from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
+
+ADAM_EPS = 1e-5
+SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its minibatches are none of its exploration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +55,23 @@ class PPOConfig:
                 f"ppo: envs x horizon = {self.envs * self.horizon} does not split into {self.minibatches} minibatches"
             )
 
+    def operations(self, width) -> float:
+        """Of the networks for one control step; `width` of training_cost.widths."""
+        actor, critic = self._networks(width)
+        return 2 * (actor + 2 * critic) + 6 * self.epochs * (actor + critic)
+
+    def bytes(self, width, steps: float) -> float:
+        """Of the arrays of one iteration."""
+        seen, inputs, joints = width
+        batch = self.envs * self.horizon
+        rollout = batch * (inputs + seen + 5 + joints + 4)
+        minibatch = batch / self.minibatches * (inputs + 2 * 3 * sum(self.hidden))
+        return FLOAT * (rollout + minibatch + self.envs * (2 * inputs + STATE) + ADAM * sum(self._networks(width)))
+
+    def _networks(self, width) -> tuple[int, int]:
+        seen, inputs, joints = width
+        return weights(inputs, *self.hidden, joints), weights(inputs + self.privileged * (seen + 5), *self.hidden, 1)
+
 
 class PPOTrainState(NamedTuple):
     """Everything that a run needs to go on."""
@@ -56,26 +79,26 @@ class PPOTrainState(NamedTuple):
     actor: Any
     log_sigma: Any
     critic: Any
-    optimiser: Any
-    env: Any
+    opt_state: Any
+    env_state: Any
     key: Any
-    updates: Any
+    iteration: Any
 
 
 class Batch(NamedTuple):
     """One rollout, (T, B, ...)."""
 
     obs: Any
-    seen: Any
+    privileged_obs: Any
     u: Any
-    logp: Any
+    log_prob: Any
     value: Any
-    advantage: Any
-    target: Any
+    advantages: Any
+    returns: Any
 
 
 class PPO:
-    """`init` makes a Training, `iterate` collects one rollout and learns from it."""
+    """A `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it."""
 
     name = "ppo"
 
@@ -85,9 +108,9 @@ class PPO:
         iterations = max(1, steps // self.steps_per_iteration)
         updates = iterations * config.epochs * config.minibatches
         rate = optax.exponential_decay(config.learning_rate, updates, config.final_rate)
-        self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=1e-5))
-        self.scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
-        self.seen_scale = jnp.concatenate([self.scale[: env.n_obs], jnp.asarray([0.3, 0.3, 1.0, 0.1, 0.1])])
+        self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=ADAM_EPS))
+        self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
+        self.privileged_scale = jnp.asarray(privileged_scale(env.n_act), jnp.float32)
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> PPOTrainState:
@@ -96,94 +119,99 @@ class PPO:
         actor = mlp(k_actor, [env.n_input, *c.hidden, env.n_act])
         critic = mlp(k_critic, [env.n_input + c.privileged * env.n_privileged, *c.hidden, 1], last=1.0)
         log_sigma = jnp.full(env.n_act, np.log(c.sigma))
-        optimiser = self.optimiser.init((actor, log_sigma, critic))
-        return PPOTrainState(actor, log_sigma, critic, optimiser, env.reset(k_env, c.envs, True), key, jnp.int32(0))
-
-    def value(self, critic, obs, seen):
-        """V of scaled inputs; `seen` is what a privileged critic sees besides."""
-        x = jnp.concatenate([obs, seen], -1) if self.config.privileged else obs
-        return forward(critic, x, self.config.activation)[..., 0]
+        opt_state = self.optimiser.init((actor, log_sigma, critic))
+        return PPOTrainState(actor, log_sigma, critic, opt_state, env.reset(k_env, c.envs, True), key, jnp.int32(0))
 
     def act(self, actor, obs):
         """Deterministic action for raw observations."""
-        return jnp.tanh(forward(actor, obs / self.scale, self.config.activation))
+        return jnp.tanh(forward(actor, obs / self.obs_scale, self.config.activation))
 
-    def collect(self, t: PPOTrainState):
-        """Roll the policy out; returns the new env state, the batch and figures of the rollout."""
-        c = self.config
-        sigma = jnp.exp(t.log_sigma)
+    def policy_layers(self, actor) -> PolicyLayers:
+        """The actor is the mean of u."""
+        return PolicyLayers(actor, self.config.activation)
 
-        def one(env_state, key):
-            obs, seen = env_state.obs / self.scale, env_state.privileged / self.seen_scale
-            mu = forward(t.actor, obs, c.activation)
-            u = mu + sigma * jax.random.normal(key, mu.shape)
-            after = self.env.step(env_state, jnp.tanh(u))
-            ahead = self.value(t.critic, after.final_obs / self.scale, after.final_privileged / self.seen_scale)
-            ahead = jnp.where(after.terminated, 0.0, ahead)
-            done = after.terminated | after.truncated | after.diverged
-            logp = gaussian(u, mu, t.log_sigma)
-            value = self.value(t.critic, obs, seen)
-            backup = c.reward_scale * after.reward + c.gamma * ahead
-            backup = jnp.where(after.diverged, value, backup)  # no advantage: a dropped end teaches nothing
-            late = (after.count > self.env.limit // 2) & ~done
-            figures = (after.reward, after.distance, late, done, after.terminated, after.diverged)
-            return after, (obs, seen, u, logp, value, backup, done, figures)
-
-        keys = jax.random.split(jax.random.fold_in(t.key, t.updates), c.horizon)
-        env_state, (obs, seen, u, logp, value, backup, done, figures) = jax.lax.scan(one, t.env, keys)
-
-        def gae(carry, row):  # delta and decay from the last tick to the first; a restart cuts the sum
-            delta, go_on = row
-            carry = delta + c.gamma * c.lam * go_on * carry
-            return carry, carry
-
-        _, advantage = jax.lax.scan(gae, jnp.zeros(c.envs), (backup - value, 1.0 - done), reverse=True)
-        return env_state, Batch(obs, seen, u, logp, value, advantage, advantage + value), figures
-
-    def loss(self, weights, b: Batch):
-        c = self.config
-        actor, log_sigma, critic = weights
-        logp = gaussian(b.u, forward(actor, b.obs, c.activation), log_sigma)
-        ratio = jnp.exp(logp - b.logp)
-        gain = (b.advantage - b.advantage.mean()) / (b.advantage.std() + 1e-6)
-        surrogate = jnp.minimum(ratio * gain, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * gain).mean()
-        error = jnp.square(self.value(critic, b.obs, b.seen) - b.target).mean()
-        entropy = jnp.sum(log_sigma + 0.5 * np.log(2 * np.pi * np.e))
-        return -surrogate + c.value_weight * error - c.entropy * entropy, ((ratio - 1) - jnp.log(ratio)).mean()
+    def value(self, critic, obs, privileged_obs):
+        """V of scaled inputs; a plain critic does not see `privileged_obs`."""
+        x = jnp.concatenate([obs, privileged_obs], -1) if self.config.privileged else obs
+        return forward(critic, x, self.config.activation)[..., 0]
 
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
-    def iterate(self, t: PPOTrainState):
-        """One rollout, `epochs` passes over it. Returns (Training, figures as scalars)."""
+    def iterate(self, state: PPOTrainState):
+        """Collect a rollout, update on it. Returns (train state, metrics as scalars)."""
+        env_state, batch, record = self.collect(state)
+        (actor, log_sigma, critic), opt_state, (loss, kl) = self.update(state, batch)
+        state = PPOTrainState(actor, log_sigma, critic, opt_state, env_state, state.key, state.iteration + 1)
+        return state, {**metrics_of(jnp, record), "sigma": jnp.exp(log_sigma).mean(), "kl": kl.mean(), "loss": loss.mean()}
+
+    def collect(self, state: PPOTrainState):
+        """Roll the policy out for `horizon` steps. Returns (environment's state, Batch, StepRecord)."""
         c = self.config
-        env_state, batch, (reward, distance, late, done, left, diverged) = self.collect(t)
-        batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), batch)
+        sigma = jnp.exp(state.log_sigma)
+
+        def step(env_state, key):
+            obs, privileged_obs = env_state.obs / self.obs_scale, env_state.privileged / self.privileged_scale
+            mu = forward(state.actor, obs, c.activation)
+            u = mu + sigma * jax.random.normal(key, mu.shape)
+            after = self.env.step(env_state, jnp.tanh(u))
+            # the environment has restarted ended episodes by itself: V(s') needs what was seen before the restart
+            next_obs, next_privileged_obs = after.final_obs / self.obs_scale, after.final_privileged / self.privileged_scale
+            next_value = self.value(state.critic, next_obs, next_privileged_obs)
+            # only leaving the tank ends the task; where the time is up, the fish would have gone on (arXiv 1712.00378)
+            next_value = jnp.where(after.terminated, 0.0, next_value)
+            log_prob = gaussian(u, mu, state.log_sigma)
+            value = self.value(state.critic, obs, privileged_obs)
+            td_target = c.reward_scale * after.reward + c.gamma * next_value
+            td_target = jnp.where(after.diverged, value, td_target)  # delta = 0: a step that the physics lost teaches nothing
+            return after, (obs, privileged_obs, u, log_prob, value, td_target, record_of(after, self.env.limit))
+
+        keys = jax.random.split(jax.random.fold_in(state.key, state.iteration), c.horizon)
+        env_state, (obs, privileged_obs, u, log_prob, value, td_target, record) = jax.lax.scan(step, state.env_state, keys)
+
+        def gae(advantage, row):  # backwards in time; where an episode ends, the next one's errors are not its own
+            delta, goes_on = row
+            advantage = delta + c.gamma * c.lam * goes_on * advantage
+            return advantage, advantage
+
+        deltas = (td_target - value, 1.0 - record.done)
+        _, advantages = jax.lax.scan(gae, jnp.zeros(c.envs), deltas, reverse=True)
+        return env_state, Batch(obs, privileged_obs, u, log_prob, value, advantages, advantages + value), record
+
+    def loss(self, networks, b: Batch):
+        """(loss, KL divergence from the policy that collected the batch)."""
+        c = self.config
+        actor, log_sigma, critic = networks
+        log_prob = gaussian(b.u, forward(actor, b.obs, c.activation), log_sigma)
+        ratio = jnp.exp(log_prob - b.log_prob)
+        # normalised in each minibatch: the step's size does not hang on the scale of the reward
+        advantages = (b.advantages - b.advantages.mean()) / (b.advantages.std() + 1e-6)
+        surrogate = jnp.minimum(ratio * advantages, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * advantages).mean()
+        value_loss = jnp.square(self.value(critic, b.obs, b.privileged_obs) - b.returns).mean()
+        entropy = jnp.sum(log_sigma + 0.5 * np.log(2 * np.pi * np.e))
+        kl = ((ratio - 1) - jnp.log(ratio)).mean()  # never negative and of small variance (Schulman 2020)
+        return -surrogate + c.value_weight * value_loss - c.entropy * entropy, kl
+
+    def update(self, state: PPOTrainState, batch: Batch):
+        """`epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""
+        c = self.config
+        batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), batch)  # of (T, B) rows; none needs its neighbour now
         size = self.steps_per_iteration // c.minibatches
 
         def minibatch(carry, rows):
-            weights, optimiser = carry
-            (loss, kl), grads = jax.value_and_grad(self.loss, has_aux=True)(weights, jax.tree.map(lambda a: a[rows], batch))
-            change, optimiser = self.optimiser.update(grads, optimiser, weights)
-            return (optax.apply_updates(weights, change), optimiser), (loss, kl)
+            networks, opt_state = carry
+            # one gradient for actor and critic, so that max_grad_norm bounds them together
+            (loss, kl), grads = jax.value_and_grad(self.loss, has_aux=True)(networks, jax.tree.map(lambda a: a[rows], batch))
+            updates, opt_state = self.optimiser.update(grads, opt_state, networks)
+            return (optax.apply_updates(networks, updates), opt_state), (loss, kl)
 
         def epoch(carry, key):
             order = jax.random.permutation(key, self.steps_per_iteration)
             return jax.lax.scan(minibatch, carry, order.reshape(c.minibatches, size))
 
-        keys = jax.random.split(jax.random.fold_in(t.key, t.updates + 1_000_000_000), c.epochs)
-        start = ((t.actor, t.log_sigma, t.critic), t.optimiser)
-        ((actor, log_sigma, critic), optimiser), (loss, kl) = jax.lax.scan(epoch, start, keys)
-        figures = {
-            "reward": reward.mean(),
-            "late_distance": jnp.sum(distance * late) / jnp.maximum(late.sum(), 1),
-            "late_arrived": jnp.sum((distance < 0.1) & late) / jnp.maximum(late.sum(), 1),
-            "left_tank": left.sum() / jnp.maximum(done.sum(), 1),
-            "episodes": done.sum(),
-            "diverged": diverged.sum(),  # episodes dropped
-            "sigma": jnp.exp(log_sigma).mean(),
-            "kl": kl.mean(),
-            "loss": loss.mean(),
-        }
-        return PPOTrainState(actor, log_sigma, critic, optimiser, env_state, t.key, t.updates + 1), figures
+        # keys follow from the iteration's number alone: a resumed run draws what the uninterrupted one would have drawn
+        keys = jax.random.split(jax.random.fold_in(state.key, state.iteration + SHUFFLE), c.epochs)
+        start = ((state.actor, state.log_sigma, state.critic), state.opt_state)
+        (networks, opt_state), diagnostics = jax.lax.scan(epoch, start, keys)
+        return networks, opt_state, diagnostics
 
 
 def gaussian(u, mu, log_sigma):

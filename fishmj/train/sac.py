@@ -4,12 +4,11 @@
     L_Q = sum_i (Q_i(s, a) - y)^2,   L_pi = alpha log pi(a|s) - min_i Q_i(s, a),   L_alpha = -alpha (log pi + H_target)
 
 d = 1 only where the fish left the tank: the end of an episode's time is no end (Pardo et al. 2018, arXiv 1712.00378).
-Actor 11-256-256-3, critics 14-256-256-1, ReLU. One environment step brings `utd` gradient steps a fish (the paper: 1).
+Actor 11-256-256-3, critics 14-256-256-1, ReLU. Buffer and loop are those of off_policy.py.
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,178 +16,108 @@ import numpy as np
 import optax
 
 from fishmj.calib import constant
-from fishmj.train.networks import check_config, forward, input_scale, mlp
+from fishmj.train.learner import PolicyLayers
+from fishmj.train.networks import forward, mlp
+from fishmj.train.off_policy import OffPolicy, OffPolicyConfig, ReplayBuffer
+
+INITIAL_ALPHA = 0.2
+LOG_SIGMA = (-10.0, 2.0)  # bounds of the actor's log sigma
 
 
 @dataclass(frozen=True, kw_only=True)
-class SACConfig:
+class SACConfig(OffPolicyConfig):
     """Hyperparameters of SAC; defaults from the paper and, where it is silent, from Haarnoja et al."""
 
-    envs: int = 64
-    utd: float = 1.0  # gradient steps for each control step of one fish
-    block: int = 16  # environment steps between two reports
-    batch: int = 256
-    buffer: int = 1_000_000
-    warmup: int = 5_000  # control steps of random actions
-    learning_rate: float = 3e-4
-    gamma: float = 0.99
-    tau: float = 0.005
-    hidden: tuple[int, ...] = (256, 256)
-    activation: str = "relu"
-    reward_scale: float = 1.0
-
-    def __post_init__(self):
-        check_config("sac", self, positive=("envs", "utd", "block", "batch", "buffer", "learning_rate", "tau"))
+    algo: ClassVar[str] = "sac"
 
 
-class ReplayBuffer(NamedTuple):
-    """Ring buffer of transitions."""
-
-    obs: Any
-    action: Any
-    reward: Any
-    ahead: Any  # next observation
-    ended: Any  # 1 where the fish left the tank
-    size: Any
-    head: Any
-
-
-class SACTrainState(NamedTuple):
-    """Everything that a run needs to go on."""
+class SACAgent(NamedTuple):
+    """Networks, temperature and the state of their optimisers."""
 
     actor: Any
     critics: Any  # two sets of layers, stacked
-    targets: Any
+    target_critics: Any
     log_alpha: Any
-    optimisers: Any
-    memory: ReplayBuffer
-    env: Any
-    key: Any
-    updates: Any
+    opt_states: Any  # of actor, critics, temperature
 
 
-class SAC:
-    """`init` makes a Training, `iterate` takes `block` environment steps and learns after each."""
+class SAC(OffPolicy):
+    """A `learner.Learner`."""
 
     name = "sac"
 
-    def __init__(self, env, config: SACConfig, steps: int):
-        self.env, self.config = env, config
-        self.steps_per_iteration = config.envs * config.block
-        self.per_step = max(1, round(config.utd * config.envs))
-        self.capacity = max(config.envs, min(config.buffer, steps) // config.envs * config.envs)
-        self.optimiser = optax.adam(config.learning_rate)
-        self.scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
-        self.entropy_target = -float(env.n_act)
+    def init_agent(self, k_actor, k_critics) -> SACAgent:
+        n_input, n_act, hidden = self.env.n_input, self.env.n_act, self.config.hidden
+        actor = mlp(k_actor, [n_input, *hidden, 2 * n_act])  # mean and log sigma of u
+        critics = jax.vmap(lambda k: mlp(k, [n_input + n_act, *hidden, 1], last=1.0))(jax.random.split(k_critics))
+        log_alpha = jnp.float32(np.log(INITIAL_ALPHA))
+        opt_states = tuple(self.optimiser.init(p) for p in (actor, critics, log_alpha))
+        return SACAgent(actor, critics, critics, log_alpha, opt_states)
 
-    @partial(jax.jit, static_argnums=0)
-    def init(self, key) -> SACTrainState:
-        keys = jax.random.split(key, 5)
-        c, env = self.config, self.env
-        actor = mlp(keys[0], [env.n_input, *c.hidden, 2 * env.n_act])
-        critics = jax.vmap(lambda k: mlp(k, [env.n_input + env.n_act, *c.hidden, 1], last=1.0))(jax.random.split(keys[1]))
-        log_alpha = jnp.float32(np.log(0.2))
-        n, rows = env.n_input, self.capacity
-        memory = ReplayBuffer(
-            jnp.zeros((rows, n)), jnp.zeros((rows, env.n_act)), jnp.zeros(rows), jnp.zeros((rows, n)), jnp.zeros(rows),
-            jnp.int32(0), jnp.int32(0),
-        )  # fmt: skip
-        optimisers = tuple(self.optimiser.init(p) for p in (actor, critics, log_alpha))
-        start = env.reset(keys[2], c.envs, True)
-        return SACTrainState(actor, critics, critics, log_alpha, optimisers, memory, start, keys[3], jnp.int32(0))
+    def policy_layers(self, actor) -> PolicyLayers:
+        """The mean of u: the last layer without its half for log sigma."""
+        n_act = self.env.n_act
+        w, b = actor[-1]
+        return PolicyLayers([*actor[:-1], (w[:, :n_act], b[:n_act])], self.config.activation)
 
-    def act(self, actor, obs):
-        """Deterministic action for raw observations."""
-        return jnp.tanh(forward(actor, obs / self.scale, self.config.activation)[..., : self.env.n_act])
+    def explore(self, agent: SACAgent, obs, key):
+        """A draw of the policy."""
+        return self.sample(agent.actor, obs, key)[0]
 
     def sample(self, actor, obs, key):
         """Random action for scaled observations and its log density."""
         mu, log_sigma = jnp.split(forward(actor, obs, self.config.activation), 2, -1)
-        log_sigma = jnp.clip(log_sigma, -10.0, 2.0)
+        log_sigma = jnp.clip(log_sigma, *LOG_SIGMA)
         noise = jax.random.normal(key, mu.shape)
         u = mu + jnp.exp(log_sigma) * noise
-        logp = -0.5 * noise**2 - log_sigma - 0.5 * np.log(2 * np.pi) - 2 * (np.log(2) - u - jax.nn.softplus(-2 * u))
-        return jnp.tanh(u), logp.sum(-1)
+        # log N(u) - log(1 - tanh(u)^2), the latter written so that it stays finite where tanh(u) rounds to 1
+        log_prob = -0.5 * noise**2 - log_sigma - 0.5 * np.log(2 * np.pi) - 2 * (np.log(2) - u - jax.nn.softplus(-2 * u))
+        return jnp.tanh(u), log_prob.sum(-1)
 
     def q(self, critics, obs, action):
         """Both critics, (2, B)."""
         x = jnp.concatenate([obs, action], -1)
         return jax.vmap(lambda layers: forward(layers, x, self.config.activation)[..., 0])(critics)
 
-    def store(self, m: ReplayBuffer, obs, action, reward, ahead, ended) -> ReplayBuffer:
-        """Append one transition a fish."""
-        put = lambda a, rows: jax.lax.dynamic_update_slice_in_dim(a, rows, m.head, 0)
-        n, size = self.config.envs, self.capacity
-        filled = (put(m.obs, obs), put(m.action, action), put(m.reward, reward), put(m.ahead, ahead), put(m.ended, ended))
-        return ReplayBuffer(*filled, jnp.minimum(m.size + n, size), (m.head + n) % size)
-
-    def learn(self, m: ReplayBuffer, carry, key):
-        """One gradient step on critics, actor and temperature."""
-        actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha) = carry
+    def update(self, replay: ReplayBuffer, agent: SACAgent, key):
+        """One gradient step on critics, actor and temperature, in this order. Returns (agent, critics' loss)."""
         c = self.config
-        k_rows, k_next, k_now = jax.random.split(key, 3)
-        rows = jax.random.randint(k_rows, (c.batch,), 0, m.size)
-        obs, action, reward, ahead, ended = (a[rows] for a in m[:5])
-        alpha = jnp.exp(log_alpha)
-        then, logp = self.sample(actor, ahead, k_next)
-        y = c.reward_scale * reward + c.gamma * (1 - ended) * (self.q(targets, ahead, then).min(0) - alpha * logp)
+        k_batch, k_next, k_now = jax.random.split(key, 3)
+        b = replay.sample(k_batch, c.batch)
+        alpha = jnp.exp(agent.log_alpha)
+        opt_actor, opt_critics, opt_alpha = agent.opt_states
 
-        def critic_loss(p):
-            return jnp.square(self.q(p, obs, action) - y).sum(0).mean()
+        # the smaller of two slow copies: a critic that learns from its own newest estimate learns its errors, too
+        next_action, next_log_prob = self.sample(agent.actor, b.next_obs, k_next)
+        next_q = self.q(agent.target_critics, b.next_obs, next_action).min(0)
+        y = c.reward_scale * b.reward + c.gamma * (1 - b.terminated) * (next_q - alpha * next_log_prob)
 
-        def actor_loss(p):
-            now, logp = self.sample(p, obs, k_now)
-            return (alpha * logp - self.q(critics, obs, now).min(0)).mean(), logp.mean()
+        def critic_loss(critics):
+            return jnp.square(self.q(critics, b.obs, b.action) - y).sum(0).mean()
 
-        critic_value, slope = jax.value_and_grad(critic_loss)(critics)
-        change, opt_critic = self.optimiser.update(slope, opt_critic, critics)
-        critics = optax.apply_updates(critics, change)
-        (_, logp), slope = jax.value_and_grad(actor_loss, has_aux=True)(actor)
-        change, opt_actor = self.optimiser.update(slope, opt_actor, actor)
-        actor = optax.apply_updates(actor, change)
-        slope = -jnp.exp(log_alpha) * (logp + self.entropy_target)  # d L_alpha / d log alpha
-        change, opt_alpha = self.optimiser.update(slope, opt_alpha, log_alpha)
-        log_alpha = optax.apply_updates(log_alpha, change)
-        targets = optax.incremental_update(critics, targets, c.tau)
-        return (actor, critics, targets, log_alpha, (opt_actor, opt_critic, opt_alpha)), critic_value
+        critics_loss, grads = jax.value_and_grad(critic_loss)(agent.critics)
+        updates, opt_critics = self.optimiser.update(grads, opt_critics, agent.critics)
+        critics = optax.apply_updates(agent.critics, updates)
 
-    @partial(jax.jit, static_argnums=0, donate_argnums=1)
-    def iterate(self, t: SACTrainState):
-        """`block` environment steps, learning after each. Returns (Training, figures as scalars)."""
+        def actor_loss(actor):
+            # actions drawn now, not those of the buffer: the gradient goes through the draw into the actor
+            action, log_prob = self.sample(actor, b.obs, k_now)
+            return (alpha * log_prob - self.q(critics, b.obs, action).min(0)).mean(), log_prob.mean()
 
-        def one(t: SACTrainState, _):
-            key = jax.random.fold_in(t.key, t.updates)
-            k_act, k_free, k_learn = jax.random.split(key, 3)
-            obs = t.env.obs / self.scale
-            free = jax.random.uniform(k_free, (self.config.envs, self.env.n_act), minval=-1.0)
-            warm = t.memory.size < min(self.config.warmup, self.capacity)
-            action = jnp.where(warm, free, self.sample(t.actor, obs, k_act)[0])
-            env = self.env.step(t.env, action)
-            # a dropped step is not remembered: the transition of a sound fish takes its place
-            rows = jnp.where(env.diverged, jnp.argmin(env.diverged), jnp.arange(self.config.envs))
-            seen = (obs, action, env.reward, env.final_obs / self.scale, env.terminated.astype(jnp.float32))
-            m = self.store(t.memory, *(a[rows] for a in seen))
-            carry = (t.actor, t.critics, t.targets, t.log_alpha, t.optimisers)  # without m: a branch would copy it
-            keys = jax.random.split(k_learn, self.per_step)
-            learn = lambda carry: jax.lax.scan(partial(self.learn, m), carry, keys)
-            wait = lambda carry: (carry, jnp.zeros(self.per_step))
-            (actor, critics, targets, log_alpha, optimisers), loss = jax.lax.cond(warm, wait, learn, carry)
-            done = env.terminated | env.truncated | env.diverged
-            late = (env.count > self.env.limit // 2) & ~done
-            figures = (env.reward, env.distance, late, done, env.terminated, env.diverged, loss.mean())
-            return SACTrainState(actor, critics, targets, log_alpha, optimisers, m, env, t.key, t.updates + 1), figures
+        (_, log_prob), grads = jax.value_and_grad(actor_loss, has_aux=True)(agent.actor)
+        updates, opt_actor = self.optimiser.update(grads, opt_actor, agent.actor)
+        actor = optax.apply_updates(agent.actor, updates)
 
-        t, (reward, distance, late, done, left, diverged, loss) = jax.lax.scan(one, t, None, self.config.block)
-        return t, {
-            "reward": reward.mean(),
-            "late_distance": jnp.sum(distance * late) / jnp.maximum(late.sum(), 1),
-            "late_arrived": jnp.sum((distance < 0.1) & late) / jnp.maximum(late.sum(), 1),
-            "left_tank": left.sum() / jnp.maximum(done.sum(), 1),
-            "episodes": done.sum(),
-            "diverged": diverged.sum(),  # episodes dropped
-            "alpha": jnp.exp(t.log_alpha),
-            "loss": loss.mean(),
-        }
+        # d L_alpha / d log alpha, by hand; the target entropy is minus the number of actions
+        grads = -jnp.exp(agent.log_alpha) * (log_prob - self.env.n_act)
+        updates, opt_alpha = self.optimiser.update(grads, opt_alpha, agent.log_alpha)
+        log_alpha = optax.apply_updates(agent.log_alpha, updates)
+        target_critics = optax.incremental_update(critics, agent.target_critics, c.tau)
+        return SACAgent(actor, critics, target_critics, log_alpha, (opt_actor, opt_critics, opt_alpha)), critics_loss
+
+    def diagnostics(self, agent: SACAgent) -> dict:
+        """The temperature."""
+        return {"alpha": jnp.exp(agent.log_alpha)}
 
 
 def paper_config() -> SACConfig:

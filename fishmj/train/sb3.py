@@ -1,8 +1,8 @@
 """Soft actor-critic by stable-baselines3 (extra `sb3`), with the paper's networks, on the same fish, into the same policy file.
 
-`StableSAC` gives SB3's learner the interface of our own (`init`, `iterate`, `act`), so that `run.Run` serves it too: progress
+`StableSAC` gives SB3's learner the interface of our own (`init`, `iterate`, `act`), so that `TrainingRun` serves it too: progress
 line, assessment on the tuning flows, export, Ctrl-C, a full disk. SB3's own checkpoints are pickles; here a checkpoint holds
-the tensors only: networks, optimisers, temperature. The replay memory is NOT kept: a resumed run first refills `warmup` steps
+the tensors only: networks, optimisers, temperature. The replay buffer is NOT kept: a resumed run first refills `warmup` steps
 of it with the present policy, without learning, and so does not repeat the uninterrupted run to the bit.
 """
 
@@ -17,6 +17,7 @@ from fishmj import console
 from fishmj.errors import MissingExtra
 from fishmj.train.build import environment, from_table, pick_engine
 from fishmj.train.evaluate_policy import Assessment
+from fishmj.train.learner import PolicyLayers
 from fishmj.train.networks import forward, input_scale
 from fishmj.train.sac import SACConfig, paper_config
 from fishmj.train.settings import Settings, change
@@ -45,7 +46,7 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
     run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess))
     if resume:
-        console.warn(f"the replay memory was not kept: {config.warmup:,} steps of the policy refill it before learning goes on")
+        console.warn(f"the replay buffer was not kept: {config.warmup:,} steps of the policy refill it before learning goes on")
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # networks this small lose by a second thread, on a busy machine by ten times
     try:
@@ -77,7 +78,8 @@ class StableSAC:
 
     def init(self, key) -> SB3TrainState:
         """A fresh learner; the seed is the key's."""
-        c, f = self.config, {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[self.config.activation]
+        c = self.config
+        activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[c.activation]
         self.seed = int(jax.random.key_data(key)[-1])
         self.model = RefillCallback(
             "MlpPolicy",
@@ -91,25 +93,29 @@ class StableSAC:
             gradient_steps=self.per_step,
             replay_buffer_class=FiniteReplayBuffer,
             ent_coef="auto_0.2",
-            policy_kwargs={"net_arch": list(c.hidden), "activation_fn": f},
+            policy_kwargs={"net_arch": list(c.hidden), "activation_fn": activation},
             seed=self.seed,
         )
         self.model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder for each `learn`
         return self._taken()
 
     def iterate(self, training: SB3TrainState) -> tuple[SB3TrainState, dict]:
-        """`block` steps of the shoal, learning after each. Returns (Training, figures)."""
+        """`block` steps of the shoal, learning after each. Returns (train state, metrics)."""
         if training is not self._now:
             self._put(training)
         # SB3 adds the steps that are done to the total that it is asked for
         self.model.learn(self.steps_per_iteration, reset_num_timesteps=False, log_interval=None)
         said = self.model.logger.name_to_value
         alpha = float(torch.exp(self.model.log_ent_coef.detach()))
-        return self._taken(), {**self.shoal.figures(), "alpha": alpha, "loss": float(said.get("train/critic_loss", 0.0))}
+        return self._taken(), {**self.shoal.metrics(), "alpha": alpha, "loss": float(said.get("train/critic_loss", 0.0))}
 
     def act(self, actor, obs):
         """Deterministic action for raw observations, in JAX."""
         return jnp.tanh(forward(actor, obs / jnp.asarray(self.scale, jnp.float32), self.config.activation))
+
+    def policy_layers(self, actor) -> PolicyLayers:
+        """The actor is the mean of u."""
+        return PolicyLayers(actor, self.config.activation)
 
     def _optimisers(self) -> dict[str, Any]:
         m = self.model
@@ -131,7 +137,7 @@ class StableSAC:
         return self._now
 
     def _put(self, training: SB3TrainState) -> None:
-        """Go on from these tensors, with an empty replay memory and fresh episodes."""
+        """Go on from these tensors, with an empty replay buffer and fresh episodes."""
         m = self.model
         tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
         m.policy.load_state_dict({k.removeprefix("policy."): v for k, v in tensor.items() if k.startswith("policy.")})
@@ -149,7 +155,7 @@ class StableSAC:
 
 
 class RefillCallback(SAC):
-    """SB3's SAC that learns only while its memory holds `learning_starts` steps: a resumed one refills it first."""
+    """SB3's SAC that learns only while its buffer holds `learning_starts` steps: a resumed one refills it first."""
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """As SAC's."""
@@ -158,7 +164,7 @@ class RefillCallback(SAC):
 
 
 class FiniteReplayBuffer(ReplayBuffer):
-    """A replay memory without dropped steps: the transition of a sound fish takes the place of one that diverged."""
+    """A replay buffer without dropped steps: the transition of a sound fish takes the place of one that diverged."""
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
         """As ReplayBuffer's."""

@@ -14,13 +14,14 @@ from fishmj.gym.spaces import observation_space
 from fishmj.tasks.station_hold import visible
 from fishmj.train.build import pick_engine, robot_for
 from fishmj.train.networks import scale
+from fishmj.train.rollout import StepRecord, metrics_of
 from fishmj.train.settings import Settings
 
 
 class FishVecEnv(VecEnv):
     """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too).
 
-    `tally` sums up what happened since it was last emptied: see `figures`.
+    `tally` sums up what happened since it was last emptied: see `metrics`.
     """
 
     def __init__(self, settings: Settings, n: int, box: str = "train", reward_scale: float = 1.0):
@@ -36,7 +37,7 @@ class FishVecEnv(VecEnv):
         self.render_mode = None
         super().__init__(n, spaces.Box(-high, high, dtype=np.float32), self.fish.single_action_space)
         self.count, self.gain = np.zeros(n, int), np.zeros(n)
-        self.tally: list[tuple] = []
+        self.tally: list[StepRecord] = []
 
     def reset(self) -> np.ndarray:
         """Start all episodes, with the seeds that `seed` set."""
@@ -59,12 +60,14 @@ class FishVecEnv(VecEnv):
     def step_wait(self):
         """One control step of all fish: (observations, rewards, dones, infos)."""
         raw, reward, terminated, truncated, info = self.fish.step(self._actions)
-        over, last = terminated | truncated, raw
+        over = terminated | truncated
+        last = raw
         if over.any():
             last = raw.copy()
             last[over] = np.stack(info["final_obs"][over])
         seen = np.concatenate([last * self.factor, self._actions, self.seen], 1)[:, : self.seen.shape[1]]
-        self.count, self.gain = self.count + 1, self.gain + reward
+        self.count = self.count + 1
+        self.gain = self.gain + reward
         infos: list[dict] = [{} for _ in over]
         for i in np.flatnonzero(over):
             infos[i] = {
@@ -74,25 +77,18 @@ class FishVecEnv(VecEnv):
                 "episode": {"r": float(self.gain[i]), "l": int(self.count[i]), "t": 0.0},
             }
         late = (self.count > self.fish.rules.limit // 2) & ~over
-        self.tally.append((reward, info["distance"], late, over, terminated, info["diverged"]))
+        self.tally.append(StepRecord(reward, info["distance"], late, over, terminated, info["diverged"]))
         if over.any():
             seen[over] = self._start(raw)[over]
             self.count[over], self.gain[over] = 0, 0.0
         self.seen = seen
         return seen.copy(), (self.reward_scale * reward).astype(np.float32), over, infos
 
-    def figures(self) -> dict[str, float]:
-        """Figures of the steps since the last call, as the other learners report them."""
-        reward, distance, late, over, left, diverged = (np.stack(a) for a in zip(*self.tally, strict=True))
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the steps since the last call, as the other learners report them."""
+        record = StepRecord(*(np.stack(a) for a in zip(*self.tally, strict=True)))
         self.tally = []
-        return {
-            "reward": reward.mean(),
-            "late_distance": distance[late].sum() / max(late.sum(), 1),
-            "late_arrived": (distance[late] < 0.1).sum() / max(late.sum(), 1),
-            "left_tank": left.sum() / max(over.sum(), 1),
-            "episodes": over.sum(),
-            "diverged": diverged.sum(),
-        }
+        return metrics_of(np, record)
 
     def _start(self, raw: np.ndarray) -> np.ndarray:
         """The input at the start of an episode: as if the fish had always been here, at rest."""

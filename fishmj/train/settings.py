@@ -2,7 +2,7 @@
 
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fishmj import plugins
 from fishmj.errors import ConfigError, UnknownName
@@ -11,13 +11,30 @@ from fishmj.tasks.reference import COURSES
 
 FILE = "settings.json"  # of a run
 FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
-ALGORITHMS = ("ppo", "sac", "sb3-sac")
 REWARD = ("wG", "wD", "wS")
+
+
+class Registered(NamedTuple):
+    """Where a learning algorithm is found. `module:Class` each; nothing is imported before it is asked for."""
+
+    config: str  # dataclass of its hyperparameters
+    learner: str  # a train.learner.Learner
+    budget: int = 0  # control steps where `--algo` alone names it; 0: the preset's
+    train: str = ""  # module:function in place of TrainingRun, for one that brings its own environment
+
+
+ALGORITHMS = {  # an algorithm is its file and a line here
+    "ppo": Registered("fishmj.train.ppo:PPOConfig", "fishmj.train.ppo:PPO"),
+    "sac": Registered("fishmj.train.sac:SACConfig", "fishmj.train.sac:SAC", budget=1_000_000),
+    "sb3-sac": Registered(
+        "fishmj.train.sac:SACConfig", "fishmj.train.sb3:StableSAC", budget=1_000_000, train="fishmj.train.sb3:train_sb3"
+    ),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """One run. `task` goes to tasks.env.Options, `algorithm` to the Config of ppo.py or sac.py."""
+    """One run. `task` goes to tasks.env.Options, `algorithm` to the settings of the algorithm."""
 
     preset: str = "quick"
     algo: str = "ppo"

@@ -8,7 +8,7 @@ Operations are those of the matrix products: 2 a weight forwards, 6 forwards and
 from fishmj import cost
 from fishmj.cores import usable_cores
 from fishmj.mjcf.description import load_robot
-from fishmj.train.build import from_table, pick_engine
+from fishmj.train.build import config_of, pick_engine
 from fishmj.train.settings import Settings
 
 CPU, GPU = "cpu", "gpu"
@@ -19,7 +19,7 @@ ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench
 ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/guide/training.md
 FLOAT = 4  # bytes
 STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
-ADAM = 4  # copies of a network: weights, their slopes, two moments
+ADAM = 4  # copies of a network: weights, its gradient, two moments
 
 
 def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
@@ -28,10 +28,10 @@ def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
     Raises:
         TooMuch: nobody agreed. UnknownName, ConfigError: a setting that cannot be.
     """
-    if settings.algo not in OPERATIONS:
+    config = config_of(settings)
+    if not (hasattr(config, "operations") and hasattr(config, "bytes")):
         return  # of the user's own: nobody knows what it does
-    config, width = config_of(settings), widths(settings)
-    need = BYTES[settings.algo](config, width, settings.steps) * (runs if together else 1)
+    need = config.bytes(widths(settings), settings.steps) * (runs if together else 1)
     sizes = f"{config.envs:,} fish that see {settings.task.get('memory', 1)} observations"
     less = "take fewer --envs, a shorter --memory"
     cost.memory("train", need, sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
@@ -44,16 +44,8 @@ def seconds(settings: Settings) -> float:
     kind = _kind()
     engine = ENGINE[kind][pick_engine(settings.engine)]
     cores = usable_cores() if kind == CPU else 1
-    work = OPERATIONS[settings.algo](config_of(settings), widths(settings))
+    work = config_of(settings).operations(widths(settings))
     return settings.steps * (1 / engine + work / ARITHMETIC[kind]) / cores
-
-
-def config_of(settings: Settings):
-    """The hyperparameters; those of stable-baselines3 are our SAC's. Raises UnknownName, ConfigError."""
-    from fishmj.train import ppo, sac
-
-    kind = ppo.PPOConfig if settings.algo == "ppo" else sac.SACConfig
-    return from_table(f"setting of {settings.algo}", kind, settings.algorithm)
 
 
 def widths(settings: Settings) -> tuple[int, int, int]:
@@ -66,45 +58,6 @@ def widths(settings: Settings) -> tuple[int, int, int]:
 def weights(*layers: int) -> int:
     """Of a network with layers of these widths."""
     return sum(a * b for a, b in zip(layers, layers[1:], strict=False))
-
-
-def _ppo_operations(c, width) -> float:
-    actor, critic = _ppo_networks(c, width)
-    return 2 * (actor + 2 * critic) + 6 * c.epochs * (actor + critic)
-
-
-def _ppo_networks(c, width) -> tuple[int, int]:
-    seen, inputs, joints = width
-    return weights(inputs, *c.hidden, joints), weights(inputs + c.privileged * (seen + 5), *c.hidden, 1)
-
-
-def _ppo_bytes(c, width, steps: float) -> float:
-    seen, inputs, joints = width
-    rollout = c.envs * c.horizon * (inputs + seen + 5 + joints + 4)
-    minibatch = c.envs * c.horizon / c.minibatches * (inputs + 2 * 3 * sum(c.hidden))
-    return FLOAT * (rollout + minibatch + c.envs * (2 * inputs + STATE) + ADAM * sum(_ppo_networks(c, width)))
-
-
-def _sac_networks(c, width) -> tuple[int, int]:
-    _, inputs, joints = width
-    return weights(inputs, *c.hidden, 2 * joints), weights(inputs + joints, *c.hidden, 1)
-
-
-def _sac_operations(c, width) -> float:
-    """Of `utd` gradient steps: both critics and their targets, the actor twice, the slopes of all."""
-    actor, critic = _sac_networks(c, width)
-    return c.utd * c.batch * (8 * actor + 2 * (2 + 6 + 6) * critic)
-
-
-def _sac_bytes(c, width, steps: float) -> float:
-    _, inputs, joints = width
-    memory = max(c.envs, min(c.buffer, steps)) * (2 * inputs + joints + 2)
-    actor, critic = _sac_networks(c, width)
-    return FLOAT * (memory + c.envs * (2 * inputs + STATE) + ADAM * actor + (2 * ADAM + 2) * critic)
-
-
-OPERATIONS = {"ppo": _ppo_operations, "sac": _sac_operations, "sb3-sac": _sac_operations}
-BYTES = {"ppo": _ppo_bytes, "sac": _sac_bytes, "sb3-sac": _sac_bytes}
 
 
 def _kind() -> str:

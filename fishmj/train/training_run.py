@@ -19,12 +19,20 @@ from fishmj.errors import ConfigError, SimDiverged
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of
 from fishmj.train.evaluate_policy import Assessment
 from fishmj.train.interruptions import stop_on_signal, when_there_is_room
+from fishmj.train.learner import PolicyLayers
 from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
+
+FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints called them before, the longer first
+    ".agent.target_critics": ".targets", ".agent.opt_states": ".optimisers", ".agent": "",
+    ".replay.data.next_obs": ".memory.ahead", ".replay.data.terminated": ".memory.ended", ".replay.data": ".memory",
+    ".replay": ".memory",
+    ".opt_state": ".optimiser", ".env_state": ".env", ".env_steps": ".updates", ".iteration": ".updates",
+}  # fmt: skip
 
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
@@ -37,13 +45,21 @@ def arrays_of(tree) -> dict[str, np.ndarray]:
     return out
 
 
+def stored_name(name: str, arrays: dict) -> str:
+    """The name of a leaf in a checkpoint, which may be from a version that called it otherwise."""
+    if name in arrays:
+        return name
+    now, then = next(((now, then) for now, then in FORMER.items() if name.startswith(now)), ("", ""))
+    return then + name.removeprefix(now)
+
+
 def tree_of(arrays: dict[str, np.ndarray], like):
     """The inverse of `arrays_of`. Raises ConfigError when the checkpoint belongs to another set-up."""
     paths, shape = jax.tree_util.tree_flatten_with_path(like)
     leaves = []
     for path, leaf in paths:
-        name = jax.tree_util.keystr(path)
-        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        name = stored_name(jax.tree_util.keystr(path), arrays)
+        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # no array of numbers: its bits are stored
         expected = jax.random.key_data(leaf).shape if key else leaf.shape
         if name not in arrays or arrays[name].shape != expected:
             got = arrays[name].shape if name in arrays else "nothing"
@@ -66,9 +82,12 @@ class TrainingRun:
         self.episodes, self.dropped = 0, 0
         self._saving, self._under_way = Lock(), False
         self._held: tuple[dict, dict] | None = None
-        self._pace, self._looked = 0.0, False
+        self._pace = 0.0  # s of the last iteration
+        self._looked = False
         self.bar = console.Progress(settings.steps, "train", "steps")
         if not quiet:
+            if settings.engine == "auto" and pick_engine("auto") == "planar":
+                console.warn('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
             self.bar.stage("compiling the fish and the networks")
         self.training = self.algorithm.init(jax.random.key(settings.seed))
         if resume:
@@ -80,7 +99,7 @@ class TrainingRun:
 
     def go(self) -> dict:
         """Train to the end, or to Ctrl-C; the summary says which."""
-        s, step = self.settings, self.algorithm.steps_per_iteration
+        s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
@@ -91,7 +110,7 @@ class TrainingRun:
                 self._judge(board, write)
             while self.done < s.steps and not asked:
                 figures = self._iterate()
-                self.done += step
+                self.done += self.algorithm.steps_per_iteration
                 self.seconds = time.monotonic() - start
                 self._check(figures)
                 self._under_way = False
@@ -147,19 +166,7 @@ class TrainingRun:
 
     def summary(self, stopped: bool = False) -> dict:
         """What the command line prints last."""
-        best, last = (self.folder / f"{name}.safetensors" for name in ("best", "last"))
-        return {
-            "folder": str(self.folder),
-            "policy": str(best if best.exists() else last),
-            "algorithm": self.settings.algo,
-            "engine": pick_engine(self.settings.engine),
-            "seed": self.settings.seed,
-            "steps": self.done,
-            "seconds": round(self.seconds, 2),
-            "steps_per_second": round(self.done / max(self.seconds, 1e-9)),
-            "stopped": stopped,
-            **{f"tune_{k}": v for k, v in (self.best or {}).items()},
-        }
+        return summary_of(self.settings, self.folder, self.done, self.seconds, self.best, stopped)
 
     def _look(self) -> tuple[dict, bool]:
         """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
@@ -171,10 +178,8 @@ class TrainingRun:
         return {f"tune_{k}": v for k, v in figures.items()}, better
 
     def _export(self, name: str, figures: dict) -> None:
-        s = self.settings
-        meta = {"steps": self.done, "seconds": round(self.seconds, 1), "engine": pick_engine(s.engine), "preset": s.preset}
-        meta |= {"task": as_dict(s)["task"], **({"tune": figures} if figures else {})}
-        policy_of(self.training.actor, self.settings, meta).save(self.folder / f"{name}.safetensors")
+        meta = {"steps": self.done, "seconds": round(self.seconds, 1), **({"tune": figures} if figures else {})}
+        export(self.algorithm.policy_layers(self.training.actor), self.settings, meta, self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
         """Stop on non-finite learning or on too many dropped episodes; what was saved stays."""
@@ -193,7 +198,7 @@ class TrainingRun:
         if bad := [k for k, v in table.items() if not np.isfinite(v).all()]:
             raise SimDiverged(
                 f"training: {', '.join(bad[:3])} became non-finite at step {self.done:,}; the newest checkpoint in "
-                f"{self.checkpoints.folder} is intact: --resume with a smaller --learning-rate",
+                f"{self.checkpoints.folder} is intact; start again with a smaller --learning-rate",
                 term="learner",
             )
 
@@ -213,16 +218,43 @@ class TrainingRun:
             found = self.checkpoints.latest()
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
+        # the checkpoint's own settings, not those of settings.json: a resumed run may have written that anew already
         same(self.folder, self.settings, found.meta["settings"])
+        # the fresh state says which leaves, shapes and dtypes there must be; the key among them makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
+        # counts of the run, not of the learner: without them a resumed run would assess, and stop, at other steps
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
         self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
         if found.note:
             console.warn(found.note)
-            for path in self.checkpoints.paths():  # kept for whoever wants to know, but never tried again
+            # newer than the one that was read, and damaged: kept for whoever wants to know, but never tried again
+            for path in self.checkpoints.paths():
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
+
+
+def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) -> None:
+    """Write a policy file that says how it was trained."""
+    made = {"engine": pick_engine(settings.engine), "preset": settings.preset, "task": as_dict(settings)["task"]}
+    policy_of(network, settings, {**made, **meta}).save(path)
+
+
+def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool) -> dict:
+    """What a run, or one seed of several, tells at its end."""
+    policies = [folder / f"{name}.safetensors" for name in ("best", "last")]
+    return {
+        "folder": str(folder),
+        "policy": str(policies[0] if policies[0].exists() else policies[1]),
+        "algorithm": settings.algo,
+        "engine": pick_engine(settings.engine),
+        "seed": settings.seed,
+        "steps": done,
+        "seconds": round(seconds, 2),
+        "steps_per_second": round(done / max(seconds, 1e-9)),
+        "stopped": stopped,
+        **{f"tune_{k}": v for k, v in (best or {}).items()},
+    }
 
 
 def go_on(folder: Path, done: int, settings: Settings) -> str:

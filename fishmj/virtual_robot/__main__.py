@@ -107,6 +107,8 @@ def _list(json: bool) -> int:
             "from": p.typical[0],
             "to": p.typical[1],
             "stage": e.stage,
+            "seen in": ", ".join(e.shows),
+            "shown by": ", ".join(e.runs),
         }
         for e in EFFECTS.values()
         for p in e.parameters

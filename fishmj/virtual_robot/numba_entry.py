@@ -17,7 +17,7 @@ except ImportError as error:
     raise MissingExtra("numba", "fast", "the virtual robot") from error
 
 _MATH: dict[str, Any] = {"fastmath": {"contract", "nsz", "reassoc", "arcp"}, "error_model": "numpy", "_nrt": False}
-INLINED = ("chain", "numba_entry", "loop", "servo", "water")  # files with compiled functions
+INLINED = ("chain", "loop", "numba_entry", "servo", "water")  # files with compiled functions
 compiled = njit(forceinline=True, **_MATH)
 
 

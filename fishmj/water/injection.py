@@ -31,6 +31,9 @@ class Handle:
     """One model with its water while the `inject` block lasts."""
 
     def __init__(self, model: mujoco.MjModel, water):
+        root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
+        if water.root != root:
+            raise ConfigError(f"inject: the model's root is {root!r}, the water's {water.root!r}; build both with the same root")
         rows = np.repeat(np.arange(model.nv), model.M_rownnz)
         if len(rows) != model.nv * (model.nv + 1) // 2:
             raise ConfigError(
@@ -79,7 +82,7 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
 
     Args:
         model: from `fishmj.mjcf.build`, root as the water's.
-        water: `PlanarWater` or `wrench.FreeWater`.
+        water: `PlanarWater` or `spatial_water.FreeWater`.
 
     Yields:
         Handle, whose `step(data)` advances the fish by one physics step.
@@ -87,11 +90,14 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
     Raises:
         InjectionError: the slot belongs to someone else or to another thread, or the model has a water already.
     """
-    root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
-    if water.root != root:
-        raise ConfigError(f"inject: the model's root is {root!r}, the water's is {water.root!r}; build both with the same root")
-    handle = Handle(model, water)
-    key = model._address
+    with installed(Handle(model, water)) as handle:
+        yield handle
+
+
+@contextmanager
+def installed(handle: Handle):
+    """The callback serves this handle until the block ends; as `inject`."""
+    key = handle.model._address
     if key in _handles:
         raise InjectionError("inject: this model is in water already; one block a model")
     if _owner and _owner[0] != threading.get_ident():

@@ -44,8 +44,10 @@ class PlanarWater:
     def forces(self, model, data) -> tuple[np.ndarray, np.ndarray]:
         """Added mass (nv, nv) and the explicit generalised force (nv,); pure."""
         k, heading = self.links(model, data), data.qpos[2]
+        # `attached` is read, never written: MuJoCo may call the callback more often than once a step (mj_forward)
         hydro = planar_chain.water_forces(np, self.chain, self.swimmer, k, heading, self.ambient, self.attached)
         force = planar_chain.generalised(np, self.chain, heading, planar_chain.gather(self.chain, k, hydro))
+        # the force without M_a a: MuJoCo adds the matrix to its own M and finds the acceleration with both
         lower = planar_chain.mass_matrix(self.chain, self.swimmer, k, rigid=False)
         return world_matrix(self.chain, heading, lower), np.array(force)
 
@@ -102,5 +104,6 @@ def world_matrix(ch: planar_chain.Chain, heading: float, lower) -> np.ndarray:
     b = np.zeros((size, size))
     c, s = np.cos(heading), np.sin(heading)
     b[:2, :2] = [[c, s], [-s, c]]
+    # MuJoCo counts joint angles, the chain absolute link rates: Omega_i is the sum of the rates before it
     b[2:, 2:] = np.tri(ch.n)
     return b.T @ m @ b

@@ -121,8 +121,10 @@ def motion(xp, p: Panels, k: Links) -> Motion:
         k.u[i] * k.u[i] + k.w[i] * k.w[i] + k.omega[i] * (2 * p.middle[i] * k.w[i] + p.square[i] * k.omega[i]) for i in range(n)
     ]
     square = [xp.maximum(s, 0.0) for s in square]
+    # V is of the whole fish: a link at rest still lies in water that the others move
     whole = sum(a / area * s for a, s in zip(p.area, square, strict=True))
     speed = xp.sqrt(whole + FLOOR**2)
+    # features are divided by V, so forces scale with speed squared; the one feature that is left tells fast from slow, saturating
     even = [*k.u, speed * speed / (speed + HALF)]
     odd = [*middle, *(k.omega[i] * p.length[i] for i in range(n))]
     return Motion([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
@@ -131,9 +133,11 @@ def motion(xp, p: Panels, k: Links) -> Motion:
 def wake_step(xp, net: Net, m: Motion, z: list, dt: float) -> list:
     """Wake states dt later, from z: lists of `WAKES`."""
     both, shape, _ = _branches(xp, m.x, z)
+    # the mirrored input through the same weights, averaged with its signs: the symmetry holds exactly, whatever was learnt
     out = xp.tanh(net.wake @ both.reshape(len(both), -1) + net.wake_bias[:, None]).reshape(len(z), 2, -1)
     signs = np.array(WAKE, dtype=out.dtype)[:, None]
     target, before = 0.5 * (out[:, 0] + signs * out[:, 1]), both[len(m.x) :, 0]
+    # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
     decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / xp.exp(net.reach)[:, None])
     return list((target + (before - target) * decay).reshape(len(z), *shape))
 
@@ -147,8 +151,10 @@ def coefficients(xp, net: Net, m: Motion, z: list):
     out = (net.outer @ hidden + net.outer_bias[:, :, None]).reshape(members, 3 * links, 2, -1)
     signs = np.array([1.0] * links + [-1.0] * (2 * links), dtype=out.dtype)[:, None]
     x = both[: len(m.x), 0]
+    # potential-flow forces are such products: given as they are, hidden units are left for what is not potential
     pairs = [weights @ (x[i] * x[j]) for weights, (i, j) in zip((net.even, net.odd), products(links), strict=True)]
     whole = 0.5 * (out[:, :, 0] + signs * out[:, :, 1]) + xp.concatenate(pairs)
+    # bounded smoothly: a clip has no gradient, and a motion outside the data must not make a large force
     return (BOUND * xp.tanh(whole / BOUND)).reshape(members, 3, links, *shape)
 
 

@@ -1,6 +1,11 @@
-"""Rounds of correction: what a policy does in the surrogate is replayed in the flow solver, added to the data, and refitted.
+"""DAgger (dataset aggregation) for the water: a model is fitted again where the policy that uses it goes.
 
-    roll in the surrogate -> its states and commands become segments of the solver -> do the returns agree? else refit -> ...
+    roll out in the surrogate -> the flow solver swims the same states -> do the returns agree? else aggregate, refit, ...
+
+A water fitted once is right where the campaign's movements were, and a policy soon leaves them. So in each
+round the policy acts in the present surrogate, the solver, as the expert, says what the water does there, the new segments join
+all earlier ones, and the next model is fitted to the lot (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell
+2012, arXiv 1203.1007). The policy itself is not trained here.
 
     found = correct("paper", robot, model, folder, setup, refit=refit)       until the returns differ by less than `AGREED`
 
@@ -50,7 +55,7 @@ class Rollout(NamedTuple):
 
 
 class PolicyDriver:
-    """What a `Drive` asks of a run, answered by a surrogate."""
+    """The part of a `Run` that a `Drive` reads, of a surrogate."""
 
     def __init__(self, fish: Surrogate):
         self.fish = fish
@@ -66,24 +71,25 @@ class PolicyDriver:
         return self.fish.v[3:].copy()
 
 
-def roll(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
+def roll_out(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
     """The segment's drive, in the surrogate instead of the solver, settling included but not returned."""
     fish = Surrogate(robot, planar_chain.chain_of(robot), model.swimmer(robot).water, learnt=model.learnt, pose=segment.pose)
     if segment.velocity:
         fish.v[:] = segment.velocity
     if segment.joints:
         fish.q[3:], fish.commands[0] = segment.joints, np.array(segment.joints)
-    helm, moved, states = PolicyDriver(fish), drive(segment, robot), []
+    driver, moved = PolicyDriver(fish), drive(segment, robot)
+    states = []
     before, end = ticks_of(segment, robot)
     for k in range(end):
         now = flow_at_links(segment, robot, fish.q[None], np.array([k * robot.timing.bus_dt]))[0]
-        fish.tick(moved.command(k, helm), now)
+        fish.tick(moved.command(k, driver), now)
         states.append((fish.q.copy(), fish.v.copy()))
     q, v = (np.array(column) for column in zip(*states[before:], strict=True))
     return Rollout(q, v)
 
 
-def returned(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> float:
+def mean_return(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> float:
     """Mean reward of a control step of the station-holding task, exact states, (T, 3 + J)."""
     every = round(robot.timing.control_dt / robot.timing.bus_dt)
     steps = len(q) // every
@@ -132,19 +138,19 @@ def correct(
         )
         if row["gap"] <= AGREED or number == rounds:
             break
-        model = _next(model, folder, row, refit)
+        model = _refitted(model, folder, row, refit)
     return {"rounds": rows, "agreed": rows[-1]["gap"] <= AGREED, "model": model}
 
 
 def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, number: int, episodes, seconds, pool) -> dict:
-    """Roll, solve, compare."""
+    """Roll out, solve, compare."""
     plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
-    rolls = [(segment, roll(robot, model, segment)) for segment in plan.segments]
+    rolls = [(segment, roll_out(robot, model, segment)) for segment in plan.segments]
     collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool, quiet=True)
-    return compared(robot, solver, rolls)
+    return compare_returns(robot, solver, rolls)
 
 
-def _next(model: HydroModel, folder: Path, row: dict, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
+def _refitted(model: HydroModel, folder: Path, row: dict, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
     """The model after a round, as it is kept; refitted where none is kept for this model and what it did."""
     place = folder / f"round-{row['round']}"
     made = {"from": sha256_of(model), "round": row}
@@ -163,7 +169,7 @@ def sha256_of(model: HydroModel) -> str:
     return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()
 
 
-def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollout]]) -> dict:
+def compare_returns(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollout]]) -> dict:
     """Mean return in both waters over the ticks that the solver kept, and their difference over the solver's."""
     data, pairs = open_dataset(folder), []
     for segment, rolled in rolls:
@@ -172,7 +178,7 @@ def compared(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollout]]) -
         record = data[segment.id]
         n = len(record.q)
         if n * robot.timing.bus_dt >= robot.timing.control_dt:
-            pairs.append([returned(robot, segment, q[:n], v[:n]) for q, v in ((record.q, record.v), (rolled.q, rolled.v))])
+            pairs.append([mean_return(robot, segment, q[:n], v[:n]) for q, v in ((record.q, record.v), (rolled.q, rolled.v))])
     if not pairs:
         raise DatasetError(f"{folder}: the solver kept no episode of this round: {data.lost()}")
     (solver, surrogate), least = np.mean(pairs, 0).tolist(), LEAST * constant("reward", "wG")

@@ -162,12 +162,12 @@ def policy(
     """
     from fishmj.campaign.data.closed_loop import ClosedLoop
 
-    helm = ClosedLoop(segment, robot, controller, target, seed, noise)
-    if sha256 and (got := getattr(helm.brain, "sha256", "")) != sha256:
+    closed = ClosedLoop(segment, robot, controller, target, seed, noise)
+    if sha256 and (got := getattr(closed.controller, "sha256", "")) != sha256:
         raise ConfigError(
             f"segment {segment.id}: policy {controller}: expected sha256 {sha256}, got {got}; plan again with this file"
         )
-    return Drive(helm)
+    return Drive(closed)
 
 
 def _joints(segment: Segment, robot: Robot) -> np.ndarray:

@@ -26,7 +26,7 @@ RUNNER = "fishmj.campaign.data.run_segments:side_by_side"
 
 
 class Worker:
-    """One process; `runner` is module:function with the signature of `tank.side_by_side`."""
+    """One process; `runner` is module:function with the signature of `run_segments.side_by_side`."""
 
     def __init__(self, runner: str):
         module, _, name = runner.partition(":")
@@ -58,7 +58,7 @@ class RayPool:
     retried: Counter = field(default_factory=Counter)
 
     def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
-        """As `tank.side_by_side`, in the order in which workers finish.
+        """As `run_segments.side_by_side`, in the order in which workers finish.
 
         Raises:
             MissingExtra: Ray is not installed. ConfigError: no such cluster, no such device there, or a segment's own error.

@@ -78,8 +78,8 @@ class Driven(Run):
 
     root: Callable[[float], np.ndarray] | None = None
 
-    def held(self, dt):
-        fixed, value = super().held(dt)
+    def prescribed_velocity(self, dt):
+        fixed, value = super().prescribed_velocity(dt)
         if self.root is not None:
             value[:3] = (self.root(self.time + dt) - self.pose[:3]) / dt
         return fixed, value

@@ -1,6 +1,6 @@
 """Electronics of the second robot on the joints of the solver's fish: commands arrive, servos push, everything is recorded.
 
-Per step of the water: `drive` sends the servos ahead and gives the solver their law, `follow` takes the state that it found.
+Per step of the water: `actuate` sends the servos ahead and gives the solver their law, `follow` takes the state that it found.
 """
 
 from typing import NamedTuple
@@ -50,20 +50,20 @@ class Electronics:
             array[:] = old
         del self.rows[rows:]
 
-    def drive(self, body: HiddenBody, time: float) -> None:
+    def actuate(self, body: HiddenBody, time: float) -> None:
         """Set the joints' law, and what effects add, for the step of the water that begins at `time` s."""
         extra = np.zeros(3)
         if self.difference.acts:
             force, mass = self.difference(self.state, body.dt)
-            body.applied[:3], body.more = force[:3], mass
+            body.applied[:3], body.added_mass = force[:3], mass
             extra = force[3:]
         if time >= self._next - 1e-9:  # steps finer than the servos' share a law
-            self._ahead(max(1, round(body.dt / H)))
+            self._send_ahead(max(1, round(body.dt / H)))
         seconds = max(body.dt, H)
         slope = self.law[:, SLOPE] / seconds
-        body.push(self.law[:, IMPULSE] / seconds + slope * self.law[:, END] + extra, slope)
+        body.set_torque(self.law[:, IMPULSE] / seconds + slope * self.law[:, END] + extra, slope)
 
-    def _ahead(self, steps: int) -> None:
+    def _send_ahead(self, steps: int) -> None:
         made, q = self.made, self.queue
         record = np.empty((steps, LOG))
         first = int(np.searchsorted(q.times, self.state.clock[0] - H))

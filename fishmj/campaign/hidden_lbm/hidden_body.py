@@ -1,4 +1,4 @@
-"""The solver's fish with a hidden difference: other masses, forces and added masses that an effect brings, servos by `Wire`.
+"""The solver's fish with a hidden difference: other masses, forces and added masses of an effect, servos by `Electronics`.
 
     f  = T^T (f_effect - f_null),   A = T^T (A_effect - A_null) T          W_k = psi' + j_1' + .. + j_k'  in T
 
@@ -39,15 +39,15 @@ class HiddenBody(ImmersedBody):
         m.body_ipos[1:, 0] = middle
         m.body_inertia[1:, 2] = heavier * (rigid.second - rigid.mass * middle**2)
         mujoco.mj_setConst(m, self.data)
-        self.more = np.zeros((6, 6))  # added mass of the effect, (x, y, psi, j1..j3)
+        self.added_mass = np.zeros((6, 6))  # added mass of the effect, (x, y, psi, j1..j3)
         self.place(self.data.qpos.copy())
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_passive(self.model, self.data)  # the law's slope is newer than the state
         system, right = super().equation(interior)
-        return system + self.more, right + self.more @ self.data.qvel
+        return system + self.added_mass, right + self.added_mass @ self.data.qvel
 
-    def push(self, a: np.ndarray, slope: np.ndarray) -> None:
+    def set_torque(self, a: np.ndarray, slope: np.ndarray) -> None:
         """tau = a - slope w on the three joints in the next step, N m and N m s/rad."""
         self.applied[-3:] = a
         self.model.dof_damping[-3:] = slope

@@ -79,7 +79,7 @@ class HiddenRun(Run):
         state.ramp[:, :2] = what.commands[0][:, None]
         packets = network.deliver(made.network, made.odd, what.t, what.commands, job.seed, job.index, job.noise)
         gust = weather(made, what.seconds, job.seed, job.index)
-        self.wire = Electronics(made, state, Queue(packets.times, packets.commands), gust)
+        self.electronics = Electronics(made, state, Queue(packets.times, packets.commands), gust)
         coupled, edge = _coupled(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
         super().__init__(coupled, made.robot, latency=0.0, follow=edge)
         if job.carried:
@@ -87,7 +87,7 @@ class HiddenRun(Run):
                 self._carry(start)
             except LeftDomain as error:
                 self.stopped = str(error)
-        self.wire.place(_hidden(coupled))
+        self.electronics.place(_hidden(coupled))
         self.begin()
 
     @property
@@ -101,7 +101,7 @@ class HiddenRun(Run):
 
     def recording(self) -> Recording:
         """Every finished tick, a row a millisecond."""
-        whole = self.wire.recording()
+        whole = self.electronics.recording()
         rows = round(self.ticks * PERIOD * 1000)
         return Recording(whole.t[:rows], whole.data[:rows])
 
@@ -112,37 +112,37 @@ class HiddenRun(Run):
         before = carriage(start, push, CARRY)
         for i in range(steps):
             after = carriage(start, push, CARRY - (i + 1) * dt)
-            _hidden(self.coupled).push(np.zeros(3), np.zeros(3))
+            _hidden(self.coupled).set_torque(np.zeros(3), np.zeros(3))
             self.coupled.step(np.ones(6), np.array([*(after - before) / dt, 0.0, 0.0, 0.0]))
             if self.follow is not None:
                 self.follow(self.coupled)
             before = after
-        self.coupled.join()
+        self.coupled.join_stream()
         self.coupled.take_wrench(CARRY)
 
     def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
-        return ElectronicsDriver(self.wire, coupled, self.ticks)
+        return ElectronicsDriver(self.electronics, coupled, self.ticks)
 
 
 class ElectronicsDriver:
-    """The joints' torque from the wire for one tick; a joint that friction holds is prescribed not to move."""
+    """The joints' torque from the electronics for one tick; a joint that friction holds is prescribed not to move."""
 
-    power = 0.0  # the wire's own record has it
+    power = 0.0  # their own record has it
 
-    def __init__(self, wire: Electronics, coupled: FluidStructure, tick: int):
-        self.wire, self.body, self.began = wire, _hidden(coupled), tick * PERIOD
-        wire.begin_tick(tick)
-        wire.place(self.body)
+    def __init__(self, electronics: Electronics, coupled: FluidStructure, tick: int):
+        self.electronics, self.body, self.began = electronics, _hidden(coupled), tick * PERIOD
+        electronics.begin_tick(tick)
+        electronics.place(self.body)
 
-    def drive(self, step: int) -> tuple[np.ndarray, np.ndarray]:
-        self.wire.drive(self.body, self.began + step * self.body.dt)
-        return np.concatenate([np.zeros(3), self.wire.held]), np.zeros(6)
+    def actuate(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+        self.electronics.actuate(self.body, self.began + step * self.body.dt)
+        return np.concatenate([np.zeros(3), self.electronics.held]), np.zeros(6)
 
-    def begun(self) -> None:
+    def record(self) -> None:
         """Nothing to keep."""
 
-    def finished(self) -> None:
-        self.wire.follow(self.body)
+    def follow(self) -> None:
+        self.electronics.follow(self.body)
 
 
 def _hidden(coupled: FluidStructure) -> HiddenBody:

@@ -57,8 +57,8 @@ class Solver:
         Raises:
             MissingExtra: the solver's packages are absent. LeftDomain, SimDiverged, OracleUnstable, ConfigError: it fails.
         """
-        run = self.placed(path)
-        self.led(run, path)
+        run = self.reseeded(path)
+        self.tow(run, path)
         run.tethered, run.root, run.prescribed = False, None, None
         run.commands, run.ticks, first = [np.array(command) for command in past], len(past) - 1, len(run.rows)
         start = (np.concatenate([run.pose[:3], run.angles()]), np.concatenate([run.pose[3:], run.rates()]))
@@ -68,14 +68,14 @@ class Solver:
         after = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
         return CorrectionSegment(*(np.concatenate([[one], rows]) for one, rows in zip(start, after, strict=True)))
 
-    def led(self, run, path: Path) -> np.ndarray:
+    def tow(self, run, path: Path) -> np.ndarray:
         """(n, N, 3) mean wrenches F_x, F_y, M_z over the ticks of a path that the fish follows to the letter."""
         run.tethered, run.root, run.prescribed = True, (lambda t: path.at(t)[:3]), (lambda t: path.at(t)[3:])
         for _ in range(round((len(path.q) - 1) * path.dt / self.robot.timing.bus_dt)):
             run.tick()
         return np.array([row[-1] for row in run.rows]).reshape(-1, len(self.robot.links), 6)[:, :, [0, 1, 5]]
 
-    def placed(self, path: Path):
+    def reseeded(self, path: Path):
         """The run with its fish at the start of the path."""
         try:
             from fishmj.campaign.data.run_segments import Driven

@@ -10,7 +10,7 @@
 
 The solver's water stays as its fish left it and the fish is put where the surrogate's is: during `lead` it is led along the
 surrogate's own path, to the letter, until the water has got used to it, then it swims the same commands by its servos. How far
-the two drift apart within `span` moves the factors (`correct.matched`). A fish that begins at rest in still water needs no lead.
+the two drift apart within `span` moves the factors (`online_correction.matched`). A fish at rest in still water needs no lead.
 The surrogate's own state is never moved, so a corrected swim has no jumps. A solver that is missing, fails or takes longer than
 `patience` seconds a stretch switches itself off once, with one warning; what was learnt stays. Uniform streams only.
 """
@@ -18,13 +18,14 @@ The surrogate's own state is never moved, so a corrected swim has no jumps. A so
 import time
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from fishmj import console
 from fishmj.campaign.hybrid.correction_segment import CorrectionSegment, Oracle, Path
 from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.engines.single import SingleFish
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
@@ -33,7 +34,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
 
 
-class Surrogate:
+class Surrogate(SingleFish):
     """One fish in the strip water with or without a residual, by bus ticks in NumPy.
 
     Args:
@@ -50,14 +51,13 @@ class Surrogate:
         stream=(0.0, 0.0),
         pose=(0.0, 0.0, 0.0),
     ):
-        self.robot, self.chain, self.water, self.learnt = robot, ch, water, learnt
+        hooks = None if learnt is None else (lambda memory: residual_hooks.LearnedResidual(np, ch, learnt, memory))
+        super().__init__(ch, planar_chain.nominal(robot), hooks, residual_hooks.at_rest())
+        self.robot, self.water = robot, water
         self.stream = [tuple(float(u) for u in stream)] * ch.n
         self.steps = round(robot.timing.bus_dt / ch.dt)
         self.delay = round(robot.timing.command_latency / ch.dt)
-        self.swimmer = planar_chain.nominal(robot)
         self.q, self.v = np.array([*pose, *np.zeros(ch.n - 1)], float), np.zeros(ch.n + 2)
-        self.attached: Any = 0.5
-        self.memory = residual_hooks.at_rest()
         self.commands, self.ticks = [np.zeros(ch.n - 1)], 0
         self.trail: list | None = None  # states after every physics step, while someone wants them
 
@@ -65,21 +65,19 @@ class Surrogate:
         """20 ms on, after sending `command`, (J,) rad; `flow` (N, 2) m/s at the links in place of the uniform stream."""
         stream = self.stream if flow is None else [tuple(u) for u in np.asarray(flow).tolist()]
         self.commands.append(on_the_bus(self.robot.servo, np.asarray(command, float)))
-        ramp, sw = self.robot.timing.command_path == "move_time", self.swimmer._replace(water=self.water)
+        ramp = self.robot.timing.command_path == "move_time"
+        self.swimmer = self.swimmer._replace(water=self.water)
         for i in range(self.steps):
             target = arrived(self.commands, self.ticks * self.steps + i, self.delay, self.steps, ramp)
-            hooks = None if self.learnt is None else residual_hooks.LearnedResidual(np, self.chain, self.learnt, self.memory)
-            given = (list(self.q), list(self.v), self.attached, list(target), stream, (0.0, 0.0), hooks)
-            s = planar_chain.step(np, self.chain, sw, *given)
-            self.q, self.v, self.attached = np.array(s.q), np.array(s.v), s.attached
-            self.memory = list(s.memory) if hooks else self.memory
+            s = self.advance(list(self.q), list(self.v), list(target), stream, (0.0, 0.0))
+            self.q, self.v = np.array(s.q), np.array(s.v)
             if self.trail is not None:
                 self.trail.append((self.q, self.v))
         self.ticks += 1
 
 
 @dataclass
-class Opened:
+class OpenSegment:
     """A stretch under way: ticks at its start and of its lead, and the surrogate where the lead ends."""
 
     at: int
@@ -87,7 +85,7 @@ class Opened:
     start: Surrogate | None = None
 
 
-class Misses:
+class MovementError:
     """How differently a surrogate with other factors moves over a stretch, in tolerances of a right one.
 
     Means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s: (R, B) for factors (10, B).
@@ -155,7 +153,7 @@ class Hybrid:
             raise ConfigError(f"hybrid: {got}; expected first >= 0, span > 0, and lead and span within {self.every} s")
         self.base = self.surrogate.water
         self.size = self.surrogate.robot.timing.bus_dt
-        self._open: Opened | None = None
+        self._open: OpenSegment | None = None
         if self.oracle is None:
             self._switch_off("there is no solver")
 
@@ -164,7 +162,7 @@ class Hybrid:
         fish, since = self.surrogate, self.surrogate.ticks - round(self.first / self.size)
         if not self.off and since >= 0 and since % round(self.every / self.size) == 0:
             still = not np.any(fish.v) and not np.any(fish.stream)
-            self._open = Opened(fish.ticks, 0 if still else round(self.lead / self.size))
+            self._open = OpenSegment(fish.ticks, 0 if still else round(self.lead / self.size))
             fish.trail = [(fish.q, fish.v)]
         opened = self._open
         if opened is not None and fish.ticks == opened.at + opened.lead:
@@ -172,10 +170,10 @@ class Hybrid:
         fish.tick(command)
         self.path.append(fish.q.copy())
         if opened is not None and fish.ticks == opened.at + round((self.lead + self.span) / self.size):
-            self._look(opened)
+            self._correct(opened)
             self._open, fish.trail = None, None
 
-    def _look(self, opened: "Opened") -> None:
+    def _correct(self, opened: "OpenSegment") -> None:
         began, oracle, fish, start = time.perf_counter(), self.oracle, self.surrogate, cast(Surrogate, opened.start)
         if oracle is None or self.off:
             return
@@ -189,11 +187,11 @@ class Hybrid:
             self._switch_off(" ".join(str(error).split()))
             return
         wall = time.perf_counter() - began
-        misses = Misses(start, self.base, seen, commands, self.own)
-        before = misses(self.state.factors[:, None])
-        self.state = online_correction.matched(self.state, misses, idle=self.every if self.rows else 0.0)
+        miss = MovementError(start, self.base, seen, commands, self.own)
+        before = miss(self.state.factors[:, None])
+        self.state = online_correction.matched(self.state, miss, idle=self.every if self.rows else 0.0)
         fish.water = online_correction.applied(self.base, self.state)
-        after = misses(self.state.factors[:, None])
+        after = miss(self.state.factors[:, None])
         rms = [float(np.sqrt(np.mean(r**2))) for r in (before, after)]
         self.rows.append((opened.at * self.size, *rms, wall))
         if wall > self.patience and len(self.rows) > 1:  # the first one sets the solver up

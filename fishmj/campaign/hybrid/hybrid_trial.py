@@ -165,7 +165,7 @@ def transient(solver: Solver, truth: SegmentRecord, robot: Robot) -> np.ndarray:
     spline = CubicHermiteSpline(np.arange(len(q)) * truth.tick, q, v)
     t = at * truth.tick + np.arange(round((count - 1) * truth.tick / dt) + 1) * dt
     path = Along(spline(t), spline(t, 1), dt)
-    error = solver.led(solver.placed(path), path) - truth.wrench[at : at + count - 1]
+    error = solver.tow(solver.reseeded(path), path) - truth.wrench[at : at + count - 1]
     size = np.sqrt((truth.wrench**2).mean((0, 1)))
     relative = np.sqrt(((error / size) ** 2).mean((1, 2)))
     return np.concatenate([relative, np.full(LOOKED - len(relative), relative[-1])])

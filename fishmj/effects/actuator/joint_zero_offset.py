@@ -28,6 +28,7 @@ EFFECT = Effect(
     formula="hinge angle = encoder angle + o",
     source="paper randomises +-5 deg; open hardware's centre counts are 2.4 to 4.8 deg off",
     parameters=tuple(Parameter(name=name, unit="rad", low=-0.2, high=0.2, typical=(0.02, 0.087)) for name in OFFSETS),
+    handed=("offset1", "offset2", "offset3"),
     shows=("position", "heading"),
     native="joint ref",
     confusions=(
@@ -42,9 +43,7 @@ EFFECT = Effect(
             excitations=("gait", "gait_mirrored"),
         ),
         Confusion(
-            other="servo_deadband",
-            separates="does not change sign with the direction of approach",
-            excitations=("staircase",),
+            other="servo_deadband", separates="does not change sign with the direction of approach", excitations=("staircase",)
         ),
     ),
     servo=servo,

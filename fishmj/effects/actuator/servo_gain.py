@@ -24,9 +24,7 @@ EFFECT = Effect(
             excitations=("chirp", "staircase"),
         ),
         Confusion(
-            other="skin_stiffness",
-            separates="power needed to hold a constant angle",
-            excitations=("hold_angles", "staircase"),
+            other="skin_stiffness", separates="power needed to hold a constant angle", excitations=("hold_angles", "staircase")
         ),
         Confusion(other="viscous_friction", separates="error of a held angle under load", excitations=("hold_angles", "chirp")),
     ),

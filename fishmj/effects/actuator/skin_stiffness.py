@@ -15,6 +15,7 @@ EFFECT = Effect(
     formula="tau = -k angle",
     source="silicone tube of this size: 0.2 to 1.5 N m/rad",
     parameters=(Parameter(name="stiffness", unit="N m/rad", low=0.0, high=6.0, typical=(0.2, 1.0)),),
+    stores=True,
     shows=("joint", "position", "power"),
     native="joint stiffness",
     confusions=(

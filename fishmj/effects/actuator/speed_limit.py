@@ -28,9 +28,7 @@ EFFECT = Effect(
     native="actuator dcmotor",
     confusions=(
         Confusion(
-            other="torque_saturation",
-            separates="a speed limit is the same in air and in water",
-            excitations=("square", "chirp"),
+            other="torque_saturation", separates="a speed limit is the same in air and in water", excitations=("square", "chirp")
         ),
         Confusion(other="rate_limit", separates="load dependent: same move in air and water", excitations=("steps", "square")),
         Confusion(

@@ -16,6 +16,7 @@ EFFECT = Effect(
     formula="torque' = torque e^(-a t)",
     source="copper 0.4 %/K; an XL330 warms by 11 K in two minutes",
     parameters=(Parameter(name="rate", unit="1/s", low=0.0, high=0.2, typical=(3e-4, 5e-3)),),
+    planted="ten times as fast: it must show within a run of some ten seconds",
     shows=("joint", "position", "power"),
     confusions=(
         Confusion(other="voltage_sag", separates="minutes against milliseconds", excitations=("gait", "steps")),

@@ -20,9 +20,7 @@ EFFECT = Effect(
     confusions=(
         Confusion(other="coulomb_friction", separates="error grows with speed", excitations=("slow_triangle", "chirp")),
         Confusion(
-            other="joint_hydro_damping",
-            separates="the same in air and water; linear in speed",
-            excitations=("chirp", "square"),
+            other="joint_hydro_damping", separates="the same in air and water; linear in speed", excitations=("chirp", "square")
         ),
         Confusion(other="speed_limit", separates="acts at every torque, not only near the limit", excitations=("chirp", "steps")),
     ),

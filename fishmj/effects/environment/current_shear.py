@@ -15,6 +15,7 @@ EFFECT = Effect(
     formula="u' = u + rate y",
     source="pumped tanks: 0.02 to 0.2 1/s",
     parameters=(Parameter(name="rate", unit="1/s", low=-0.5, high=0.5, typical=(0.02, 0.1)),),
+    handed=("rate",),
     shows=("position", "heading"),
     confusions=(
         Confusion(other="wall_effect", separates="changes sign with the direction of travel", excitations=("out_and_back",)),
@@ -24,12 +25,7 @@ EFFECT = Effect(
             excitations=("station_left", "station_right", "drift_north"),
         ),
         Confusion(
-            other="steady_current",
-            separates="the same run at two stations",
-            excitations=(
-                "station_left",
-                "station_right",
-            ),
+            other="steady_current", separates="the same run at two stations", excitations=("station_left", "station_right")
         ),
     ),
     flow=flow,

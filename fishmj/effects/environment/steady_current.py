@@ -18,6 +18,7 @@ EFFECT = Effect(
         Parameter(name="x", unit="m/s", low=-0.3, high=0.3, typical=(0.01, 0.05)),
         Parameter(name="y", unit="m/s", low=-0.3, high=0.3, typical=(0.01, 0.05)),
     ),
+    handed=("y",),
     shows=("position",),
     native="option wind (MuJoCo's own fluid only)",
     confusions=(

@@ -15,6 +15,7 @@ EFFECT = Effect(
     formula="(u, v)' = (u - O y, v + O x)",
     source="pumped tanks: 0.01 to 0.05 rad/s",
     parameters=(Parameter(name="rate", unit="rad/s", low=-0.3, high=0.3, typical=(0.01, 0.05)),),
+    handed=("rate",),
     shows=("position", "heading"),
     confusions=(
         Confusion(
@@ -22,14 +23,7 @@ EFFECT = Effect(
             separates="cross drift at other x",
             excitations=("station_left", "station_right", "drift_north"),
         ),
-        Confusion(
-            other="steady_current",
-            separates="vanishes at the centre",
-            excitations=(
-                "station_left",
-                "station_right",
-            ),
-        ),
+        Confusion(other="steady_current", separates="vanishes at the centre", excitations=("station_left", "station_right")),
     ),
     flow=flow,
 )

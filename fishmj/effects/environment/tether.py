@@ -21,6 +21,7 @@ EFFECT = Effect(
         Parameter(name="x", unit="m", low=-1.8, high=1.8, typical=(-1.0, 1.0), shape=True),
         Parameter(name="y", unit="m", low=-1.8, high=1.8, typical=(-1.0, 1.0), shape=True),
     ),
+    handed=("y",),
     shows=("position",),
     confusions=(
         Confusion(other="steady_current", separates="changes sign beyond the anchor", excitations=("out_and_back", "drift_east")),

@@ -16,6 +16,7 @@ EFFECT = Effect(
     formula="(x, y)' = R(d) (x, y), yaw' = yaw + d",
     source="overhead camera on a beam: 1 to 5 deg",
     parameters=(Parameter(name="angle", unit="rad", low=-0.3, high=0.3, typical=(0.017, 0.087)),),
+    handed=("angle",),
     shows=("position", "heading"),
     confusions=(
         Confusion(other="heading_marker_offset", separates="turns the track too", excitations=("burst_and_coast", "gait")),

@@ -15,6 +15,7 @@ EFFECT = Effect(
     formula="yaw' = yaw + d",
     source="paper, red head and yellow neck by eye: 1 to 5 deg",
     parameters=(Parameter(name="angle", unit="rad", low=-0.3, high=0.3, typical=(0.017, 0.087)),),
+    handed=("angle",),
     shows=("heading",),
     confusions=(
         Confusion(other="camera_yaw", separates="the track keeps its direction", excitations=("tow_oblique", "gait")),

@@ -23,6 +23,7 @@ EFFECT = Effect(
     formula="sigma' = factor sigma",
     source="colour tracking: 1 to 3 mm, 0.5 to 1.5 deg",
     parameters=(Parameter(name="factor", unit="1", null=1.0, low=1.0, high=10.0, typical=(1.5, 3.0)),),
+    unplanted="its sensors have noise of their own, for all runs alike",
     shows=("joint", "position", "heading", "power"),
     confusions=(Confusion(other="turbulence", separates="a resting log shows it", excitations=("idle", "drift_east")),),
     stochastic=True,

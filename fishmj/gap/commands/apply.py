@@ -19,7 +19,8 @@ from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version
 from fishmj.gap.commands.check import check
-from fishmj.gap.records.datasets import digest, judged, null_of
+from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.records.datasets import digest, judged
 from fishmj.gap.wording import level, title
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import write_text

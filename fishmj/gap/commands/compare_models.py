@@ -9,7 +9,7 @@ from fishmj.errors import ConfigError, LogError
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.workflow import evidence_of
+from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 
@@ -26,12 +26,12 @@ def gaps(versions: list[Robot], trials: list[Trial], null: SimulatedNull, water:
     if not trials:
         raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
-    plant = SwimmingFish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
-    evidence = evidence_of(plant, [record_of(trial, plant.dt) for trial in trials], null)
-    return [evidence.gap(plant.row(robot)) for robot in versions]
+    model = SwimmingFish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
+    evidence = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], null)
+    return [evidence.gap(model.row(robot)) for robot in versions]
 
 
-def gaps_of(versions: list[Robot], records: list[Record], null: SimulatedNull, plant: SwimmingFish) -> list[float]:
-    """The gaps alone, of records that are read already and a plant that holds all effects of the versions."""
-    evidence = evidence_of(plant, records, null)
-    return [evidence.gap(plant.row(robot))[0] for robot in versions]
+def gaps_of(versions: list[Robot], records: list[Record], null: SimulatedNull, model: SwimmingFish) -> list[float]:
+    """The gaps alone, of records that are read already and a model that holds all effects of the versions."""
+    evidence = likelihood_of(model, records, null)
+    return [evidence.gap(model.row(robot))[0] for robot in versions]

@@ -13,6 +13,7 @@ from fishmj.engines import in_water, own_effects
 from fishmj.gap import watch
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version, unlike
 from fishmj.gap.commands.apply import settle
+from fishmj.gap.null.recorded_null import null_of
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.sufficiency import InsufficientData, deterministic_effects, insufficient_data
@@ -21,7 +22,7 @@ from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import write_json
+from fishmj.store import shipped, write_json
 
 
 def main(argv: list[str]) -> int:
@@ -45,16 +46,17 @@ def main(argv: list[str]) -> int:
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
     gap_options.of_null(add)
-    most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().most})"
+    most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     own_effects.option(parser)
     args = parser.parse_args(argv)
-    gap_options.there(args.null)
+    args.null = args.null and shipped(args.null)
+    gap_options.there(args.data, args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)
-    null = datasets.null_of(null_of(args))
+    null = null_of(drawn_of(args))
     doors.null_fits(null, robot, args.model)
     given, notes = admitted(args, robot)
     for note in notes:
@@ -110,8 +112,8 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
     return investigate(
         SwimmingFish(robot),
         list(given.trials.values()),
-        gates=frozen() if args.most is None else replace(frozen(), most=args.most),
-        null=datasets.null_of(null_of(args)),
+        gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
+        null=null_of(drawn_of(args)),
         page=datasets.page_in(args.data),
         seed=args.seed,
         further=True,
@@ -122,7 +124,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
     )
 
 
-def null_of(args) -> dict:
+def drawn_of(args) -> dict:
     """How null runs are drawn: of the second robot, or those of a folder."""
     made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
     return made | {"folder": str(args.null.resolve())} if args.null else made
@@ -138,7 +140,7 @@ def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
     apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
     seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
     held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
-    drawn = {"null": null_of(args), "water": args.water, "skipped": given.broken}
+    drawn = {"null": drawn_of(args), "water": args.water, "skipped": given.broken}
     hashes = {"model_sha256": model_version.digest(args.model), "data_sha256": given.sha256}
     model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)
     return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
@@ -152,8 +154,8 @@ def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list
         write_json(folder / "verdict.json", verdict)
     else:
         some = [r for r in inquiry.records if r.name in context["judged"]]
-        plant = inquiry.evidence.plant
-        measure = lambda versions: compare_models.gaps_of(versions, some, datasets.null_of(context["null"]), plant)
+        model = inquiry.evidence.model
+        measure = lambda versions: compare_models.gaps_of(versions, some, null_of(context["null"]), model)
         done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
         patched = done.path.name if done.path and done.accepted else ""
         write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})

@@ -4,8 +4,9 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
+from fishmj.gap.null.recorded_null import LAST_SEED, LOUDEST, MOST_RUNS
 from fishmj.gap.null.simulated_null import RUNS
-from fishmj.gap.records.datasets import LAST_SEED, LOUDEST, MOST_RUNS
+from fishmj.store import left_out
 
 MOST_EFFECTS = 8
 FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter
@@ -47,4 +48,4 @@ def there(*paths: Path | None) -> None:
     """Whether what was named to read is there, asked before anything is loaded; None was not named. Raises ConfigError."""
     for path in paths:
         if path is not None and not path.exists():
-            raise ConfigError(f"{str(path)[:80]}: no such file or folder; expected one that is there")
+            raise ConfigError(f"{str(path)[:80]}: no such file or folder; expected one that is there{left_out(path)}")

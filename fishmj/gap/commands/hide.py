@@ -20,8 +20,8 @@ from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, gap_options
+from fishmj.gap.null.recorded_null import LOUDEST
 from fishmj.gap.records import datasets
-from fishmj.gap.records.datasets import LOUDEST
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import Trial, numbered
 from fishmj.log.dataset import Taken

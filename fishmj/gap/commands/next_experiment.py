@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     gap_options.there(args.source)
     null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
-        answer, plant, sides, like = _opened(args, null)
+        answer, model, sides, like = _opened(args, null)
     except unlike.TooDifferent as different:
         console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
         if args.json:
@@ -51,10 +51,10 @@ def main(argv: list[str]) -> int:
             console.emit_json({"answer": answer, "experiments": []})
         return console.OK
     runs = _runs(args.runs, sides)
-    compiled(plant, console.say)
-    found = experiment_scores(plant, sides, like, runs, null, bars=watch.shown)
+    compiled(model, console.say)
+    found = experiment_scores(model, sides, like, runs, null, bars=watch.shown)
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
-    advised = advice(plant, found, sides)
+    advised = advice(model, found, sides)
     console.say(advised)
     if args.json:
         console.emit_json({"answer": answer, "advice": advised, "experiments": [p._asdict() for p in found]})
@@ -62,23 +62,23 @@ def main(argv: list[str]) -> int:
 
 
 def _opened(args, null: SimulatedNull):
-    """(answer, plant, sides, a record) of a report or a data set."""
+    """(answer, model, sides, a record) of a report or a data set."""
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.commands import reported
 
         verdict = reported.verdict(report, context=False)
         context = verdict.get("context", {})
-        plant = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
-        return verdict["answer"], plant, normalised(_reported(plant, verdict)), _usual(plant)
-    model = args.model or "fish"
-    plant = _questioned(model, STRUCTURED)
-    given = taken(args.source, plant.dt)
-    whose = doors.of_this_robot(given.trials.values(), plant.robot, model, args.same_robot)
+        model = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
+        return verdict["answer"], model, normalised(_reported(model, verdict)), _usual(model)
+    name = args.model or "fish"
+    model = _questioned(name, STRUCTURED)
+    given = taken(args.source, model.dt)
+    whose = doors.of_this_robot(given.trials.values(), model.robot, name, args.same_robot)
     for note in (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose):
         console.warn(note)
     inquiry = investigate(
-        plant,
+        model,
         list(given.trials.values()),
         null=null,
         page=page_in(args.source),
@@ -89,8 +89,8 @@ def _opened(args, null: SimulatedNull):
     )
     found = inquiry.verdict
     if found.answer not in OPEN:
-        return found.answer, plant, [], inquiry.records[0]
-    return found.answer, plant, normalised(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
+        return found.answer, model, [], inquiry.records[0]
+    return found.answer, model, normalised(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
 
 
 def _model_of(context: dict) -> str:
@@ -106,16 +106,16 @@ def _model_of(context: dict) -> str:
     return context["model"]
 
 
-def _questioned(model: str, water: str):
-    """The plant of a model that a search can take."""
+def _questioned(name: str, water: str):
+    """A model that a search can take, by its name or file."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    robot = in_water(load_robot(model), water)
-    doors.searchable(robot, model)
+    robot = in_water(load_robot(name), water)
+    doors.searchable(robot, name)
     return SwimmingFish(robot)
 
 
-def _reported(plant, verdict: dict) -> list[Hypothesis]:
+def _reported(model, verdict: dict) -> list[Hypothesis]:
     """Sides of a verdict.json."""
     if verdict["answer"] not in OPEN:
         return []
@@ -124,14 +124,14 @@ def _reported(plant, verdict: dict) -> list[Hypothesis]:
     if not rivals:
         raise LogError("gap next: the report lists no rival with values; give the data set itself: gap next DATA")
     best = min([1.0, *(e["p_best"] for e in verdict["effects"])])
-    return [read(plant, ours, best), *(read(plant, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
+    return [read(model, ours, best), *(read(model, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
 
 
-def _usual(plant) -> Record:
+def _usual(model) -> Record:
     """A record with the usual sensors of this robot."""
     from fishmj.virtual_robot import generate
 
-    return record_of(generate({}, ["idle"], 0, robot=plant.robot)[0], plant.dt)
+    return record_of(generate({}, ["idle"], 0, robot=model.robot)[0], model.dt)
 
 
 def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:

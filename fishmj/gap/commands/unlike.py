@@ -68,7 +68,7 @@ def admit(e: Likelihood, anyway: bool = False) -> None:
     Raises:
         TooDifferent: the gap is beyond BEYOND, or beyond FAR with a cause that is recognised, and nobody agreed to it.
     """
-    gap, channels = e.gap(e.plant.null)
+    gap, channels = e.gap(e.model.null)
     if anyway or max(gap, *channels.values()) <= FAR:
         return
     causes = likely(e)
@@ -82,9 +82,9 @@ def admit(e: Likelihood, anyway: bool = False) -> None:
 
 def likely(e: Likelihood) -> list[str]:
     """Likely causes, channel by channel."""
-    predictions = e.plant.predict(e.records, e.plant.null)
+    predictions = e.model.predict(e.records, e.model.null)
     sets = [(r, p) for r, p in zip(e.records, predictions, strict=True)]
-    joints = [pair(sets, "joint", i) for i in range(e.plant.joints)]
+    joints = [pair(sets, "joint", i) for i in range(e.model.joints)]
     out = [text for i, p in enumerate(joints) for text in of_joint(i, p, joints)]
     yaw = pair(sets, "pose", 2)
     jump = max(

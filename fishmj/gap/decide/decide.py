@@ -1,57 +1,52 @@
 """From what was found to one of the five answers: ten gates, each a reason that a reader can check.
 
-    G1 adequacy     |z|^2 / m is beyond every null run, or an effect accepted   else AGREES
-    G2 gain         drop of the loss of unseen records that no null run gives   else UNEXPLAINED
+    G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
+    G2 gain         drop of the loss of held-out records that no null run gives else UNEXPLAINED
     G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
-    G4 rest         what is left lies within the form error of what was found,  else UNEXPLAINED, the best shown as tentative
-                    or is a small share of what that explains (gates.py)
+    G4 residual     what is left lies within the form error of what was found,  else UNEXPLAINED, the best shown as tentative
+                    or is a small share of what that explains (thresholds.py)
     G5 form         the formula need not be more wrong than a formula may be    else UNEXPLAINED, the best shown as tentative
     G6 size         nor larger here and smaller there by more than it may be    else UNEXPLAINED, the best shown as tentative
-    G7 transfer     no more than a fifth of the records get worse, unseen       else UNEXPLAINED
+    G7 transfer     no more than a fifth of the records get worse, held out     else UNEXPLAINED
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G9 sanity       no parameter on a bound, no size unusual or vague           else CLASS with a warning
-    G10 force       no free force explains more, unseen (fallback/outdone.py)   else UNEXPLAINED
+    G9 sanity       no parameter on a bound, no size that is not believable     else CLASS with a warning
+    G10 force       no free force explains more, held out (terms/stronger.py)   else UNEXPLAINED
 
-The form error is measured (form.py): the relative error of what the effects change that makes the records most likely. A
-right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5 and G6 spare the
-paths of as many records as G7 lets get worse (spared.py), and G5 an effect that can only be right (pinned).
+G1 and G2 stop only a search that accepted nothing (search/stepwise.py); the others are asked of what was accepted.
+The form error is measured (search/model_error.py): the relative error of what the effects change that makes the
+records most likely. A right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5
+and G6 leave out the paths of as many records as G7 lets get worse, and G5 an effect that can only be right (`needs_exact_value`).
 
-What is found beside others may be too little to be named: beside.py.
+What is found beside others may be too little to be named: secondary_effects.py.
 """
 
 import numpy as np
 
-from fishmj.gap.decide.intervals import HALF, estimate
-from fishmj.gap.decide.poorly_determined import (
-    SMALL,
-    SPREAD,
+from fishmj.gap.decide.intervals import estimate
+from fishmj.gap.decide.rivals import Rival, Support, support_of_each
+from fishmj.gap.decide.secondary_effects import (
     insignificant,
+    negligible,
     poorly_determined,
     size_parameters,
-    small,
+    smaller_than,
     within_null_scatter,
 )
-from fishmj.gap.decide.rivals import ON_BOUND, Rival, Support, standings
-from fishmj.gap.decide.secondary_effects import negligible
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.effect_fitter import Candidate, bounds
+from fishmj.gap.search.fit import Candidate, bounds, refine
 from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.search.outlier_records import error, misformed
-from fishmj.gap.search.refit import refine
+from fishmj.gap.search.model_error import error_without_outliers, misformed
 from fishmj.gap.search.stepwise import Selection
-from fishmj.gap.thresholds import Gates, rest_allowed
+from fishmj.gap.thresholds import Gates, residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, Named, Value, Verdict
 from fishmj.gap.wording import number, percent, quantity, title
-
-CHANCE = 1.0  # standard deviations of |z|^2 of one record, by which it may get less likely
-SLIGHT = 0.15  # of the gain over all records, by which one may get worse
 
 
 def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     """The answer with its gates."""
-    before, parts = e.gap(found.base.row)
-    checks: dict = {"adequacy": found.base.cost / e.layout.size, "gap_by_channel": parts}
-    steps = tuple(described(s) for s in found.steps)
+    before, by_channel = e.gap(found.base.row)
+    checks: dict = {"adequacy": found.base.cost / e.layout.size, "gap_by_channel": by_channel}
+    steps = tuple(step_table(s) for s in found.steps)
     plain: dict = dict(gap_before=before, gap_after=before, gates=checks, steps=steps)
     first = found.steps[0] if found.steps else None
     if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
@@ -61,36 +56,38 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
         gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"
         why = f"there is a gap, but {gains}, less than {number(gates.gain)}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
-    stand = standings(found, gates)
+    stand = support_of_each(found, gates)
     effects = named(found, found.best, stand)
-    if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.enough:
+    # Null runs draw their own value of an effect. A single effect of that size is no finding, unless it gains so much that chance
+    # is out of the question.
+    if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.min_gain_cap:
         why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
-    doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.enough) for n in effects}
-    spoilt = negligible(found, effects, stand, doubts, gates)
-    checks |= unseen(e, found)
-    wrong, spared = error(found.near, found.best.row, checks["gain"], gates)
-    checks |= {"form": wrong.form, "strain": wrong.strain, "size": wrong.resized, "spared": spared}
-    kept = tuple(n for n in effects if n.name not in spoilt)
-    checks["pinned"] = pinned(e, found.best.names)
+    doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.min_gain_cap) for n in effects}
+    dropped = negligible(found, effects, stand, doubts, gates)
+    checks |= held_out_checks(e, found)
+    wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
+    checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
+    kept = tuple(n for n in effects if n.name not in dropped)
+    checks["pinned"] = needs_exact_value(e, found.best.names)
     rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
     whole: dict = dict(effects=kept, rivals=rivals, warnings=warnings, gates=checks, steps=steps, explained=checks["closure"])
-    whole |= dict(gap_before=before, gap_after=e.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in spoilt))
+    whole |= dict(gap_before=before, gap_after=e.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in dropped))
     shrinks = Verdict("", **whole).shrinks
     answer, reason = _answer(checks, gates, kept, stand, rivals, warnings, shrinks)
     return Verdict(answer, reason=reason, **whole)
 
 
-def pinned(e: Likelihood, names) -> bool:
+def needs_exact_value(e: Likelihood, names) -> bool:
     """Whether all that was found explains anything only where a value is right to a fraction of a per cent.
 
     That stands in for nothing, and its form may be wrong: a command in steps jumps between the right values, though no two
     robots do at the same moment.
     """
-    known = {x.name: x for x in e.plant.active.effects}
+    known = {x.name: x for x in e.model.active.effects}
     return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
 
 
@@ -102,12 +99,12 @@ def _answer(
     checks: dict, gates: Gates, kept, stand: dict[str, Support], rivals, warnings, shrinks: bool = True
 ) -> tuple[str, str]:
     """(answer, reason) once something was found. shrinks: the gap gets smaller with it."""
-    told = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the gap"
+    claim = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the gap"
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
-        return "UNEXPLAINED", f"the best of the catalogue {told}; it is tentative"
-    if checks["rest"] > rest_allowed(checks, gates):
+        return "UNEXPLAINED", f"the best of the catalogue {claim}; it is tentative"
+    if checks["rest"] > residual_allowed(checks, gates):
         left = f"what is left is {number(checks['rest'])} times what a formula's own error allows"
-        return "UNEXPLAINED", f"the best {told}, {'but' if shrinks else 'and'} {left}; it is tentative"
+        return "UNEXPLAINED", f"the best {claim}, {'but' if shrinks else 'and'} {left}; it is tentative"
     if misformed(checks):
         return "UNEXPLAINED", f"the best would have to be wrong by {percent(checks['form'])} of what it changes; it is tentative"
     if checks["size"] > gates.size:
@@ -127,15 +124,17 @@ def _answer(
     return "NAMED", f"{does}, and nothing else does"
 
 
-def unseen(e: Likelihood, found: Selection) -> dict[str, float]:
-    """Gates on records that are predicted without their fold: gain, closure, rest, transfer."""
-    parts = found.fitted.unseen(found.folds)
-    before = sum(e.part(f).loss(found.base.row) for f in found.folds)
-    ideal = sum(search.whiten.logdet for search, _ in parts) + e.layout.size
+def held_out_checks(e: Likelihood, found: Selection) -> dict[str, float]:
+    """Gates on records that are predicted without their fold: gain, closure, residual (as `rest`, too), transfer."""
+    parts = found.fitted.held_out(found.folds)
+    before = sum(e.subset(f).loss(found.base.row) for f in found.folds)
+    ideal = sum(fitter.whiten.logdet for fitter, _ in parts) + e.layout.size
     left = sum(c.cost for _, c in parts)
     after = left + ideal - e.layout.size
     closed = likelihood.closure(before - ideal, after - ideal, 0)
-    return {"gain": before - after, "closure": closed, "rest": left / e.layout.size, "transfer": transfer(e, found)}
+    residual = left / e.layout.size
+    gates = {"gain": before - after, "closure": closed, "rest": residual, "transfer": transfer(e, found)}
+    return gates | {"residual": residual}  # readers of verdict.json know it as `rest`
 
 
 def transfer(e: Likelihood, found: Selection) -> float:
@@ -143,35 +142,42 @@ def transfer(e: Likelihood, found: Selection) -> float:
 
     Each is predicted by a fit without its fold, and with what the others tell of the constants: a joint gain is no one record's.
     """
+    limits = thresholds().decide
     rises, allowed = [], []
-    record, near, fitted = e.layout.record, found.near, found.fitted
+    record = e.layout.record
+    near = found.near
+    fitted = found.fitted
     base = e.loss(found.base.row)
-    for fold, fit, more in zip(found.folds, fitted.fits, fitted.left_open(found.folds), strict=True):
-        whole = near.part(near.everything, more).loss(fit.row)
+    for fold, fit, more in zip(found.folds, fitted.fits, fitted.uncertainty_factors(found.folds), strict=True):
+        whole = near.subset(near.everything, more).loss(fit.row)
         for i in np.flatnonzero(fold):
             others = np.arange(len(e.records)) != i
-            after = whole - near.part(others, more[:, record != i]).loss(fit.row)
-            rises.append(after - (base - e.part(others).loss(found.base.row)))
-            allowed.append(CHANCE * np.sqrt(2.0 * np.sum(record == i)))
+            after = whole - near.subset(others, more[:, record != i]).loss(fit.row)
+            rises.append(after - (base - e.subset(others).loss(found.base.row)))
+            allowed.append(limits.transfer_sd * np.sqrt(2.0 * np.sum(record == i)))  # |z|^2 of n samples: variance 2 n
     rise = np.array(rises)
-    return float(np.mean(rise < np.maximum(allowed, -SLIGHT * np.sum(rise))))
+    return float(np.mean(rise < np.maximum(allowed, -limits.transfer_fraction * np.sum(rise))))
 
 
 def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Named, ...]:
     """The effects of a candidate with values, intervals and what all of them close together."""
     e = found.near
-    doubted = e.doubted(c.row)
-    value, spread = estimate(doubted, refine(doubted.part(doubted.everything), c))
-    near, base = e.part(e.everything), found.base.cost + found.start_logdet
+    half = thresholds().intervals.quantile
+    # Values are fitted once more with the constants as uncertain as the formulas; with that uncertainty in the selection, too, an
+    # effect that a constant can imitate would never be found.
+    uncertain = e.with_parameter_uncertainty(c.row)
+    value, spread = estimate(uncertain, refine(uncertain.subset(uncertain.everything), c))
+    near = e.subset(e.everything)
+    base = found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
     closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
     out = []
     for name in c.names:
-        effect = next(x for x in e.plant.active.effects if x.name == name)
+        effect = next(x for x in e.model.active.effects if x.name == name)
         values = {}
         for p in effect.parameters:
-            k = c.places.index(e.plant.index(name, p.name))
-            edges = (float(np.clip(value[k] + side * HALF * spread[k], p.low, p.high)) for side in (-1, 1))
+            k = c.places.index(e.model.index(name, p.name))
+            edges = (float(np.clip(value[k] + side * half * spread[k], p.low, p.high)) for side in (-1, 1))
             values[p.name] = Value(float(value[k]), p.unit, *edges)
         share = stand[name].p_best if name in stand else 1.0
         out.append(Named(name, values, share, closed))
@@ -180,25 +186,26 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Na
 
 def sanity(e: Likelihood, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
     """What is not believable about the values of one effect. little: what it gains could be that of any."""
-    _, _, size = bounds(e.plant)
-    effect = next(x for x in e.plant.active.effects if x.name == n.name)
+    limits = thresholds()
+    size = bounds(e.model)[2]
+    effect = next(x for x in e.model.active.effects if x.name == n.name)
     out = []
     for p in effect.parameters:
-        place = e.plant.index(n.name, p.name)
-        if any(b != p.null and abs(c.row[place] - b) < ON_BOUND * size[place] for b in (p.low, p.high)):
+        place = e.model.index(n.name, p.name)
+        if any(b != p.null and abs(c.row[place] - b) < limits.decide.bound_tolerance * size[place] for b in (p.low, p.high)):
             out.append(f"{title(n.name)}: {title(p.name)} = {quantity(c.row[place], p.unit)} lies on its bound")
     first, *others = size_parameters(effect)
     main = n.parameters[first.name]
-    if small(e, n, SMALL):
+    if smaller_than(e, n, limits.secondary.implausible_size):
         out.append(f"{title(n.name)} is far smaller than it is anywhere known: it may stand in for something else")
     if not others and poorly_determined(first, main):
-        out.append(f"{title(n.name)}: the records disagree about its size by more than {percent(SPREAD)}")
+        out.append(f"{title(n.name)}: the records disagree about its size by more than {percent(limits.secondary.size_scatter)}")
     if little and others and insignificant((first, *others), n.parameters):
         out.append(f"{title(n.name)}: the records do not tell any of its values from none")
     return tuple(out)
 
 
-def described(step) -> dict:
+def step_table(step) -> dict:
     """One round for the report: candidates with their costs."""
     best = step.ranked[0].cost
     table = [{"names": list(c.names), "behind": c.cost - best} for c in step.ranked]

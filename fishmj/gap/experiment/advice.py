@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fishmj.gap.decide.intervals import HALF, estimate
-from fishmj.gap.decide.rivals import replaced
+from fishmj.gap.decide.intervals import estimate
+from fishmj.gap.decide.rivals import swap_effect
 from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis, experiment_scores, hinted, normalised
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
-from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.fit import Candidate
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.stepwise import Selection
+from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import title
@@ -31,14 +32,14 @@ def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNu
     sides = normalised(sides_of(e, found, verdict))
     if verdict.answer not in OPEN or len(sides) < 2:
         return verdict
-    quick = experiment_scores(e.plant, sides, e.records[0], hinted(sides), null, bars=bars)
-    known = {s.names: written(e.plant, s) for s in sides[1:]}
+    quick = experiment_scores(e.model, sides, e.records[0], hinted(sides), null, bars=bars)
+    known = {s.names: written(e.model, s) for s in sides[1:]}
     listed = {names[-1]: values for names, values in known.items()}
     rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
-    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.plant, quick, sides))
+    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.model, quick, sides))
 
 
-def advice(plant, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
+def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
     from fishmj.effects.ambiguity import together
 
@@ -46,7 +47,7 @@ def advice(plant, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     if best:
         return best.text()
     rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
-    sigma, other = max((mass_properties.separation(plant, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
+    sigma, other = max((mass_properties.separation(model, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
     if sigma >= ENOUGH:
         return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {title(sides[0].label)} and {title(other)}."
     most = max(found, key=lambda p: p.sigma)
@@ -61,13 +62,13 @@ def sides_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothes
     if not found.steps:
         return []
     near = found.near
-    whole = near.part(np.ones(len(e.records), bool))
+    whole = near.subset(near.everything)
     accepted = [s for s in found.steps if s.accepted]
     sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
     for rival in verdict.rivals[: LEFT - 1]:
         rounds = [s for s in accepted if s.ranked[0].names[-1] == rival["instead_of"]] or accepted
         like = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
-        other = replaced(whole, found.best, rival["instead_of"], like) if like else None
+        other = swap_effect(whole, found.best, rival["instead_of"], like) if like else None
         sets += [other] if other else []
     if len(sets) < 2:
         sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]
@@ -84,24 +85,28 @@ def side(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
     return Hypothesis(c.names, c.row, moves, weight)
 
 
-def written(plant, s: Hypothesis) -> dict:
+def written(model, s: Hypothesis) -> dict:
     """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
     out: dict = {}
-    entries = [(x, p) for x in plant.active.effects if x.name in s.names for p in x.parameters]
+    quantile = thresholds().intervals.quantile
+    entries = [(x, p) for x in model.active.effects if x.name in s.names for p in x.parameters]
     for k, (x, p) in enumerate(sorted(entries, key=lambda xp: s.names.index(xp[0].name))):
-        place = plant.index(x.name, p.name)
-        value, half = s.row[place], HALF * abs(s.moves[k, place] - s.row[place])
+        place = model.index(x.name, p.name)
+        value = s.row[place]
+        half = quantile * abs(s.moves[k, place] - value)
         out.setdefault(x.name, {})[p.name] = [float(value), float(value - half), float(value + half)]
     return out
 
 
-def read(plant, values: dict, weight: float) -> Hypothesis:
+def read(model, values: dict, weight: float) -> Hypothesis:
     """The side that `written` wrote."""
-    row, moves = plant.null.copy(), []
+    row = model.null.copy()
+    moves = []
+    quantile = thresholds().intervals.quantile
     for name, entries in values.items():
         for parameter, (value, low, high) in entries.items():
-            row[plant.index(name, parameter)] = value
-            moves.append((plant.index(name, parameter), (high - low) / 2 / HALF))
+            row[model.index(name, parameter)] = value
+            moves.append((model.index(name, parameter), (high - low) / 2 / quantile))
     rows = np.repeat(row[None], len(moves), 0)
     for k, (place, spread) in enumerate(moves):
         rows[k, place] += spread

@@ -59,28 +59,29 @@ class ExperimentScore(NamedTuple):
 
 
 def experiment_scores(
-    plant, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, form: float = 0.1, bars: Bars = silent
+    model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, form: float = 0.1, bars: Bars = silent
 ) -> list[ExperimentScore]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
     plans = [planned(excitation.get(name), like) for name in filter(null.holds, runs)]
-    null.prepare(plant, plans, bars)
+    null.prepare(model, plans, bars)
     out = []
     with bars(len(plans), "experiments", "") as bar:
         for plan in plans:
-            out.append(prospect(plant, sides, plan, null, form))
+            out.append(prospect(model, sides, plan, null, form))
             bar.update(len(out))
     return sorted(out, key=lambda p: -p.worth)
 
 
-def prospect(plant, sides: list[Hypothesis], record: Record, null: SimulatedNull, form: float) -> ExperimentScore:
+def prospect(model, sides: list[Hypothesis], record: Record, null: SimulatedNull, form: float) -> ExperimentScore:
     """One experiment."""
     layout = ResidualLayout([record])
-    e = Likelihood(plant, [record], null.residuals(plant, [record], layout), form)
-    rows = np.concatenate([plant.null[None], *(np.concatenate([s.row[None], s.moves]) for s in sides)])
-    seen = -layout.residuals(plant.predict([record], rows))  # predictions, up to what was measured
+    e = Likelihood(model, [record], null.residuals(model, [record], layout), form)
+    rows = np.concatenate([model.null[None], *(np.concatenate([s.row[None], s.moves]) for s in sides)])
+    seen = -layout.residuals(model.predict([record], rows))  # predictions, up to what was measured
     spots = np.cumsum([1, *(1 + len(s.moves) for s in sides)])
     parts = [seen[a:b] for a, b in zip(spots[:-1], spots[1:], strict=True)]
-    worth, best = 0.0, (0.0, (sides[0].label, sides[1].label))
+    worth = 0.0
+    best = (0.0, (sides[0].label, sides[1].label))
     for i, j in combinations(range(len(sides)), 2):
         open_ = [p[1:] - p[0] for p in (parts[i], parts[j])]
         wrong = [smooth(form * (p[0] - seen[0]), layout) for p in (parts[i], parts[j])]

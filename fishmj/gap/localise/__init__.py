@@ -1,6 +1,6 @@
 """Where the gap is, in words and numbers: channel and regime, lag, beat, world or body, left or right, when, how fast.
 
-    place = localise(compared(plant, records, scale, before, after))
+    place = localise(compared(model, records, scale, before, after))
     place.text
 
 Nothing here decides what is missing; it says what the residual of the model looks like, before and after what was found.

@@ -11,11 +11,11 @@ from fishmj.gap.records.residual import ResidualLayout
 class Comparison(NamedTuple):
     """Records beside two parameter rows: the model as it was (0) and with the effects found (1); the same row twice when none.
 
-    scale: (m,) floor, standard deviation of what null runs leave. rows: (2, P). predictions: `plant.predict` of both rows.
+    scale: (m,) floor, standard deviation of what null runs leave. rows: (2, P). predictions: `model.predict` of both rows.
     residuals: (2, m) measured minus predicted, on `layout`.
     """
 
-    plant: Any
+    model: Any
     records: list[Record]
     layout: ResidualLayout
     scale: np.ndarray
@@ -43,9 +43,9 @@ class Comparison(NamedTuple):
         return out
 
 
-def compared(plant, records: list[Record], scale: np.ndarray, before, after, layout: ResidualLayout | None = None) -> Comparison:
+def compared(model, records: list[Record], scale: np.ndarray, before, after, layout: ResidualLayout | None = None) -> Comparison:
     """Roll both rows out over the records."""
     layout = ResidualLayout(records) if layout is None else layout
     rows = np.stack([np.asarray(before, float), np.asarray(after, float)])
-    predictions = plant.predict(records, rows)
-    return Comparison(plant, records, layout, scale, rows, predictions, layout.residuals(predictions))
+    predictions = model.predict(records, rows)
+    return Comparison(model, records, layout, scale, rows, predictions, layout.residuals(predictions))

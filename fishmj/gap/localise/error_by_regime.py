@@ -76,7 +76,8 @@ def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray
     names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
     excess, time = np.zeros((2, len(names), len(KINDS)))
     level = np.full((len(names), len(KINDS)), np.nan)
-    ratio, weights = c.ratio[0], c.weights()
+    ratio = c.ratio[0]
+    weights = c.weights()
     for i, name in enumerate(names):
         for k in range(len(KINDS)):
             some = (c.layout.channel == name) & (kind == k)

@@ -82,9 +82,9 @@ class GrowthCurve:
 class RestartedModel(SwimmingFish):
     """A fish that starts in mid-swing, with commands that have already waited."""
 
-    def __init__(self, plant: SwimmingFish, segments: list[GrowthSegment], late: Latencies):
-        self.__dict__.update(plant.__dict__)
-        self.latency = plant.latency - late.command  # cut() has shifted them
+    def __init__(self, model: SwimmingFish, segments: list[GrowthSegment], late: Latencies):
+        self.__dict__.update(model.__dict__)
+        self.latency = model.latency - late.command  # cut() has shifted them
         self.swings = {s.record.name: s.swing for s in segments}
 
     def _starts(self, record: Record, effect_rows) -> np.ndarray:
@@ -94,11 +94,11 @@ class RestartedModel(SwimmingFish):
         return state
 
 
-def latencies(plant: SwimmingFish, row: np.ndarray) -> Latencies:
+def latencies(model: SwimmingFish, row: np.ndarray) -> Latencies:
     """Of a parameter row: nominal and what its effects add."""
-    values = list(row[len(plant.constants) :])
-    command, joint, pose = (float(plant.active.delay(np, values, clock)) for clock in ("command", "joint", "pose"))
-    return Latencies(plant.latency + command, joint, plant.camera + pose)
+    values = list(row[len(model.constants) :])
+    command, joint, pose = (float(model.active.delay(np, values, clock)) for clock in ("command", "joint", "pose"))
+    return Latencies(model.latency + command, joint, model.camera + pose)
 
 
 def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSegment | None:
@@ -113,7 +113,8 @@ def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSeg
         return None
     x, y, yaw = pose.value
     vx, vy, r = pose.rate
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     steps = int(np.ceil((seconds + max(late)) / record.dt)) + 1
     place = np.clip((t0 - late.command) / record.dt + np.arange(steps), 0, len(record.commands) - 1)
     i = np.minimum(place.astype(int), len(record.commands) - 2)
@@ -167,25 +168,30 @@ def segments(records: list[Record], late: Latencies, every: float = EVERY) -> li
     return out
 
 
-def errors(plant: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def errors(model: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Restart under one parameter row: record of each restart (S,), errors (S, H, J + 3), what the start makes (S, H, J + 3).
 
     Where a record ends before the horizon there is NaN.
     """
-    late = latencies(plant, row)
+    # Each row restarts with its own lateness: with the nominal one, a row that holds a delay would begin from states of the past,
+    # and its error would start at an offset that the delay has already explained.
+    late = latencies(model, row)
     found = segments(records, late)
     if not found:
-        return np.zeros(0, int), *np.zeros((2, 0, len(HORIZONS), plant.joints + 3))
+        return np.zeros(0, int), *np.zeros((2, 0, len(HORIZONS), model.joints + 3))
     parts = [s for _, s in found]
-    predictions = RestartedModel(plant, parts, late).predict([s.record for s in parts], row)
-    error, start = np.full((2, len(parts), len(HORIZONS), plant.joints + 3), np.nan)
+    predictions = RestartedModel(model, parts, late).predict([s.record for s in parts], row)
+    error = np.full((len(parts), len(HORIZONS), model.joints + 3), np.nan)
+    start = np.full_like(error, np.nan)
     for s, (part, predicted) in enumerate(zip(parts, predictions, strict=True)):
         for sensor, name, wait in _clocks(part.record, late):
-            columns = slice(0, plant.joints) if name == "joint" else slice(plant.joints, None)
+            columns = slice(0, model.joints) if name == "joint" else slice(model.joints, None)
             state = getattr(part, name)
             rest = sensor.values - predicted[name][0]
             for h, horizon in enumerate(HORIZONS):
                 some = np.abs(sensor.t - wait - horizon) <= AROUND
+                # Averaged about the horizon, not taken at one stamp: single-stamp noise would hide the errors of the first tenth
+                # of a second, which tell an offset from a velocity.
                 if some.sum() >= 3 and sensor.t[-1] >= wait + horizon:
                     error[s, h, columns] = rest[some].mean(0)
                     moved = horizon if name == "pose" else 0.0  # a servo forgets its start
@@ -193,18 +199,18 @@ def errors(plant: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
     return np.array([i for i, _ in found]), error, start
 
 
-def curves(plant: SwimmingFish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[GrowthCurve, ...]:
+def curves(model: SwimmingFish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[GrowthCurve, ...]:
     """Growth of each channel's error; empty when no record can be cut (no pose, no joints, stamps too far apart)."""
-    if not isinstance(plant, SwimmingFish):
+    if not isinstance(model, SwimmingFish):
         return ()
-    owner, first, start = errors(plant, records, before)
+    owner, first, start = errors(model, records, before)
     if not len(owner):
         return ()
-    other, second, _ = (owner, first, start) if np.array_equal(before, after) else errors(plant, records, after)
+    other, second, _ = (owner, first, start) if np.array_equal(before, after) else errors(model, records, after)
     changed = other is not owner
     out = []
     for channel, unit in CHANNELS.items():
-        columns = {"joint": slice(0, plant.joints), "position": slice(plant.joints, -1), "heading": slice(-1, None)}[channel]
+        columns = {"joint": slice(0, model.joints), "position": slice(model.joints, -1), "heading": slice(-1, None)}[channel]
         one, two = (_squares(e[..., columns], channel) for e in (first, second))
         made = _squares(start[..., columns], channel)
         rms = [np.sqrt(np.nanmean(sq, 0)) for sq in (one, two, made)]
@@ -224,7 +230,10 @@ def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, f
     rng = np.random.default_rng(0)
 
     def of(weights: np.ndarray) -> float:
+        # Records are drawn, not restarts: those of one record share its constants and its commands.
         mean = lambda sq, who: np.nansum(sq * weights[who][:, None], 0) / np.sum(np.isfinite(sq) * weights[who][:, None], 0)
+        # Squares are subtracted, not errors: what the start's uncertainty makes, or what is left with the effects found, is
+        # independent of what the effects do. Below a fifth of the whole the difference is mostly noise.
         square = mean(one, owner) - (mean(two, other) if changed else mean(made, owner))
         floor = 0.2 * mean(one, owner)
         good = np.isfinite(square) & (square > floor)

@@ -42,7 +42,8 @@ class BeatRates(NamedTuple):
 def beat(c: Comparison, channel: str) -> Beat | None:
     """Of the joints or the heading; None where nothing beats for long enough."""
     total = taken = spare = 0.0
-    turned, windows = 0.0 + 0.0j, 0
+    turned = 0.0 + 0.0j
+    windows = 0
     for b in c.layout.blocks:
         record = c.records[b.record]
         if b.channel != channel:
@@ -95,7 +96,8 @@ def by_rate(c: Comparison) -> BeatRates | None:
         level.append(c.ratio[0][b.where])
     if not speed:
         return None
-    rate, ratio = np.concatenate(speed), np.concatenate(level)
+    rate = np.concatenate(speed)
+    ratio = np.concatenate(level)
     moving = rate > 1e-3
     if moving.sum() < 4 * BINS:
         return None

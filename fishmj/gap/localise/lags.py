@@ -91,11 +91,11 @@ def commands(c: Comparison) -> tuple[np.ndarray, np.ndarray] | None:
     return (np.concatenate(times), np.concatenate(values)) if times else None
 
 
-def told(lag: Lag | None) -> bool:
+def significant(lag: Lag | None) -> bool:
     """Whether a lag is there: its interval leaves zero by more than can be told apart."""
     return lag is not None and (lag.low > SAME or lag.high < -SAME)
 
 
-def alike(a: Lag | None, b: Lag | None) -> bool:
+def compatible(a: Lag | None, b: Lag | None) -> bool:
     """Whether two lags may be one."""
     return a is not None and b is not None and a.low - SAME <= b.high and b.low - SAME <= a.high

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fishmj.gap.localise.lags import alike, told
+from fishmj.gap.localise.lags import compatible, significant
 from fishmj.gap.wording import number, percent
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
@@ -61,19 +61,20 @@ def beat(p) -> str:
 
 def lag(p) -> str:
     """What comes late, and where along the way that puts it."""
-    joint, heading = p.lags.joint, p.lags.heading
+    joint = p.lags.joint
+    heading = p.lags.heading
     if joint is None and heading is None:
         return ""
     parts = []
-    if told(joint):
-        after = "" if not told_after(p) else f", {ms(p.lags.joint_after)} of it left with what was found"
+    if significant(joint):
+        after = "" if not significant_after(p) else f", {ms(p.lags.joint_after)} of it left with what was found"
         behind = ""
         if p.lags.command is not None and p.lags.model is not None:
             behind = f" ({1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f})"
         parts.append(f"the joints come {ms(joint)} {sense(joint)} than the model's{behind}{after}")
     elif joint is not None:
         parts.append(f"the joints are on time ({ms(joint)})")
-    if told(heading):
+    if significant(heading):
         parts.append(f"the heading {ms(heading)} {sense(heading)}")
     elif heading is not None:
         parts.append(f"the heading is on time ({ms(heading)})")
@@ -82,22 +83,23 @@ def lag(p) -> str:
 
 def conclusion(p) -> str:
     """Where between command and camera the delay sits."""
-    joint, heading = p.lags.joint, p.lags.heading
+    joint = p.lags.joint
+    heading = p.lags.heading
     if joint is None or heading is None:
         return ""
-    if told(joint) and told(heading) and alike(joint, heading):
+    if significant(joint) and significant(heading) and compatible(joint, heading):
         return "; the same within the intervals: upstream of the joint"
-    if told(joint) and not told(heading):
+    if significant(joint) and not significant(heading):
         return ": at the joint's own sensor, or the water smooths it"
-    if told(heading) and not told(joint):
+    if significant(heading) and not significant(joint):
         return ": downstream of the joint, in the water or in the camera's clock"
     return ""
 
 
-def told_after(p) -> bool:
+def significant_after(p) -> bool:
     """Whether a delay is left once what was found is in the model."""
     left = p.lags.joint_after
-    return p.gap_after < p.gap and told(left) and abs(left.lag) < abs(p.lags.joint.lag)
+    return p.gap_after < p.gap and significant(left) and abs(left.lag) < abs(p.lags.joint.lag)
 
 
 def frame(p) -> str:
@@ -108,7 +110,8 @@ def frame(p) -> str:
     vector, sd = (f.world, f.world_sd) if f.points == "world" else (f.body, f.body_sd)
     if np.hypot(*vector) < 2 * np.hypot(*sd):
         return ""
-    size, angle = 1e3 * np.hypot(*vector), math.degrees(math.atan2(vector[1], vector[0]))
+    size = 1e3 * np.hypot(*vector)
+    angle = math.degrees(math.atan2(vector[1], vector[0]))
     if f.points == "world":
         what = f"{number(size)} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
         against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"

@@ -102,9 +102,11 @@ def frame(found: list[Interval]) -> Frame | None:
     """World against body; None without a pose."""
     if len(found) < 4:
         return None
-    heading, weight = np.array([s.heading for s in found]), np.array([s.weight for s in found])
+    heading = np.array([s.heading for s in found])
+    weight = np.array([s.weight for s in found])
     drift = np.stack([s.drift for s in found])
-    co, si = np.cos(heading), np.sin(heading)
+    co = np.cos(heading)
+    si = np.sin(heading)
     world = np.tile(np.eye(2), (len(found), 1, 1))
     body = np.stack([np.stack([co, -si], 1), np.stack([si, co], 1)], 1)
     both = np.concatenate([world, body], 2)  # (n, 2, 4)
@@ -124,13 +126,15 @@ def side(found: list[Interval]) -> Side | None:
     found = [s for s in found if s.beats]
     if len(found) < 4:
         return None
-    turning, spin = np.array([s.turning for s in found]), np.array([s.spin for s in found])
+    turning = np.array([s.turning for s in found])
+    spin = np.array([s.spin for s in found])
     weight = np.array([s.spin_weight for s in found])
     columns = np.stack([np.ones(len(found)), turning], 1)[:, None]
     both = turning.std() > TURNS
     value, sd = _fit(columns if both else columns[..., :1], spin[:, None], weight, _blocks(found))
     if not both:  # nothing turns: only the even part can be told
-        value, sd = np.append(value, 0.0), np.append(sd, np.inf)
+        value = np.append(value, 0.0)
+        sd = np.append(sd, np.inf)
     means = [float(np.mean(spin[some])) if (some := sign * turning > 0.1).any() else np.nan for sign in (1, -1)]
     return Side(float(value[0]), float(sd[0]), float(value[1]), float(sd[1]), *means)
 

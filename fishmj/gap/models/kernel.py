@@ -1,6 +1,6 @@
-"""Many rollouts of one plant at once, as machine code: what the search spends its time in.
+"""Many rollouts of one model at once, as machine code: what the search spends its time in.
 
-A plant is one step of physics written in components (plants/). It is traced to straight-line code (`engines.codegen`) and
+A model is one step of physics written in components. It is traced to straight-line code (`engines.codegen`) and
 compiled by numba; LANES rollouts go through each vector loop, blocks of them are shared between two threads.
 
     rows r    log which[r], start state, parameters, transport delay of the commands in steps
@@ -43,7 +43,7 @@ CHUNK = 2  # blocks of LANES rollouts a thread must have
 
 
 class Kernel:
-    """Compiled rollouts of a plant.
+    """Compiled rollouts of a model.
 
     Args:
         step: (state list, input list, parameter list) -> state list, in components.

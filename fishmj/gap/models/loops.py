@@ -1,5 +1,5 @@
 # ruff: noqa: F821
-"""The loops around a plant's generated step, compiled as text by `kernel.py`, which defines the names in capitals.
+"""The loops around a model's generated step, compiled as text by `kernel.py`, which defines the names in capitals.
 
 The workspace `w` holds one quantity a row and LANES rollouts a row, so the generated code becomes vector instructions.
 """

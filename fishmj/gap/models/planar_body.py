@@ -51,7 +51,7 @@ class Hull(NamedTuple):
 class MeanGait(NamedTuple):
     """K short runs under one condition.
 
-    starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the plant's
+    starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the model's
     steps since each start. pose: what was covered by the end of each run, in the frame of its start: ahead, left, turned; its
     stamps tell the runs apart. span: s, length of a run.
     """
@@ -161,7 +161,7 @@ class PlanarBody:
         return [track[:, :, -1] for track in self.tracks(records, rows, common)]
 
     def tracks(self, records: list[MeanGait], rows, stride: int = 1) -> list[np.ndarray]:
-        """(R, K, N, 6) motion over every run of each record, every `stride` of the plant's steps from its start to its end."""
+        """(R, K, N, 6) motion over every run of each record, every `stride` of the model's steps from its start to its end."""
         rows = np.atleast_2d(np.asarray(rows, float))
         runs = [len(r.starts) for r in records]
         steps = np.array([round(r.span / self.dt) for r in records])

@@ -48,7 +48,7 @@ class Pendulum(NamedTuple):
 
 
 class PendulumLog(NamedTuple):
-    """One log. commands: (T, 5) at the plant's steps: goal [rad], torque on (0 or 1), supply [V], gain [duty/rad], largest duty.
+    """One log. commands: (T, 5) at the model's steps: goal [rad], torque on (0 or 1), supply [V], gain [duty/rad], largest duty.
 
     start: angle and rate at t = 0. session: s since the first log.
     """

@@ -71,7 +71,7 @@ class SwimmingFish:
         return self.row(self.robot)
 
     def row(self, robot: Robot) -> np.ndarray:
-        """(P,) another description's effects on this fish; those that are not in this plant's catalogue are left out."""
+        """(P,) another description's effects on this fish; those that are not in this model's catalogue are left out."""
         row, mine = self.nothing, {effect.name for effect in self.active.effects}
         for fitted in robot.effects:
             for name, interval in fitted.parameters.items() if fitted.name in mine else ():

@@ -2,9 +2,9 @@
 
     air     no water forces, no added mass; at the reference point   F = -k (p - p_0) - c p',   N = -k_t (psi - psi_0) - c_t psi'
             with k = m g / l of a thread of length l
-    water   the swimming fish of `plants/fish.py`
+    water   the swimming fish of `swimming_fish.py`
 
-One plant does both: the row's constant `wet` is 1 or 0, set by each record's medium. Constants kp, kd (all of the joint's
+One model does both: the row's constant `wet` is 1 or 0, set by each record's medium. Constants kp, kd (all of the joint's
 damping: back-EMF, controller, grease) are SI here, not factors.
 """
 

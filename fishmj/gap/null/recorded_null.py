@@ -1,8 +1,8 @@
 """Null runs that were swum elsewhere: data sets of the flow solver in which nothing is hidden, one bundle a fish.
 
-    Sets(folder="data/gap/lbm/nulls").residuals(plant, records, layout)
+    RecordedNull(folder="data/gap/lbm/nulls").residuals(model, records, layout)
 
-As `null_runs.Null`, except that nothing can be made on the spot: an experiment that the sets do not hold has no null.
+As `SimulatedNull`, except that nothing can be made on the spot: an experiment that the sets do not hold has no null.
 """
 
 import hashlib
@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.errors import ConfigError, LogError
 from fishmj.excitation import Excitation
 from fishmj.gap.null import source_digest
-from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model
+from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model_digest
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import WINDOW
 from fishmj.log import Trial
@@ -26,6 +26,13 @@ from fishmj.store import sha256
 
 FEWEST = 12  # fish
 ALIKE = 1e-3  # rad between two commands, m and rad between two starts
+FEWEST_RUNS, MOST_RUNS, LOUDEST, LAST_SEED = 2, 4096, 100.0, 2**31 - 1
+DRAWN: dict[str, tuple[type, ...]] = {
+    "runs": (int,),
+    "noise": (int, float),
+    "seed": (int,),
+    "folder": (str,),
+}  # what a report says of its null runs
 
 
 @dataclass(frozen=True)
@@ -62,9 +69,9 @@ class RecordedNull(SimulatedNull):
             raise LogError(f"{self.folder}: {did}; expected all. The sets hold {held}")
         return out
 
-    def _key(self, plant, record: Record, what: Excitation) -> str:
-        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model(plant)]
-        text = json.dumps([*made, plant.fingerprint, what.id, *WINDOW, record.dt, *what.start])
+    def _key(self, model, record: Record, what: Excitation) -> str:
+        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model_digest(model)]
+        text = json.dumps([*made, model.fingerprint, what.id, *WINDOW, record.dt, *what.start])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
@@ -82,3 +89,19 @@ def _same(trial: Trial, what: Excitation, record: Record) -> bool:
     rows = min(len(other.commands), len(record.commands))
     moved = np.abs(np.subtract([*other.place, *other.push, *other.flow], [*record.place, *record.push, *record.flow])).max()
     return bool(moved < ALIKE and np.mean(np.abs(other.commands[:rows] - record.commands[:rows])) < ALIKE)
+
+
+def null_of(drawn: dict) -> SimulatedNull:
+    """As a report or a version says how null runs are drawn: runs, noise, seed; folder, where they were swum elsewhere.
+
+    Raises:
+        ConfigError: another key, or a value of another kind.
+    """
+    for key, value in drawn.items() if isinstance(drawn, dict) else [("null", drawn)]:
+        if key not in DRAWN or not isinstance(value, DRAWN[key]) or isinstance(value, bool):
+            expected = "runs, noise, seed and folder"
+            raise ConfigError(f"null runs: {str(key)[:40]} = {str(value)[:40]!r}; expected {expected}, as gap find writes them")
+    given = SimulatedNull(**{key: value for key, value in drawn.items() if key != "folder"})
+    if not (FEWEST_RUNS <= given.runs <= MOST_RUNS and 0 <= given.noise <= LOUDEST and 0 <= given.seed <= LAST_SEED):
+        raise ConfigError(f"null runs: runs {given.runs}, noise {given.noise}, seed {given.seed}; out of range")
+    return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else given

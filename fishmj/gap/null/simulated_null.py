@@ -1,11 +1,11 @@
 """Null runs: the experiments of the records once more, with an independent simulator in which nothing is hidden.
 
-    residuals(plant, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
+    residuals(model, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
 
 The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
 and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
-an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (sources.py), so a
-standard experiment is run once a machine.
+an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (source_digest.py),
+so a standard experiment is run once a machine.
 """
 
 import hashlib
@@ -49,12 +49,12 @@ class SimulatedNull:
     noise: float = 1.0
     seed: int = 0
 
-    def residuals(self, plant, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
+    def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
         """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""
-        self.prepare(plant, records, bars)
+        self.prepare(model, records, bars)
         out = np.empty((self.runs, layout.size))
         for i, record in enumerate(records):
-            kept = self.experiment(plant, record)
+            kept = self.experiment(model, record)
             if record.weighed is not None:
                 kept |= mass_properties.null(record.weighed, self.runs, self.seed)
             for b in layout.blocks:
@@ -65,30 +65,30 @@ class SimulatedNull:
                         out[run, b.where] = np.interp(b.window, grid, values[run])
         return out
 
-    def prepare(self, plant, records: list[Record], bars: Bars) -> None:
+    def prepare(self, model, records: list[Record], bars: Bars) -> None:
         """Make what is not on disk, all of it under one bar; experiments that are the same are run once."""
-        whats = {self._key(plant, record, what): record for record in records for what in (repeated(record),)}
+        whats = {self._key(model, record, what): record for record in records for what in (repeated(record),)}
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
             return
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
-                self.experiment(plant, record, partial(_counted, bar, i * self.runs))
+                self.experiment(model, record, partial(_counted, bar, i * self.runs))
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
         return True
 
-    def experiment(self, plant, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
+    def experiment(self, model, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
         """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: runs made so far."""
         what = repeated(record)
-        path = kept_at(self._key(plant, record, what))
+        path = kept_at(self._key(model, record, what))
         try:
             return read_npz(path)
         except StoreError:
             pass
-        runs = self._run(plant.robot, what, record, tick)
-        predictions = plant.predict(runs, getattr(plant, "nothing", plant.null))  # the floor is that of no effect at all
+        runs = self._run(model.robot, what, record, tick)
+        predictions = model.predict(runs, getattr(model, "nothing", model.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
             layout = ResidualLayout([run])
@@ -126,12 +126,12 @@ class SimulatedNull:
                 tick(len(out))
             return out
 
-    def _key(self, plant, record: Record, what: Excitation) -> str:
+    def _key(self, model, record: Record, what: Excitation) -> str:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
-        swims = hashlib.sha256(repr(plant.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
-        made = [source_digest.digest(SIMULATOR), sha256(resolve("virtual_robot")), model(plant)]
-        text = json.dumps([*made, swims, plant.fingerprint, what.id, drawn, done])
+        swims = hashlib.sha256(repr(model.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
+        made = [source_digest.digest(SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]
+        text = json.dumps([*made, swims, model.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
@@ -145,9 +145,9 @@ def kept_at(key: str) -> Path:
     return cache_folder() / "null" / f"{key}.npz"
 
 
-def model(plant) -> str:
+def model_digest(model) -> str:
     """Hash of the code that predicts the null runs and takes their residuals."""
-    return source_digest.digest(type(plant).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
+    return source_digest.digest(type(model).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
 
 
 def repeated(record: Record) -> Excitation:

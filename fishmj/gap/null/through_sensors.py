@@ -2,7 +2,7 @@
 
     r_i' = g(p + r_i) - g(p)      g: what the measurement effects of a parameter row make of a pose, p: the pose predicted
 
-The other effects leave the null runs as they are: what they change in them is a matter of the constants (evidence.py).
+The other effects leave the null runs as they are: what they change in them is a matter of the constants (likelihood.py).
 """
 
 import numpy as np
@@ -12,25 +12,26 @@ from fishmj.effects.sites import Measured
 SENSORS = ("pose", "placed")
 
 
-def through(plant, layout, row: np.ndarray, shown: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+def through(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     """(n, m) residuals of null runs as the sensors of a parameter row show them. shown: (m,) what the row predicts."""
-    values, out = row[len(plant.constants) :], residuals.copy()
+    values = row[len(model.constants) :]
+    out = residuals.copy()
     for i in range(len(layout.records)):
         for sensor in SENSORS:
             where = [b.where for b in layout.blocks if b.record == i and b.sensor == sensor]
             if where:
                 pose = np.stack([shown[w] for w in where])
                 run = pose[:, None] + np.stack([residuals[:, w] for w in where])
-                moved = look(plant.active, values, run) - look(plant.active, values, pose[:, None])
+                moved = look(model.active, values, run) - look(model.active, values, pose[:, None])
                 for w, change in zip(where, moved, strict=True):
                     out[:, w] = change
     return out
 
 
-def sensed(plant, row: np.ndarray) -> bool:
+def sensed(model, row: np.ndarray) -> bool:
     """Whether a parameter row has an effect on what the sensors make of the fish."""
-    measuring = [x for x in plant.active.effects if x.measure]
-    return any(row[plant.index(x.name, p.name)] != p.null for x in measuring for p in x.parameters if not p.shape)
+    measuring = [x for x in model.active.effects if x.measure]
+    return any(row[model.index(x.name, p.name)] != p.null for x in measuring for p in x.parameters if not p.shape)
 
 
 def look(active, values, pose: np.ndarray) -> np.ndarray:

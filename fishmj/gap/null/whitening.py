@@ -51,12 +51,12 @@ def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
     return Whitening(d, u, 1.0 / np.sqrt(1.0 + square[keep]))
 
 
-def turned(plant, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
-    """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the plant does to it."""
-    sigma = np.array([constant.sigma for constant in plant.constants])
+def turned(model, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the model does to it."""
+    sigma = np.array([constant.sigma for constant in model.constants])
     rows = np.tile(row, (1 + len(sigma), 1))
     rows[1:, : len(sigma)] += np.diag(sigma)
-    residuals = layout.residuals(plant.predict(records, rows))
+    residuals = layout.residuals(model.predict(records, rows))
     return residuals[0], residuals[1:] - residuals[0]
 
 

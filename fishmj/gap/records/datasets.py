@@ -1,10 +1,8 @@
-"""The data sets that a search reads: a folder of trial folders, or a bundle; and the null that belongs to one."""
+"""The data sets that a search reads: a folder of trial folders, or a bundle."""
 
 from pathlib import Path
 
-from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
-from fishmj.gap.null.recorded_null import RecordedNull
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.errors import FishmjError, LogError, StoreError
 from fishmj.gap.records.records import record_of
 from fishmj.log import Trial, measurements, trial_check
 from fishmj.log.compact import read_bundle
@@ -14,13 +12,6 @@ from fishmj.store import sha256
 from fishmj.store.manifest import MANIFEST
 
 BUNDLE = ".npz"
-FEWEST_RUNS, MOST_RUNS, LOUDEST, LAST_SEED = 2, 4096, 100.0, 2**31 - 1
-DRAWN: dict[str, tuple[type, ...]] = {
-    "runs": (int,),
-    "noise": (int, float),
-    "seed": (int,),
-    "folder": (str,),
-}  # what a report says of its null runs
 
 
 def trials_in(data: Path) -> list[Trial]:
@@ -103,19 +94,3 @@ def digest(data: Path) -> str:
     if data.suffix == BUNDLE or (data / MANIFEST).is_file():
         return sha256(data if data.suffix == BUNDLE else data / MANIFEST)
     return take(data).sha256
-
-
-def null_of(drawn: dict) -> SimulatedNull:
-    """As a report or a version says how null runs are drawn: runs, noise, seed; folder, where they were swum elsewhere.
-
-    Raises:
-        ConfigError: another key, or a value of another kind.
-    """
-    for key, value in drawn.items() if isinstance(drawn, dict) else [("null", drawn)]:
-        if key not in DRAWN or not isinstance(value, DRAWN[key]) or isinstance(value, bool):
-            expected = "runs, noise, seed and folder"
-            raise ConfigError(f"null runs: {str(key)[:40]} = {str(value)[:40]!r}; expected {expected}, as gap find writes them")
-    given = SimulatedNull(**{key: value for key, value in drawn.items() if key != "folder"})
-    if not (FEWEST_RUNS <= given.runs <= MOST_RUNS and 0 <= given.noise <= LOUDEST and 0 <= given.seed <= LAST_SEED):
-        raise ConfigError(f"null runs: runs {given.runs}, noise {given.noise}, seed {given.seed}; out of range")
-    return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else given

@@ -4,7 +4,7 @@
 
 The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first record that is searched. Its
 null runs are the instruments' errors alone: a fish from which nothing is missing weighs what its model weighs. What an effect
-does to it is what mass means and no formula of the water's, so no form error is granted (evidence.py).
+does to it is what mass means and no formula of the water's, so no form error is granted (likelihood.py).
 """
 
 from math import sqrt
@@ -23,7 +23,7 @@ BEYOND = 3.0  # sigma, from which it is said
 DRAWN = 0x5CA1E  # of the null runs' readings
 
 
-def sensor(page: dict, plant, path: "str | Path" = measurements.FILE) -> Sensor | None:
+def sensor(page: dict, model, path: "str | Path" = measurements.FILE) -> Sensor | None:
     """(1, 3) of a page, NaN where it has no such table; None of an empty one. sigma: the instruments' or what repeats scatter.
 
     Raises:
@@ -31,10 +31,10 @@ def sensor(page: dict, plant, path: "str | Path" = measurements.FILE) -> Sensor 
     """
     if not page.keys() & {"scales", "balance", "pendulum"}:
         return None
-    mass, error = float(predicted(plant, plant.null)[0, 0]), SCALES
+    mass, error = float(predicted(model, model.null)[0, 0]), SCALES
     values, sigma = np.full(3, np.nan), np.full(3, np.nan)
     if "scales" in page:
-        links = ("whole",) if "whole" in page["scales"] else [link.name for link in plant.robot.links]
+        links = ("whole",) if "whole" in page["scales"] else [link.name for link in model.robot.links]
         each, scatter = measurements.masses(page, links, path)
         values[0] = mass = float(each.sum())
         sigma[0] = max(scatter, SCALES * mass)
@@ -47,26 +47,27 @@ def sensor(page: dict, plant, path: "str | Path" = measurements.FILE) -> Sensor 
     return Sensor(np.zeros(1), values[None], sigma)
 
 
-def separation(plant, one: np.ndarray, other: np.ndarray) -> float:
+def separation(model, one: np.ndarray, other: np.ndarray) -> float:
     """Standard deviations by which usual instruments set two explanations apart. one, other: (1 + K, P) the fitted row, and one
     for each parameter, a standard deviation away."""
-    seen = [predicted(plant, rows) for rows in (one, other)]
-    open_ = np.concatenate([s[1:] - s[0] for s in seen])
-    apart, (mass, _, inertia) = seen[0][0] - seen[1][0], predicted(plant, plant.null)[0]
+    sides = [predicted(model, rows) for rows in (one, other)]
+    open_ = np.concatenate([s[1:] - s[0] for s in sides])
+    apart = sides[0][0] - sides[1][0]
+    mass, _, inertia = predicted(model, model.null)[0]
     usual = np.diag([SCALES * mass, EDGE, PENDULUM * inertia]) ** 2
     return float(np.sqrt(apart @ np.linalg.solve(usual + open_.T @ open_, apart)))
 
 
-def told(plant, records: list[Record]) -> str:
+def agreement(model, records: list[Record]) -> str:
     """In words, what the records' weighings say of the model as it is; "" without any."""
     weighed = next((r.weighed for r in records if r.weighed is not None), None)
     if weighed is None:
         return ""
-    rows = zip(QUANTITIES, weighed.values[0], predicted(plant, plant.null)[0], weighed.sigma, strict=True)
+    rows = zip(QUANTITIES, weighed.values[0], predicted(model, model.null)[0], weighed.sigma, strict=True)
     off = [
-        f"{name} is {value:.4g} {unit}, the model's {model:.4g} ({abs(value - model) / sigma:.0f} sigma)"
-        for (name, unit), value, model, sigma in rows
-        if abs(value - model) > BEYOND * sigma
+        f"{name} is {value:.4g} {unit}, the model's {nominal:.4g} ({abs(value - nominal) / sigma:.0f} sigma)"
+        for (name, unit), value, nominal, sigma in rows
+        if abs(value - nominal) > BEYOND * sigma
     ]
     known = ", ".join(name for (name, _), value in zip(QUANTITIES, weighed.values[0], strict=True) if np.isfinite(value))
     return f"Weighed: its {'; its '.join(off)}." if off else f"What was weighed agrees ({known})."
@@ -83,11 +84,11 @@ def null(weighed: Sensor, runs: int, seed: int) -> dict[str, np.ndarray]:
     return {f"weighed{column}": values[:, None] for column, values in enumerate(read.T)}
 
 
-def predicted(plant, rows) -> np.ndarray:
+def predicted(model, rows) -> np.ndarray:
     """(R, 3) of the straight fish with the effects of each parameter row (R, P); what it is described with was weighed before."""
     columns = list(np.atleast_2d(np.asarray(rows, float)).T)
-    hooks = Effects(np, plant.active, columns[len(plant.constants) :], plant.active.memory)
-    chain, swimmer = hooks.fish(plant.chain, plant.nominal)
+    hooks = Effects(np, model.active, columns[len(model.constants) :], model.active.memory)
+    chain, swimmer = hooks.fish(model.chain, model.nominal)
     mass = [m * f for m, f in zip(chain.mass, swimmer.mass, strict=True)]
     origin = np.concatenate([[0.0], np.cumsum(chain.d)])
     x = [o + c for o, c in zip(origin, chain.com, strict=True)]
@@ -95,5 +96,5 @@ def predicted(plant, rows) -> np.ndarray:
     middle = sum(m * place for m, place in zip(mass, x, strict=True)) / total
     own = sum(i * f for i, f in zip(chain.inertia, swimmer.mass, strict=True))
     inertia = own + sum(m * (place - middle) ** 2 for m, place in zip(mass, x, strict=True))
-    nose = chain.d[0] + plant.robot.links[0].length
+    nose = chain.d[0] + model.robot.links[0].length
     return np.stack(np.broadcast_arrays(total, nose - middle, inertia, columns[0])[:3], -1)

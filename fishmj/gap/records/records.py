@@ -1,4 +1,4 @@
-"""A trial as the search sees it: commands at the plant's steps, and every measurement at its own time stamps.
+"""A trial as the search sees it: commands at the model's steps, and every measurement at its own time stamps.
 
 Nothing measured is resampled. Commands are held from one to the next, which is what the servo does.
 """
@@ -35,8 +35,8 @@ class Record(NamedTuple):
     name: str
     excitation: str
     replicate_of: str
-    dt: float  # s, the plant's step
-    commands: np.ndarray  # (T, J) rad at the plant's steps, held
+    dt: float  # s, the model's step
+    commands: np.ndarray  # (T, J) rad at the model's steps, held
     joint: Sensor | None  # rad, J columns
     pose: Sensor | None  # x, y m, yaw rad unwrapped
     power: Sensor | None  # W, one column
@@ -48,7 +48,7 @@ class Record(NamedTuple):
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
     placed: Sensor | None = None  # x, y m, yaw rad that the camera shows of a fish that was put to rest at `place`
-    weighed: Sensor | None = None  # kg, m, kg m2: mass, balance point, yaw inertia of the straight fish (weighing.py)
+    weighed: Sensor | None = None  # kg, m, kg m2: mass, balance point, yaw inertia of the straight fish (mass_properties.py)
 
     @property
     def seconds(self) -> float:

@@ -1,8 +1,8 @@
 """What is compared: short averages of every channel, measured minus predicted, as one long vector.
 
 A fast channel is averaged over 60 ms, a slow one over 0.2 s: less noise, nothing lost that a beat of 3 Hz carries. Heading and
-position are whole free runs from the known start, so what accumulates is seen; the covariance of the null (null.py) knows
-that late times are uncertain and that neighbouring values are not independent.
+position are whole free runs from the known start, so what accumulates is seen; the covariance of the null (null/whitening.py)
+knows that late times are uncertain and that neighbouring values are not independent.
 """
 
 from typing import NamedTuple
@@ -66,7 +66,7 @@ class ResidualLayout:
         return self.residuals([zero(record) for record in self.records])[0]
 
     def residuals(self, predictions: list[dict]) -> np.ndarray:
-        """(R, size) measured minus predicted; predictions as `plant.predict` gives them for these records."""
+        """(R, size) measured minus predicted; predictions as `model.predict` gives them for these records."""
         rows = len(next(iter(predictions[0].values())))
         out = np.empty((rows, self.size))
         for b in self.blocks:

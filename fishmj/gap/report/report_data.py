@@ -10,7 +10,7 @@ from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.effect_fitter import Candidate
+from fishmj.gap.search.fit import Candidate
 from fishmj.gap.thresholds import Gates, frozen
 from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
@@ -81,8 +81,8 @@ def gathered(inquiry: Inquiry, gates: Gates | None = None) -> ReportData:
     gates = gates or frozen()
     e, found = inquiry.evidence, inquiry.found
     logs = [r._replace(weighed=None) for r in e.records]
-    c = compared(e.plant, logs, e.scale[e.layout.channel != mass_properties.CHANNEL], found.base.row, after(inquiry))
-    growth, weighed = curves(e.plant, logs, *c.rows), mass_properties.told(e.plant, e.records)
+    c = compared(e.model, logs, e.scale[e.layout.channel != mass_properties.CHANNEL], found.base.row, after(inquiry))
+    growth, weighed = curves(e.model, logs, *c.rows), mass_properties.agreement(e.model, e.records)
     return ReportData(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 
@@ -96,7 +96,7 @@ def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
     found_without = found.fitted.fits[0] if v.taken else found.base
     rows = np.stack([found.base.row, found_without.row])
-    residuals = e.layout.residuals(e.plant.predict(e.records, rows))
+    residuals = e.layout.residuals(e.model.predict(e.records, rows))
     count = e.runs
     null = e.factors[:count] * np.sqrt(count)
     out = []
@@ -141,9 +141,9 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         if not step.accepted and number:
             break
         everything, best = np.ones(len(e.records), bool), step.ranked[0]
-        gained = (e.around(start.row) if number else e).part(everything).loss(start.row) - best.cost
-        z, *sides = e.around(best.row).part(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
-        free = [c for c in step.ranked if c is best or not on_bound(e.plant, c)]
+        gained = (e.linearised_at(start.row) if number else e).subset(everything).loss(start.row) - best.cost
+        z, *sides = e.linearised_at(best.row).subset(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
+        free = [c for c in step.ranked if c is best or not on_bound(e.model, c)]
         share = likelihood.p_best(
             np.stack(
                 [likelihood.costs(s, e.layout) for c, s in zip(step.ranked, sides, strict=True) if any(c is f for f in free)]
@@ -158,7 +158,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
             p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
             p = given.get(name, p)  # the verdict polished its rivals: one may have left its bound
             behind = float((c.cost - best.cost) / gained) if gained > 0 else None
-            rows.append(ReportRow(name, values(e.plant, c, name), behind, p, name in against, c is best))
+            rows.append(ReportRow(name, values(e.model, c, name), behind, p, name in against, c is best))
         order = listed(rows)
         signatures = (np.stack(sides) - z)[order]
         unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
@@ -172,27 +172,27 @@ def listed(rows: list[ReportRow]) -> list[int]:
     return sorted(range(len(rows)), key=lambda i: (-1.0 if (p := rows[i].p_best) is None else p, rows[i].tried), reverse=True)
 
 
-def values(plant, c: Candidate, name: str) -> dict:
+def values(model, c: Candidate, name: str) -> dict:
     """Parameters of the effects in `name`; with the effect's name where two share one."""
-    mine = [(e, p) for e in plant.active.effects if e.name in name.split("+") for p in e.parameters]
+    mine = [(e, p) for e in model.active.effects if e.name in name.split("+") for p in e.parameters]
     names = [p.name for _, p in mine]
     key = lambda e, p: p.name if names.count(p.name) == 1 else f"{e.name}.{p.name}"
-    return {key(e, p): (float(c.row[plant.index(e.name, p.name)]), p.unit) for e, p in mine}
+    return {key(e, p): (float(c.row[model.index(e.name, p.name)]), p.unit) for e, p in mine}
 
 
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
     """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
     e = inquiry.evidence
-    whole = e.part(np.ones(len(e.records), bool))
+    whole = e.subset(np.ones(len(e.records), bool))
     rows, owners = [], []
-    for effect in e.plant.active.effects:
+    for effect in e.model.active.effects:
         if effect.name in inquiry.found.best.names:
             continue
         for p in effect.parameters:
             for size in (p.typical[1],) if not p.signed else (p.typical[1], 2 * p.null - p.typical[1]):
                 if not p.shape:
                     row = np.array(inquiry.found.base.row)
-                    row[e.plant.index(effect.name, p.name)] = np.clip(size, p.low, p.high)
+                    row[e.model.index(effect.name, p.name)] = np.clip(size, p.low, p.high)
                     rows.append(row)
                     owners.append(effect)
     if not rows:

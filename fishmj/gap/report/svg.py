@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from itertools import count
 from typing import Any
 
+from markupsafe import Markup
+
 from fishmj.errors import MissingExtra
 from fishmj.pages import escaped
 
@@ -62,7 +64,7 @@ def canvas(rows: int, columns: int, size: tuple[float, float], **options):
     return pyplot.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **options)
 
 
-def svg(figure, label: str) -> str:
+def svg(figure, label: str) -> Markup:
     """The figure as an SVG element that fills its column; `label` is read aloud. The figure is closed."""
     from matplotlib import pyplot
 
@@ -80,4 +82,5 @@ def svg(figure, label: str) -> str:
     text = re.sub(r'(<svg[^>]*?) width="[\d.]+pt"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) height="[\d.]+pt"', r"\1", text, count=1)
     text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
-    return text.replace("<svg", f'<svg role="img" aria-label="{escaped(label)}" style="width:100%;max-width:{wide}px"', 1).strip()
+    head = f'<svg role="img" aria-label="{escaped(label)}" style="--wide:{wide}px"'
+    return Markup(text.replace("<svg", head, 1).strip())

@@ -5,9 +5,9 @@ from typing import NamedTuple
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.report.report_data import ReportData
-from fishmj.gap.search.outlier_records import misformed
-from fishmj.gap.terms.stronger import LEAD, outdone
-from fishmj.gap.thresholds import rest_allowed
+from fishmj.gap.search.model_error import misformed
+from fishmj.gap.terms.stronger import outdone
+from fishmj.gap.thresholds import residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, title
 
@@ -50,7 +50,7 @@ def headline(v: Verdict) -> str:
 def meaning(m: ReportData) -> str:
     """One sentence on what it means."""
     v = m.inquiry.verdict
-    known = {e.name: e for e in m.inquiry.evidence.plant.active.effects}
+    known = {e.name: e for e in m.inquiry.evidence.model.active.effects}
     if v.answer == "NAMED":
         about = "; ".join(_about(known[e.name]) for e in v.effects if e.name in known)
         return f"{about[:1].upper()}{about[1:]}. With it the model {v.told()}."
@@ -115,7 +115,7 @@ def gates(m: ReportData) -> list[Gate]:
         ("closure", f"Is most of {LIKELIHOOD} gone, unseen?")
         + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure),
         ("rest", "Is what is left within the error of any formula?")
-        + (level(had("rest")), f"≤ {rest_allowed(checks, g):.3g}", had("rest") <= rest_allowed(checks, g)),
+        + (level(had("rest")), f"≤ {residual_allowed(checks, g):.3g}", had("rest") <= residual_allowed(checks, g)),
         ("form", "Is it right to within what a formula may be wrong?")
         + (percent(had("form")), f"≤ {percent(g.form)}", not misformed(checks)),
         ("size", "And in its size, from record to record?")
@@ -126,7 +126,7 @@ def gates(m: ReportData) -> list[Gate]:
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
         ("sanity", "Are the values believable?") + (f"{len(v.warnings)} warnings", "none", not v.warnings),
         ("force", "Does no free force that is right in its form explain more, unseen?")
-        + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(LEAD)}", not outdone(checks)),
+        + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(thresholds().stronger.lead)}", not outdone(checks)),
     )
     out, asked = [], True
     if v.answer == "NOT_REPEATABLE":

@@ -1,7 +1,15 @@
-"""What a set of records says for and against candidates: gaps, gains, closure, who is best.
+"""The likelihood of a set of records, linearised at the effects of a candidate.
+
+    -2 log L(theta) = |z|^2 + log det S,   z = S^-1/2 (measured - predicted)      z, S of a `subset` of the records: fit.py
+
+S comes from the null runs (null/whitening.py) and depends on where it is linearised, since a fish that is late, stiff or slow
+answers to its constants in another way:
+
+    S(theta) = F^T F + D,   F: null runs, seen through the sensors of theta; and the change of the constants' tangents with theta
+                            D: what null runs leave unexplained, the response to the constants that is not linear, and
+                            (form c)^2 where c is what theta changes: no formula is the robot's (model_error.py)
 
 gap       mean over records and channels of mean_t (r / W)^2,  W^2(t) the null's own mean square: agreement is about 1
-gain      |z_0|^2 - |z_1|^2 on records that no parameter was fitted to
 closure   gain / (|z_0|^2 - m): share of what is unexpected that an effect explains, m = length of z
 p_best    share of Bayesian bootstrap draws over records (Rubin 1981) in which a candidate has the least cost
 """
@@ -15,123 +23,129 @@ from fishmj.gap.null.whitening import leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.search.effect_fitter import STEP, Candidate, EffectFitter, bounds
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
 from fishmj.gap.search.model_error import ModelError, ModelResponse
-
-DRAWS = 2000
-TURNS = 16  # draws of the constants, to see what is not linear in them
-FORM = 0.1  # relative error of a formula where the records have not told
+from fishmj.gap.thresholds import thresholds
+from fishmj.gap.watch import Bars, silent
 
 
 class Likelihood:
-    """Records with their null, and searches on any part of them.
+    """Of records with their null; fitters on any part of them.
 
     null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of what the effects
-    change, in the evidence around a candidate. origin: the evidence around the model as it is.
+    change. origin: the likelihood at the model as it is.
     """
 
-    def __init__(self, plant, records: list[Record], null: np.ndarray, form: float = FORM):
-        self.plant, self.records, self.form, self.origin = plant, records, form, self
+    def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None):
+        limits = thresholds().likelihood
+        self.model = model
+        self.records = records
+        self.origin = self
+        self.form = limits.model_error if form is None else form
         self.runs = len(null)
         self.layout = ResidualLayout(records)
-        self._draws = np.random.default_rng(0).standard_normal((TURNS, len(plant.constants)))
-        self._held, self._bent = self._constants(getattr(plant, "nothing", plant.null))
+        # One set of draws, kept: whatever is linearised later is compared with the origin draw by draw, so that their
+        # difference is not the draws'.
+        self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(model.constants)))
+        self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
         self.factors = null / np.sqrt(len(null))
         self.d = leftover(null, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
-        self.changed = ModelResponse(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
+        self.response = ModelResponse(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
 
     @property
     def everything(self) -> np.ndarray:
         """(L,) bool: all records."""
         return np.ones(len(self.records), bool)
 
-    def on(self, plant) -> "Likelihood":
-        """The same records and null with other effects in question; `plant` at its null is the same model."""
+    def with_model(self, model) -> "Likelihood":
+        """The same records and null with other effects in question; `model` at its null is the same model."""
         there = copy(self.origin)
-        there.plant, there.origin = plant, there
+        there.model = model
+        there.origin = there
         return there
 
     def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the constants' tolerance does to the residual of a parameter row: (C, m) tangents, (m,) mean square of what is
         not linear in them."""
-        sigma = np.array([constant.sigma for constant in self.plant.constants])
+        sigma = np.array([constant.sigma for constant in self.model.constants])
         draws = np.concatenate([np.zeros((1, len(sigma))), np.eye(len(sigma)), self._draws])
         rows = np.tile(row, (len(draws), 1))
         rows[:, : len(sigma)] += draws * sigma
         residuals = self._residuals(rows)
         moved = residuals[1:] - residuals[0]
         tangents = moved[: len(sigma)]
-        bent = np.mean((moved[len(sigma) :] - self._draws @ tangents) ** 2, 0)
-        return tangents, smooth(np.sqrt(bent), self.layout) ** 2
+        nonlinear = np.mean((moved[len(sigma) :] - self._draws @ tangents) ** 2, 0)
+        return tangents, smooth(np.sqrt(nonlinear), self.layout) ** 2
 
     def _residuals(self, rows) -> np.ndarray:
-        return np.nan_to_num(self.layout.residuals(self.plant.predict(self.records, rows)))
+        return np.nan_to_num(self.layout.residuals(self.model.predict(self.records, rows)))
 
-    def around(self, row: np.ndarray, form: float | None = None) -> "Likelihood":
-        """The same for a fish that has the effects of `row`, right to within `form` of what they change at each moment.
-
-        D also grows by what is not linear in the constants: when a joint slips or a gear's play is taken up hangs on all of them,
-        and no two fish do it at the same moments.
-        """
+    def linearised_at(self, row: np.ndarray, form: float | None = None) -> "Likelihood":
+        """The same for a fish that has the effects of `row`, right to within `form` of what they change at each moment."""
         start = self.origin
-        tangents, bent = self._constants(row)
-        factors = np.concatenate([self._seen(row), tangents - start._held])
-        known = start.d**2 + np.maximum(bent - self._bent, 0.0)
-        change = self.change(row, self.plant.null) * (self.layout.channel != mass_properties.CHANNEL)
+        tangents, nonlinear = self._constants(row)
+        # Only the change of the tangents is added: the null fish already differ by their constants, so the tangents
+        # themselves would count that scatter twice.
+        factors = np.concatenate([self._null_through_sensors(row), tangents - start._null_tangents])
+        # When a joint slips or a gear's play is taken up hangs on all constants, and no two fish do it at the same moment.
+        # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
+        known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear, 0.0)
+        # A weighing is what mass means, no formula of the water's: no form error is granted there.
+        change = self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
         there = copy(self)
-        there.factors, there.changed = factors, ModelResponse(factors, known, change, smooth(change, self.layout))
-        return there.within(start.form if form is None else form)
+        there.factors = factors
+        there.response = ModelResponse(factors, known, change, smooth(change, self.layout))
+        return there.with_model_error(start.form if form is None else form)
 
-    def _seen(self, row: np.ndarray) -> np.ndarray:
+    def _null_through_sensors(self, row: np.ndarray) -> np.ndarray:
         """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
-        null, root = self.origin.factors, np.sqrt(self.runs)
-        if not sensed(self.plant, row):
+        null = self.origin.factors
+        root = np.sqrt(self.runs)
+        if not sensed(self.model, row):
             return null
         shown = self.layout.measured - self._residuals(row[None])[0]
-        return through(self.plant, self.layout, row, shown, null * root) / root
+        return through(self.model, self.layout, row, shown, null * root) / root
 
-    def within(self, form: float) -> "Likelihood":
-        """The same effects, trusted to within another relative error."""
+    def with_model_error(self, form: float) -> "Likelihood":
+        """The same effects, right to within another relative error."""
         there = copy(self)
-        there.form, there.d = form, self.changed.d(form)
+        there.form = form
+        there.d = self.response.d(form)
         return there
 
-    def trusted(self, row: np.ndarray) -> "Likelihood":
-        """Evidence around a row with the form error that makes the records most likely: how far a formula holds is measured."""
-        there = self.around(row)
-        return there.within(there.changed.likely(self._residuals(row[None])[0]))
+    def with_estimated_model_error(self, row: np.ndarray) -> "Likelihood":
+        """Linearised at a row, with the form error that makes the records most likely: how far a formula holds is measured."""
+        there = self.linearised_at(row)
+        return there.with_model_error(there.response.most_likely_form(self._residuals(row[None])[0]))
 
-    def doubted(self, row: np.ndarray) -> "Likelihood":
+    def with_parameter_uncertainty(self, row: np.ndarray) -> "Likelihood":
         """For values: what the constants do is no better known than the formulas, F also gets their tangents times `form`."""
         there = copy(self)
         there.factors = np.concatenate([self.factors, self.form * self._constants(row)[0]])
         return there
 
-    def error(self, row: np.ndarray, most: float, keep: np.ndarray | None = None) -> ModelError:
-        """How wrong the formulas of the row are, around which this is. most: form error that they should have. keep: (m,) bool,
-        samples that count; default, all."""
-        return self.changed.error(self._residuals(row[None])[0], self.layout, most, keep)
+    def error(self, row: np.ndarray, allowed: float, keep: np.ndarray | None = None) -> ModelError:
+        """How wrong the formulas of the row are at which this is linearised. allowed: form error that they may have. keep: (m,)
+        bool, samples that count; default, all."""
+        return self.response.error(self._residuals(row[None])[0], self.layout, allowed, keep)
 
-    def part(self, keep: np.ndarray, more: np.ndarray | None = None) -> EffectFitter:
-        """A search on the records where keep (L,) is true. more: (K, n) further factors of S there."""
+    def subset(self, keep: np.ndarray, more: np.ndarray | None = None) -> EffectFitter:
+        """A fitter on the records where keep (L,) is true. more: (K, n) further factors of S there."""
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
         factors = self.factors[:, columns]
         factors = factors if more is None else np.concatenate([factors, more])
-        return EffectFitter(self.plant, records, ResidualLayout(records), whitening(factors, self.d[columns]))
+        return EffectFitter(self.model, records, ResidualLayout(records), whitening(factors, self.d[columns]))
 
     def loss(self, row: np.ndarray) -> float:
         """Twice the negative log likelihood of all records, of one parameter row."""
-        return self.part(self.everything).loss(row)
+        return self.subset(self.everything).loss(row)
 
-    def slopes(self, c: Candidate) -> np.ndarray:
+    def jacobian(self, c: Candidate) -> np.ndarray:
         """(K, m) what a typical size of each parameter of a candidate does to the residual, about its values."""
-        _, high, size = bounds(self.plant)
-        rows = np.tile(c.row, (1 + len(c.places), 1))
-        for row, place in zip(rows[1:], c.places, strict=True):
-            step = STEP * size[place]
-            row[place] += step if row[place] + step <= high[place] else -step
+        size = bounds(self.model)[2]
+        rows = np.concatenate([c.row[None], difference_rows(self.model, c)])
         residuals = self._residuals(rows)
         moves = np.array([(row[p] - c.row[p]) / size[p] for row, p in zip(rows[1:], c.places, strict=True)])
         return (residuals[1:] - residuals[0]) / moves.reshape(-1, 1)
@@ -143,8 +157,33 @@ class Likelihood:
 
     def gap(self, row) -> tuple[float, dict]:
         """The gap of a parameter row over all records and by channel, in units of the floor."""
-        residual = self.layout.residuals(self.plant.predict(self.records, row))[0]
+        residual = self.layout.residuals(self.model.predict(self.records, row))[0]
         return gap(residual, self.scale, self.layout), by_channel(residual, self.scale, self.layout)
+
+
+def likelihood_of(model, records: list[Record], null, bars: Bars = silent) -> Likelihood:
+    """Of records with the null runs that `null` (a `SimulatedNull`) makes of them. bars: of runs made anew."""
+    return Likelihood(model, records, null.residuals(model, records, ResidualLayout(records), bars))
+
+
+def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tuple[Likelihood, Candidate]:
+    """(likelihood linearised at the candidate, it at its best there): what the constants may do depends on the effects.
+
+    A step that makes the candidate less likely in the likelihood linearised at itself is not taken: values and covariance chase
+    each other, and a covariance that explains everything must not win.
+    """
+    near = e.with_estimated_model_error(best.row)
+    loss = near.loss(best.row)
+    for _ in range(thresholds().likelihood.relinearisations if times is None else times):
+        proposal = refine(near.subset(e.everything), best)
+        there = e.with_estimated_model_error(proposal.row)
+        proposal_loss = there.loss(proposal.row)
+        if proposal_loss > loss:
+            break
+        near = there
+        best = proposal
+        loss = proposal_loss
+    return near, on_records(near.subset(e.everything), best)
 
 
 def gap(residual: np.ndarray, scale: np.ndarray, layout) -> float:
@@ -177,6 +216,7 @@ def closure(cost_before: float, cost_after: float, size: float) -> float:
 
 def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:
     """Share of draws that each candidate (C, L) wins."""
-    weights = np.random.default_rng(seed).dirichlet(np.ones(per_record.shape[1]), DRAWS)
+    draws = thresholds().likelihood.bootstrap_draws
+    weights = np.random.default_rng(seed).dirichlet(np.ones(per_record.shape[1]), draws)
     winners = np.argmin(weights @ per_record.T, 1)
-    return np.bincount(winners, minlength=len(per_record)) / DRAWS
+    return np.bincount(winners, minlength=len(per_record)) / draws

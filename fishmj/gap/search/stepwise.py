@@ -1,24 +1,44 @@
-"""The rounds: effects are added while records that no parameter saw get better.
+"""Forward stepwise selection of effects, with swaps and backward pruning, on cross-validated likelihood.
 
-    null -> gap -> [ screen -> refine -> judge -> accept -> settle -> prune ] x at most 4 -> decide
-
-Every record is predicted by parameters from the other folds (folds.py); candidates are ranked on all of them, each by the
-likelihood in the evidence around itself. docs/guide/gap.md lists every threshold, those of
-data/calib/gap.toml and the constants of this package; all were set before the benchmark was scored.
+screen      the whole catalogue on the few records in which most is unexpected
+refine      the best of them on all records, and with an earlier choice swapped for another
+compare     the finalists by the likelihood linearised at each of them
+accept      by what the first of them gains on records predicted without their fold; a first effect also by what it gains on
+            all records at once and on each fold given the others, which tell of the constants that all share: the less of
+            both
+converge    values and covariance, in turns
+prune       what the others no longer need
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.search.cross_validation import CrossValidated
-from fishmj.gap.search.effect_fitter import Candidate
-from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.search.model_error import FORMS
-from fishmj.gap.search.refit import converge, drop_effect
-from fishmj.gap.search.stepwise_rounds import RoundProgress, SelectionStep, round_of
-from fishmj.gap.thresholds import Gates
+from fishmj.effects.ambiguity import together
+from fishmj.gap.search import likelihood
+from fishmj.gap.search.cross_validation import CrossValidated, converge
+from fishmj.gap.search.fit import Candidate, EffectFitter, drop_effect, on_records, refine
+from fishmj.gap.search.likelihood import Likelihood, relinearise
+from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.watch import Bar
+
+
+@dataclass(frozen=True)
+class SelectionStep:
+    """One round.
+
+    ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
+    candidate was worth comparing. gain: what it takes off the loss of all records, each predicted without its fold; or,
+    where only that was enough, on all at once or given the others. gap: where it is accepted, the gap of records that are
+    predicted without their fold, before (of the model as it is, where that is smaller) and after; it decides nothing.
+    """
+
+    ranked: tuple[Candidate, ...]
+    fitted: CrossValidated | None
+    gain: float
+    accepted: bool
+    gap: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -33,7 +53,7 @@ class Selection:
 
     @property
     def near(self) -> Likelihood:
-        """Around what was found."""
+        """Linearised at what was found."""
         return self.fitted.near
 
     @property
@@ -41,61 +61,193 @@ class Selection:
         """On all records."""
         return self.fitted.best
 
-    def share(self, name: str, otherwise: float) -> float:
+    def gain_share(self, name: str, otherwise: float) -> float:
         """Of what all rounds gained, the part of the round that added an effect; `otherwise` where it came by a swap."""
         gains = [(s.ranked[0].names[-1], s.gain) for s in self.steps if s.accepted]
         mine = [gain for newest, gain in gains if newest == name]
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
-def find(e: Likelihood, gates: Gates, folds: np.ndarray, effects=None, progress=None, bar: Bar | None = None) -> Selection:
-    """Add effects while records that no parameter saw get better. bar: of rounds, in parts."""
-    effects = [x for x in effects or e.plant.active.effects if absent(e.plant, x)]
-    whole = e.part(e.everything)
+class RoundProgress(NamedTuple):
+    """Where a round stands on a bar of rounds. before: rounds done."""
+
+    bar: Bar | None = None
+    before: int = 0
+
+    def report(self, share: float) -> None:
+        """Report the share of this round that is done."""
+        if self.bar is not None:
+            self.bar.update(self.before + share)
+
+
+NO_BAR = RoundProgress()
+
+
+def forward_select(
+    e: Likelihood, gates: Gates, folds: np.ndarray, effects=None, progress=None, bar: Bar | None = None
+) -> Selection:
+    """Add effects while records predicted without their fold get likelier. progress: called with each step. bar: of rounds."""
+    pool = [x for x in effects or e.model.active.effects if is_absent(e.model, x)]
+    whole = e.subset(e.everything)
     base = whole.base()
-    fitted = CrossValidated(e, base, (base,) * len(folds))
+    selected = CrossValidated(e, base, (base,) * len(folds))
     steps: list[SelectionStep] = []
-    seen: set[frozenset] = set()
-    while len(fitted.best.names) < gates.most and frozenset(fitted.best.names) not in seen:
-        seen.add(frozenset(fitted.best.names))
-        free = [x for x in effects if x.name not in fitted.best.names]
-        step = round_of(fitted, folds, free, gates, sum(s.gain for s in steps), RoundProgress(bar, len(steps)))
+    visited: set[frozenset] = set()
+    # A set that comes back ends the search: swaps and pruning could otherwise go round in a circle.
+    while len(selected.best.names) < gates.max_effects and frozenset(selected.best.names) not in visited:
+        visited.add(frozenset(selected.best.names))
+        remaining = [x for x in pool if x.name not in selected.best.names]
+        gain_so_far = sum(s.gain for s in steps)
+        step = propose(selected, folds, remaining, gates, gain_so_far, RoundProgress(bar, len(steps)))
         steps.append(step)
         if progress:
             progress(step)
         if not step.accepted or step.fitted is None:
             break
-        fitted = pruned(e, folds, converge(e, folds, step.fitted.best, step.fitted.fits), gates)
-        if len(fitted.best.names) > 2 and fitted.near.form >= FORMS[-1]:
+        selected = converge(e, folds, step.fitted.best, step.fitted.fits)
+        selected = prune(e, folds, selected, gates)
+        if len(selected.best.names) > 2 and selected.near.form >= thresholds().model_error.form_grid[-1]:
             break  # what three effects do not describe to within a half is not in the catalogue
-    return Selection(base, fitted, folds, tuple(steps), whole.whiten.logdet)
+    return Selection(base, selected, folds, tuple(steps), whole.whiten.logdet)
 
 
-def pruned(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, gates: Gates) -> CrossValidated:
+def propose(
+    known: CrossValidated, folds: np.ndarray, effects, gates: Gates, gain_so_far: float, progress: RoundProgress = NO_BAR
+) -> SelectionStep:
+    """The best set one effect larger than `known`, or with an earlier choice swapped, and whether it is accepted."""
+    limits = thresholds().stepwise
+    whole = known.near.subset(known.near.everything)
+    base = on_records(whole, known.best)
+    required = required_gain(gates, known, gain_so_far, uncontested=True)
+    short = shortlist(known.near, base, effects, gates)
+    progress.report(0.4)
+
+    # What cannot gain enough where it was fitted cannot gain it where it was not: the costly part is skipped.
+    best_in_sample = base.cost - short[0].cost
+    if best_in_sample < limits.screen_fraction * required:
+        return SelectionStep(tuple(short[: gates.finalists]), None, 0.0, False)
+
+    # |z|^2 compares only candidates with one covariance. Each finalist gets its own, so the likelihood decides among them.
+    finalists = []
+    for i, c in enumerate(short[: gates.finalists]):
+        if base.cost - c.cost > limits.finalist_fraction * best_in_sample:
+            finalists.append(relinearise(known.near.origin, c, 1))
+        progress.report(0.4 + 0.3 * (i + 1) / gates.finalists)
+    loss = [near.loss(best.row) for near, best in finalists]
+    order = np.argsort(loss)
+
+    # Not the first alone is cross-validated: a mimic may be likelier on all records and not carry over to those held out.
+    before = known.loss(folds)
+    tried: list[tuple[int, CrossValidated, float]] = []
+    for i in order[: limits.attempts]:
+        near, best = finalists[i]
+        fitted = CrossValidated(near, best, tuple(refine(near.subset(~f), best) for f in folds))
+        tried.append((i, fitted, before - fitted.loss(folds)))
+        progress.report(0.7 + 0.3 * len(tried) / limits.attempts)
+        if tried[-1][2] > required:
+            break
+    else:
+        tried = tried[:1]
+    first, fitted, gain = tried[-1]
+
+    lead = lead_of(first, finalists, loss)
+    accepted = gain > required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain)
+    if not accepted and not known.best.names:
+        # A fold by itself knows nothing of this fish's constants, so that a small gap that all records share may be lost in
+        # each of them. Asked twice, with all records and with each fold given the others, and the less of both counts.
+        joint = min(whole.loss(known.best.row) - loss[first], known.conditional_loss(folds) - fitted.conditional_loss(folds))
+        if joint > gates.min_joint_gain:
+            accepted = True
+            gain = joint
+    ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
+    return SelectionStep(tuple(ranked), fitted, gain, accepted, gap_before_after(known, fitted, folds) if accepted else None)
+
+
+def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncontested: bool) -> float:
+    """Gain that a round must bring. uncontested: nothing else comes near its best."""
+    if not known.best.names:
+        return gates.gain
+    # A wrong formula leaves a residual in proportion to what it explains, and that looks like a further effect: hence a share
+    # of the gain so far. It is capped, since no second effect would be found beside a very large first one.
+    share = gates.uncontested_discount if uncontested else 1.0
+    by_samples = gates.gain + share * gates.min_gain_per_sample * known.near.layout.size
+    return max(by_samples, min(gates.min_gain_fraction * gain_so_far, gates.min_gain_cap))
+
+
+def lead_of(first: int, finalists, loss: list[float]) -> float:
+    """By how much a finalist is likelier than the next that is no twin of it: twins are the same effect by construction."""
+    newest = [best.names[-1] for _, best in finalists]
+    others = (loss[j] for j in range(len(loss)) if j != first and not together(newest[first], newest[j]))
+    return min(others, default=np.inf) - loss[first]
+
+
+def gap_before_after(known: CrossValidated, fitted: CrossValidated, folds: np.ndarray) -> tuple[float, float]:
+    """What `SelectionStep.gap` holds."""
+    as_it_is = known.near.gap(known.near.model.null)[0]
+    return min(as_it_is, known.gap(folds)), fitted.gap(folds)
+
+
+# ------------------------------------------------------------------------------------------------------------------ candidates
+def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
+    """The best candidates on all records, fitted; best first."""
+    whole = e.subset(e.everything)
+    few = e.subset(informative_records(base, e.layout))
+    one = e.subset(informative_records(base, e.layout, 1))
+    fine = one.grid_search(on_records(one, base), effects)
+    likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]
+    likely = sorted((on_records(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
+    short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
+    if not base.names:
+        return short
+    return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
+
+
+def informative_records(c: Candidate, layout, most: int | None = None) -> np.ndarray:
+    """(L,) bool: the records in which most is unexpected."""
+    excess = likelihood.costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
+    keep = np.zeros(len(layout.records), bool)
+    keep[np.argsort(-excess)[: thresholds().stepwise.informative_records if most is None else most]] = True
+    return keep
+
+
+def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effects, gates: Gates, fine: dict) -> list[Candidate]:
+    """The best new sets with an earlier effect replaced by another: what was taken first may have stood in for a pair."""
+    out = []
+    last = short[0]
+    for old in last.names[:-1]:
+        free = [x for x in effects if x.name not in last.names]
+        tried = few.screen(on_records(few, drop_effect(whole, last, old)), free, fine)[: gates.finalists]
+        out += whole.refine([on_records(whole, c) for c in tried], 3)
+    return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
+
+
+def is_absent(model, effect) -> bool:
+    """Whether the model that is questioned does not have the effect yet."""
+    places = [model.index(effect.name, p.name) for p in effect.parameters]
+    return tuple(model.null[places]) == effect.null
+
+
+# --------------------------------------------------------------------------------------------------------------------- pruning
+def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, gates: Gates) -> CrossValidated:
     """The same without what the others no longer need: an effect that stood in for one that came later."""
     while len(fitted.best.names) > 1:
-        tried = [(lost(fitted, less, folds), less) for less in (shorter(e, folds, fitted, n) for n in fitted.best.names)]
-        least, less = min(tried, key=lambda t: t[0])
-        if least > gates.gain:
+        shorter = [without_effect(e, folds, fitted, name) for name in fitted.best.names]
+        increase = [loss_increase(fitted, less, folds) for less in shorter]
+        least = min(range(len(increase)), key=increase.__getitem__)
+        if increase[least] > gates.gain:
             break
-        fitted = less
+        fitted = shorter[least]
     return fitted
 
 
-def shorter(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, name: str) -> CrossValidated:
+def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, name: str) -> CrossValidated:
     """The same without one effect, fitted anew."""
     near = fitted.near
-    fits = tuple(drop_effect(near.part(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
-    return converge(e, folds, drop_effect(near.part(near.everything), fitted.best, name), fits)
+    fits = tuple(drop_effect(near.subset(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
+    return converge(e, folds, drop_effect(near.subset(near.everything), fitted.best, name), fits)
 
 
-def lost(fitted: CrossValidated, less: CrossValidated, folds: np.ndarray) -> float:
+def loss_increase(fitted: CrossValidated, less: CrossValidated, folds: np.ndarray) -> float:
     """What the records lose with the shorter set: the larger of all at once, and each without its fold."""
-    whole = [f.near.loss(f.best.row) for f in (less, fitted)]
-    return max(less.loss(folds) - fitted.loss(folds), whole[0] - whole[1])
-
-
-def absent(plant, effect) -> bool:
-    """Whether the model that is questioned does not have the effect yet."""
-    places = [plant.index(effect.name, p.name) for p in effect.parameters]
-    return tuple(plant.null[places]) == effect.null
+    without, with_it = (f.near.loss(f.best.row) for f in (less, fitted))
+    return max(less.loss(folds) - fitted.loss(folds), without - with_it)

@@ -9,9 +9,9 @@ Admissible are
     static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
-    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same (readings.py)
+    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same (sensor_terms.py)
 A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they
-say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (judge.py).
+say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (select.py).
 """
 
 import hashlib
@@ -37,6 +37,7 @@ from fishmj.gap.terms.regressors import (
     signed,
 )
 from fishmj.gap.terms.sensor_terms import CURVES, in_the_log_too, in_the_loop
+from fishmj.gap.thresholds import thresholds
 
 FORCES = {
     "surge force": ("fx", 1, 0.05),
@@ -45,10 +46,7 @@ FORCES = {
 }  # field, parity, usual size
 TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}  # parity, usual size
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
-PULL = 0.01  # N, usual size of a force of the tank
-TORQUE = 0.1  # N m, usual size at a joint
-READING = 0.02  # rad, usual error of a sensor
-WIDE = 200.0  # bounds, in usual coefficients
+USUAL = thresholds().library
 ONE = Factor("constant", lambda xp, b: 1.0, 0, 1, 1.0)
 
 
@@ -95,7 +93,7 @@ def tail_terms() -> list[Effect]:
 def world_terms() -> list[Effect]:
     """Forces that belong to the tank: constant ones and slopes."""
     return [
-        provisional(force, f, PULL, True, body=_world(axis, f), stage="environment")
+        provisional(force, f, USUAL.pull, True, body=_world(axis, f), stage="environment")
         for force, axis in WORLD.items()
         for f in (ONE, X, Y)
     ]
@@ -106,7 +104,7 @@ def joint_terms() -> list[Effect]:
     even = [ONE, product(ANGLE, ANGLE), product(RATE, RATE), product(ANGLE, RATE)]
     odd = [ANGLE, signed(ANGLE), product(ANGLE, ANGLE, ANGLE), RATE, signed(RATE), product(RATE, RATE, RATE)]
     odd += [product(ANGLE, ANGLE, RATE), product(ANGLE, RATE, RATE), _held(), LOAD, signed(LOAD)]
-    return [provisional("joint torque", f, TORQUE, f in odd, gear=_gear(f), stage="actuator") for f in (*odd, *even)]
+    return [provisional("joint torque", f, USUAL.torque, f in odd, gear=_gear(f), stage="actuator") for f in (*odd, *even)]
 
 
 def _held() -> Factor:
@@ -124,7 +122,7 @@ def hysteresis() -> Effect:
         return g._replace(torque=g.torque + p.coefficient * z / 0.1), (z,)
 
     memory = Factor("hysteresis of the angle", lambda xp, g: g.angle, 0, -1, 1.0)
-    return provisional("joint torque", memory, TORQUE, True, gear=gear, memory=(0.0,), stage="actuator")
+    return provisional("joint torque", memory, USUAL.torque, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
 def creep() -> Effect:
@@ -136,13 +134,15 @@ def creep() -> Effect:
         return g._replace(torque=g.torque + p.coefficient * (g.angle - rest)), (rest,)
 
     memory = Factor("creep of the angle", lambda xp, g: g.angle, 0, -1, 0.4)
-    return provisional("joint torque", memory, TORQUE, True, gear=gear, memory=(0.0,), stage="actuator")
+    return provisional("joint torque", memory, USUAL.torque, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
 def reading_terms() -> list[Effect]:
     """Readings of every joint's sensor alike, in the servo's loop, and in the log too."""
     return [
-        provisional(reading, Factor(f.name, f.value, 0, f.parity, f.size), READING, f.parity < 0, stage="measurement", **sites(f))
+        provisional(
+            reading, Factor(f.name, f.value, 0, f.parity, f.size), USUAL.reading, f.parity < 0, stage="measurement", **sites(f)
+        )
         for reading, sites in (("servo reading", in_the_loop), ("encoder reading", in_the_log_too))
         for f in CURVES
     ]
@@ -163,8 +163,8 @@ def provisional(force: str, f: Factor, size: float, symmetric: bool, stage: str 
             Parameter(
                 name="coefficient",
                 unit=f"{unit} per SI unit of the product",
-                low=-WIDE * usual,
-                high=WIDE * usual,
+                low=-USUAL.bound * usual,
+                high=USUAL.bound * usual,
                 typical=(0.1 * usual, usual),
             ),
         ),
@@ -185,7 +185,8 @@ def _world(axis: tuple[float, float], f: Factor):
 
     def body(xp, p, b, memory, h):
         force = p.coefficient * f.value(xp, b)
-        c, s = xp.cos(b.heading), xp.sin(b.heading)
+        c = xp.cos(b.heading)
+        s = xp.sin(b.heading)
         return b._replace(fx=b.fx + force * (c * ax + s * ay), fy=b.fy + force * (c * ay - s * ax)), memory
 
     return body

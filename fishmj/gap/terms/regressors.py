@@ -7,6 +7,8 @@ parity      +1 even, -1 odd when port and starboard are exchanged
 from collections.abc import Callable
 from typing import NamedTuple
 
+from fishmj.gap.thresholds import thresholds
+
 
 class Factor(NamedTuple):
     """One quantity. value: from the array namespace and a `Body`, `Gear` or `Water`. size: usual in a session, SI."""
@@ -29,7 +31,7 @@ ANGLE = Factor("angle", lambda xp, g: g.angle, 0, -1, 0.4)
 RATE = Factor("rate", lambda xp, g: g.rate, 1, -1, 2.5)
 LOAD = Factor("motor torque", lambda xp, g: g.drive, 0, -1, 0.4)
 
-TIP = -0.18  # m behind the last hinge: the trailing edge of the shipped fish, near enough for others
+TIP = thresholds().library.trailing_edge
 SLIP = Factor("tail speed sideways", lambda xp, k: k.w[-1] + k.omega[-1] * TIP, 1, -1, 0.3)
 AHEAD = Factor("tail speed ahead", lambda xp, k: k.u[-1], 1, 1, 0.2)
 
@@ -58,8 +60,10 @@ def product(*factors: Factor) -> Factor:
             out = out * f.value(xp, b)
         return out
 
-    parity, size = 1, 1.0
+    parity = 1
+    size = 1.0
     for f in factors:
-        parity, size = parity * f.parity, size * f.size
+        parity *= f.parity
+        size *= f.size
     name = " x ".join(name + words[n] for name, n in names.items())
     return Factor(name, value, sum(f.per_second for f in factors), parity, size)

@@ -21,30 +21,17 @@ from fishmj.effects.effect import Effect
 from fishmj.gap.null.whitening import leftover, whitening
 from fishmj.gap.records.records import Record
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.search.effect_fitter import Candidate, EffectFitter, bounds
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.terms.library import library, name_of, one_sided
+from fishmj.gap.thresholds import thresholds
 
-PROBE = 0.1  # of the usual coefficient
-PROBES = (0.5, -0.5, 2.0, -2.0)
-WILD = 1e5
-UNIT = 4.0  # of |z|^2: what one free coefficient gains by chance
-FINALISTS = 6  # of each list, polished with the whole model
-LISTED = 5
-DECOYS = 40  # draws
-HALVES = 60  # half-samples
-MANY = 4  # records from which on one is left out as a whole
-PIECES = 3  # parts of a record, where there are fewer
-FDR = 0.1
-STABLE = 0.5
-WORTH = 0.1  # share of what is unexpected below which a term describes nothing
-HANDED = 0.9  # a one-sided term's gain counts this much
-ALIKE = 0.95  # |cos| of signatures from which two terms say the same
+LIMITS = thresholds().terms
 
 
 @dataclass(frozen=True)
 class Term:
-    """One term of the fallback.
+    """One term.
 
     name: "sway force ~ tail rate x yaw rate". id: of the provisional effect, X-.... coefficient: SI, of the refined fit. closure:
     share of what is unexpected that it explains on all records. gain: on records it never saw, what null runs give subtracted.
@@ -65,48 +52,59 @@ class Term:
     @property
     def firm(self) -> bool:
         """Whether it passes every doubt."""
-        return self.gain > 0 and self.q <= FDR and self.stability >= STABLE and self.closure >= WORTH
+        return (
+            self.gain > 0
+            and self.q <= LIMITS.false_discovery
+            and self.stability >= LIMITS.stability
+            and self.closure >= LIMITS.closure
+        )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def terms_of(plant, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
+def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
     """The terms that describe what `records` show beyond the model, best first.
 
     Args:
-        plant: the fish with the library in it (plant.py). null: (n, m) residuals of null runs at the windows of `records`.
+        model: the fish with the library in it. null: (n, m) residuals of null runs at the windows of `records`.
     """
-    e = Likelihood(plant, records, null)
-    whole = e.part(np.ones(len(records), bool))
-    terms = [x for x in plant.active.effects if x in library()]
+    e = Likelihood(model, records, null)
+    whole = e.subset(e.everything)
+    terms = [x for x in model.active.effects if x in library()]
     base = whole.base()
     g, probed = signatures(whole, terms)
-    onto = groups(e.layout, 1 if len(records) >= MANY else PIECES)
+    onto = groups(e.layout, 1 if len(records) >= LIMITS.whole_records else LIMITS.pieces)
     gains = held_out(base.z, g, onto)
+    # The best of ninety terms gains something on any fish: what the luckiest reaches on null runs is subtracted from all.
     floor = null_gains(e, null, g, onto)
-    sided = np.where([one_sided(t) for t in terms], HANDED, 1.0)
+    sided = np.where([one_sided(t) for t in terms], LIMITS.one_sided_weight, 1.0)
     net = (gains - floor) * sided
     rng = np.random.default_rng(seed)
+    # Decoys, not a chi-squared: neighbouring samples of z are alike, so a term has fewer degrees of freedom than samples.
     q = discovery(gains, decoy_gains(base.z, g, e.layout, onto, rng))
-    stable = stability(base.z, g, groups(e.layout, PIECES), net / np.maximum(gains, 1e-9), rng)
+    # Pieces, not whole records: of two or three records there are too few halves to draw.
+    stable = stability(base.z, g, groups(e.layout, LIMITS.pieces), net / np.maximum(gains, 1e-9), rng)
+    # First order chooses among all terms; the few that are left are fitted with the whole model, since a fish that drifts far off
+    # its path is no straight line in a coefficient.
     order = shortlist(net, probed)
     polished = {c.names[-1]: c for c in whole.refine(whole.screen(base, [terms[k] for k in order]), 3)}
     for k, gain in zip(order, crossed_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
         net[k] = (gain - floor[k]) * sided[k]
-    ranked = sorted(order, key=lambda k: -net[k])[:LISTED]
-    return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, plant) for k in ranked)
+    ranked = sorted(order, key=lambda k: -net[k])[: LIMITS.listed]
+    return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, model) for k in ranked)
 
 
 def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
     """Terms to polish: the best to first order, and the best at a finite size: a fish that drifts far off is no straight line."""
-    return list(dict.fromkeys([*np.argsort(-net)[:FINALISTS], *np.argsort(probed)[:FINALISTS]]))
+    return list(dict.fromkeys([*np.argsort(-net)[: LIMITS.finalists], *np.argsort(probed)[: LIMITS.finalists]]))
 
 
 def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
     """(F,) gain of fitted terms on records left out: about each optimum c, c(-l) = c - sum_k g_k z_k / sum_k g_k^2, k not l."""
-    _, _, size = bounds(whole.plant)
+    _, _, size = bounds(whole.model)
     rows, steps = [], []
     for c in fitted:
-        row, place = c.row.copy(), c.places[-1]
+        row = c.row.copy()
+        place = c.places[-1]
         steps.append(0.02 * size[place])
         row[place] += steps[-1]
         rows.append(row)
@@ -117,13 +115,14 @@ def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], on
     return np.sum(base.z**2) - np.sum(at**2, 1) - np.sum(2 * change * b + change**2 * a, 1)
 
 
-def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
-    effect, c = terms[k], polished[terms[k].name]
+def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
+    effect = terms[k]
+    c = polished[terms[k].name]
     norm = np.linalg.norm(g, axis=1) + 1e-300
     cos = np.abs(g @ g[k]) / norm / norm[k]
-    alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > ALIKE and j != k)
+    alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
     p = effect.parameters[0]
-    value = float(c.row[plant.index(effect.name, p.name)])
+    value = float(c.row[model.index(effect.name, p.name)])
     excess = base.cost - size
     closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
     return Term(
@@ -142,14 +141,15 @@ def _term(terms, k, polished, base, net, q, stable, g, size, plant) -> Term:
 
 def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """(K, m) change of z for the usual coefficient of each term, to first order; (K,) least |z|^2 at a few finite ones."""
-    plant, sizes = whole.plant, (PROBE, -PROBE, *PROBES)
-    rows = np.tile(plant.null, (len(terms), len(sizes), 1))
+    model = whole.model
+    sizes = (LIMITS.probe, -LIMITS.probe, *LIMITS.finite_probes)
+    rows = np.tile(model.null, (len(terms), len(sizes), 1))
     for k, term in enumerate(terms):
         p = term.parameters[0]
-        rows[k, :, plant.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
+        rows[k, :, model.index(term.name, p.name)] = np.multiply(sizes, p.typical[1])
     z = whole.z(rows.reshape(-1, rows.shape[-1])).reshape(len(terms), len(sizes), -1)
-    g = (z[:, 0] - z[:, 1]) / (2 * PROBE)
-    g[np.abs(z[:, :2]).max((1, 2)) > WILD] = 0.0  # a rollout that left the finite numbers says nothing
+    g = (z[:, 0] - z[:, 1]) / (2 * LIMITS.probe)
+    g[np.abs(z[:, :2]).max((1, 2)) > LIMITS.diverged] = 0.0  # a rollout that left the finite numbers says nothing
     return g, np.einsum("kpm,kpm->kp", z, z).min(1)
 
 
@@ -192,12 +192,14 @@ def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray)
         w = whitening(mine / np.sqrt(len(mine)), leftover(mine, e.layout))
         for z in w(null[part::2]):
             found.append(held_out(z, g, onto))
-    each = np.maximum(np.percentile(np.array(found), 95, axis=0), UNIT)
+    each = np.maximum(np.percentile(np.array(found), 95, axis=0), LIMITS.free_gain)
     luckiest = np.max(np.array(found) / each, 1)
     return each * max(1.0, float(np.percentile(luckiest, 95)))
 
 
-def decoy_gains(z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng, draws: int = DECOYS) -> np.ndarray:
+def decoy_gains(
+    z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng, draws: int = LIMITS.decoys
+) -> np.ndarray:
     """(draws K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
     out = []
     for _ in range(draws):
@@ -221,13 +223,14 @@ def discovery(gains: np.ndarray, decoys: np.ndarray) -> np.ndarray:
     return out
 
 
-def stability(z, g, onto: np.ndarray, share, rng, draws: int = HALVES) -> np.ndarray:
+def stability(z, g, onto: np.ndarray, share, rng, draws: int = LIMITS.half_samples) -> np.ndarray:
     """(K,) how often each term is among the first two when only half of the groups are looked at.
 
     share: (K,) what of each term's gain is left once null runs and sides are counted.
     """
     b, a = sums(z, g, onto)
-    count, hits = onto.shape[1], np.zeros(len(g))
+    count = onto.shape[1]
+    hits = np.zeros(len(g))
     for _ in range(draws):
         half = rng.permutation(count)[: max(2, count // 2)]
         gain = b[:, half].sum(1) ** 2 / (a[:, half].sum(1) + 1e-12) * np.clip(share, 0.0, 1.0)

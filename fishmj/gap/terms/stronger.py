@@ -1,12 +1,12 @@
 """Does a free force explain more than what was found? Then what was found stands in for it.
 
-    gain = sum_f loss_f(model as it is) - loss_f(term)      folds f, each predicted by a coefficient from the others (folds.py)
+    gain = sum_f loss_f(model as it is) - loss_f(term)      folds f, each predicted by a coefficient from the others
     lead = gain(best term) - gain(what was found)
 
 A name is a formula, and has to do better than one that knows nothing: the best single term of the typed library, fitted from the
-model as it is and judged as the name was, unseen and in the evidence around itself. A right name leads by hundreds and more, or a
-term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest to that,
-and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
+model as it is and judged as the name was, held out and by the likelihood linearised at itself. A right name leads by hundreds and
+more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
+to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
 """
 
 from dataclasses import replace
@@ -15,20 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.search.cross_validation import CrossValidated
-from fishmj.gap.search.effect_fitter import Candidate
-from fishmj.gap.search.likelihood import FORM, Likelihood
-from fishmj.gap.search.refit import on_records, refine, relinearise
-from fishmj.gap.search.stepwise import Selection
-from fishmj.gap.search.stepwise_rounds import informative_records
-from fishmj.gap.terms.equivalence import own
+from fishmj.gap.search.fit import Candidate, on_records, refine
+from fishmj.gap.search.likelihood import Likelihood, relinearise
+from fishmj.gap.search.stepwise import Selection, informative_records
+from fishmj.gap.terms.equivalence import is_own_formula
 from fishmj.gap.terms.library import library, name_of
 from fishmj.gap.terms.select import shortlist, signatures
+from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import number
-
-LEAD = 60.0  # in twice the log likelihood: right names were led by 28 at most, by terms that are nearly their formula
-HALF = 0.5  # of the form error of what was found, that a term may have at most, if it has more than is usual
-SCREENED, FITTED, TRIED = 6, 3, 2  # terms screened, of these fitted to all records, and of these judged around themselves
 
 
 class StrongerTerm(NamedTuple):
@@ -40,16 +35,18 @@ class StrongerTerm(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def challenged(plant, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
+def challenge(model, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     """The verdict, with the lead of the best free term; UNEXPLAINED where that is more than chance.
 
     Args:
-        plant: the fish with the library in place of the catalogue (plant.py).
+        model: the fish with the library in place of the catalogue (terms.model_with_terms).
     """
-    free = best(plant, e, found)
+    limits = thresholds()
+    free = strongest_term(model, e, found)
     lead = free.gain - verdict.gates["gain"]
-    told = {"lead": lead, "term": free.name, "believed": free.form <= max(FORM, HALF * found.near.form)}
-    verdict = replace(verdict, gates=verdict.gates | told)
+    allowed = max(limits.likelihood.model_error, limits.stronger.form_ratio * found.near.form)
+    checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
+    verdict = replace(verdict, gates=verdict.gates | checks)
     if not outdone(verdict.gates):
         return verdict
     gains = f"gains {number(lead)} more in twice the log likelihood of records not seen"
@@ -59,29 +56,31 @@ def challenged(plant, e: Likelihood, found: Selection, verdict: Verdict) -> Verd
 
 def outdone(checks: dict) -> bool:
     """Whether a term explains more than what was found, by the gates of a verdict; not where they were never asked."""
-    return checks.get("lead", 0.0) > LEAD and checks["believed"]
+    return checks.get("lead", 0.0) > thresholds().stronger.lead and checks["believed"]
 
 
-def best(plant, e: Likelihood, found: Selection) -> StrongerTerm:
-    """The term that explains most of the records of `e`, but for those that what was found is itself (own.py)."""
-    start, folds = e.on(plant), found.folds
-    named = [x for x in e.plant.active.effects if x.name in found.best.names]
-    terms = {x.name: x for x in plant.active.effects if x in library() and not any(own(n, x) for n in named)}
-    tried = (relinearise(start, c, 1) for c in likely(start, list(terms.values())))
+def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
+    """The term that explains most of the records of `e`, but for those that are the formula of what was found."""
+    start = e.with_model(model)
+    folds = found.folds
+    named = [x for x in e.model.active.effects if x.name in found.best.names]
+    terms = {x.name: x for x in model.active.effects if x in library() and not any(is_own_formula(n, x) for n in named)}
+    tried = (relinearise(start, c, 1) for c in best_in_sample(start, list(terms.values())))
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
-    fitted = CrossValidated(near, c, tuple(refine(near.part(~f), c) for f in folds))
-    before = sum(e.part(f).loss(found.base.row) for f in folds)
+    fitted = CrossValidated(near, c, tuple(refine(near.subset(~f), c) for f in folds))
+    before = sum(e.subset(f).loss(found.base.row) for f in folds)
     return StrongerTerm(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
 
 
-def likely(start: Likelihood, terms: list) -> list[Candidate]:
+def best_in_sample(start: Likelihood, terms: list) -> list[Candidate]:
     """The best terms by |z|^2: found on the few records in which most is unexpected, fitted to all."""
-    whole = start.part(start.everything)
+    limits = thresholds().stronger
+    whole = start.subset(start.everything)
     base = whole.base()
-    few = start.part(informative_records(base, start.layout))
+    few = start.subset(informative_records(base, start.layout))
     here = on_records(few, base)
     g, probed = signatures(few, terms)
-    straight = (g @ here.z) ** 2 / (np.sum(g * g, 1) + 1e-12)
-    screened = few.screen(here, [terms[k] for k in shortlist(straight, probed)])[:SCREENED]
-    fitted = sorted((on_records(whole, c) for c in screened), key=lambda c: c.cost)[:FITTED]
-    return whole.refine(fitted, 3)[:TRIED]
+    first_order = (g @ here.z) ** 2 / (np.sum(g * g, 1) + 1e-12)
+    screened = few.screen(here, [terms[k] for k in shortlist(first_order, probed)])[: limits.screened]
+    fitted = sorted((on_records(whole, c) for c in screened), key=lambda c: c.cost)[: limits.fitted]
+    return whole.refine(fitted, 3)[: limits.tried]

@@ -1,7 +1,7 @@
 """From recorded movements to a water model: what is linear first, then what decides speed and turning, then the residual.
 
-rows      what the links did over every tick, and the force on them
-linear    coefficients by least squares, with a prior            identify   which of them the data tell apart
-rollout   free swims of a whole batch                            newton     coefficients by what these swims show
-learning  the residual, by one tick and by several               recipe     all of it, resumable
+regression_rows     what the links did in every tick, and the force on them
+linear_regression   coefficients by least squares, with a prior       identifiability   which of them the data tell apart
+rollout             free swims of a whole batch                       gauss_newton      coefficients by these swims
+force_training, rollout_training   the residual, by ticks and by swims         pipeline   all of it, resumable
 """

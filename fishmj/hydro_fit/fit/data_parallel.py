@@ -1,6 +1,6 @@
-"""A loss on several devices: its batch is dealt out in equal hands, values and slopes are averaged.
+"""A loss on several devices: its batch is sharded in equal parts, values and gradients are averaged.
 
-slope_of = dealt(loss, devices)          value, slope = slope_of(net, *stacked(hands)), a hand for each device
+gradient_of = sharded(loss, devices)     value, gradient = gradient_of(net, *stacked(batches)), a batch for each device
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from fishmj.cores import usable_cores
 
-MOST = 8  # devices: a hand of fewer than eight swims takes as long as one of eight
+MOST = 8  # devices: a batch of fewer than eight swims takes as long as one of eight
 
 
 def several() -> None:
@@ -27,8 +27,8 @@ def several() -> None:
 
 def devices(*sizes: int) -> list:
     """As many of this process's devices as divide all sizes."""
-    there = jax.devices()[:MOST]
-    return there[: next(n for n in range(len(there), 0, -1) if not any(size % n for size in sizes))]
+    available = jax.devices()[:MOST]
+    return available[: next(n for n in range(len(available), 0, -1) if not any(size % n for size in sizes))]
 
 
 @cache
@@ -47,21 +47,21 @@ def quick(platform: str) -> dict | None:
     return options
 
 
-def sharded(loss: Callable, among: Sequence) -> Callable:
-    """(net, *arrays with one row a device) -> mean value and slope of loss(net, *rows)."""
+def sharded(loss: Callable, shards: Sequence) -> Callable:
+    """(net, *arrays with one row a device) -> mean value and gradient of loss(net, *rows)."""
 
-    def mean(net, *hand):
-        return lax.pmean(jax.value_and_grad(loss)(net, *jax.tree.map(lambda a: a[0], hand)), "devices")
+    def mean(net, *batch):
+        return lax.pmean(jax.value_and_grad(loss)(net, *jax.tree.map(lambda a: a[0], batch)), "devices")
 
-    mesh = Mesh(np.array(among), ("devices",))
+    mesh = Mesh(np.array(shards), ("devices",))
 
-    def slope_of(net, *hands):
-        specs = (PartitionSpec(), *[PartitionSpec("devices")] * len(hands))
-        return jax.shard_map(mean, mesh=mesh, in_specs=specs, out_specs=PartitionSpec(), check_vma=False)(net, *hands)
+    def gradient_of(net, *batches):
+        specs = (PartitionSpec(), *[PartitionSpec("devices")] * len(batches))
+        return jax.shard_map(mean, mesh=mesh, in_specs=specs, out_specs=PartitionSpec(), check_vma=False)(net, *batches)
 
-    return slope_of
+    return gradient_of
 
 
-def stacked(hands: Sequence[tuple]) -> tuple[Any, ...]:
+def stacked(batches: Sequence[tuple]) -> tuple[Any, ...]:
     """Trees of arrays, one tuple a device, as one tuple of trees with a row for each."""
-    return jax.tree.map(lambda *rows: np.stack(rows), *hands)
+    return jax.tree.map(lambda *rows: np.stack(rows), *batches)

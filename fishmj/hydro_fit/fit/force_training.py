@@ -17,7 +17,7 @@ from jax import lax
 
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.fit.descent import Loop
-from fishmj.hydro_fit.fit.training_windows import TrainingWindows, taken
+from fishmj.hydro_fit.fit.training_windows import TrainingWindows, subset
 from fishmj.water import residual_network
 
 NOISE = 0.01  # of the features
@@ -66,17 +66,17 @@ def forces(net: residual_network.Net, p: residual_network.Panels, rho: float, x,
     return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * push[None, :, None]
 
 
-def loss(net: residual_network.Net, lessons: TrainingWindows, b, p: residual_network.Panels, rho: float, first: int = 0):
-    """The force part of L; b (E, P). `first`: row from which every `THIN`th counts."""
-    z, _ = wakes(net, lessons.x, lessons.speed, lessons.step)
+def loss(net: residual_network.Net, windows: TrainingWindows, drawn, p: residual_network.Panels, rho: float, first: int = 0):
+    """The force part of L; drawn (E, P): the bootstrap weights b. `first`: row from which every `THIN`th counts."""
+    z, _ = wakes(net, windows.x, windows.speed, windows.step)
     thin = lambda a: a[first::THIN]
-    x, push, left, weight = (thin(a) for a in (lessons.x, lessons.push, lessons.left, lessons.weight))
-    error = (forces(net, p, rho, x, push, thin(z)) - left) / lessons.size[:, :, None]
-    w = b[:, None] * weight[None]
+    x, push, left, weight = (thin(a) for a in (windows.x, windows.push, windows.left, windows.weight))
+    error = (forces(net, p, rho, x, push, thin(z)) - left) / windows.size[:, :, None]
+    w = drawn[:, None] * weight[None]
     square = jnp.sum(w[:, :, None, None] * jnp.minimum(error**2, FAR)) / ((jnp.sum(w) + 1e-6) * error.shape[2] * error.shape[3])
-    along = (error[:, :, 0] * lessons.size[0][:, None]).sum(2) / jnp.sqrt((lessons.size[0] ** 2).sum())  # sum over links
+    along = (error[:, :, 0] * windows.size[0][:, None]).sum(2) / jnp.sqrt((windows.size[0] ** 2).sum())  # sum over links
     mean = (along * weight).sum(1) / (weight.sum(0) + 1e-6)
-    thrust = jnp.sum(b * mean**2) / (jnp.sum(b) + 1e-6)
+    thrust = jnp.sum(drawn * mean**2) / (jnp.sum(drawn) + 1e-6)
     return square + THRUST * thrust + DECAY * size_of(net)
 
 
@@ -91,39 +91,42 @@ def adam(rate: float, steps: int) -> optax.GradientTransformation:
 
 
 def learn(
-    ch: planar_chain.Chain, lessons: TrainingWindows, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
-    left: dict | None = None, report: Callable | None = None, loop: Loop | None = None,
+    ch: planar_chain.Chain, windows: TrainingWindows, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
+    ablated: dict | None = None, report: Callable | None = None, loop: Loop | None = None,
 ) -> ForceFit:  # fmt: skip
-    """Teach forces.
+    """Train on forces.
 
     Args:
-        left: what `residual.without` is told, for comparison. report: called with (step, steps, loss). loop: keeps the state.
+        ablated: what `residual_network.without` leaves out, for comparison.
+        report: called with (step, steps, loss). loop: keeps the state.
     """
-    p, rho, told = residual_network.panels(ch), ch.strips.rho, left or {}
-    b = bootstrap(lessons.episode, net.members, seed)
+    p, rho, ablated = residual_network.panels(ch), ch.strips.rho, ablated or {}
+    bootstrap_weights = bootstrap(windows.episode, net.members, seed)
     optimiser = adam(RATE, steps)
     net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
     rng, loop = np.random.default_rng([43, seed]), loop or Loop()
-    since, (net, state, losses) = loop.begin((net, optimiser.init(net), np.full(-(-steps // 20), np.nan)))
+    done, (net, state, losses) = loop.begin((net, optimiser.init(net), np.full(-(-steps // 20), np.nan)))
 
     @jax.jit
     def step(net, state, part, weights, key):
-        part = part._replace(step=lessons.step)
+        part = part._replace(step=windows.step)
         part = part._replace(x=part.x + NOISE * jax.random.normal(key, part.x.shape))
-        value, slope = jax.value_and_grad(lambda net: loss(residual_network.without(net, **told), part, weights, p, rho))(net)
-        change, state = optimiser.update(slope, state)
-        return optax.apply_updates(net, change), state, value
+        value, gradient = jax.value_and_grad(lambda net: loss(residual_network.without(net, **ablated), part, weights, p, rho))(
+            net
+        )
+        updates, state = optimiser.update(gradient, state)
+        return optax.apply_updates(net, updates), state, value
 
-    count, key = len(lessons.episode), jax.random.key(seed)
+    count, key = len(windows.episode), jax.random.key(seed)
     for k in range(steps):
         at = rng.choice(count, min(BATCH, count), replace=False)
-        if k < since:  # drawn and done before
+        if k < done:  # drawn and done before
             continue
-        part = taken(lessons, at)
-        net, state, value = step(net, state, part, b[:, at], jax.random.fold_in(key, k))
+        part = subset(windows, at)
+        net, state, value = step(net, state, part, bootstrap_weights[:, at], jax.random.fold_in(key, k))
         if k % 20 == 19 or k + 1 == steps:
             losses = np.concatenate([losses[: k // 20], [float(value)], losses[k // 20 + 1 :]])
             if report is not None:
                 report(k + 1, steps, losses[k // 20])
         loop.after(k + 1, (net, state, losses))
-    return ForceFit(residual_network.without(jax.tree.map(np.asarray, net), **told), losses)
+    return ForceFit(residual_network.without(jax.tree.map(np.asarray, net), **ablated), losses)

@@ -79,12 +79,12 @@ class Match:
         swim: rollouts. learnt: a residual that swims along.
     """
 
-    _push: np.ndarray | None  # (3, N, M) force of the residual on held fish
+    _residual_force: np.ndarray | None  # (3, N, M) force of the residual on held fish
 
     def __init__(self, swim: SwimWindow, fleet: FishBatch, tick: float, held: RegressionRows | None, drag: float, learnt=None):
         self.swim, self.fleet, self.tick = swim, fleet, tick
         self.held, self.drag, self.learnt = held, drag, learnt
-        self.seen = windows(recorded(fleet), fleet, tick)
+        self.recorded_windows = windows(recorded(fleet), fleet, tick)
         self.thrust = None if held is None else thrusts(held, held.force)
 
     @property
@@ -93,7 +93,7 @@ class Match:
 
     @learnt.setter
     def learnt(self, learnt) -> None:
-        self._learnt, self._push = learnt, None
+        self._learnt, self._residual_force = learnt, None
 
     def residuals(self, waters: np.ndarray) -> np.ndarray:
         """(W, R) for W flat waters."""
@@ -103,13 +103,13 @@ class Match:
         out = []
         for i, water in enumerate(waters):
             part = SwimTrack(*(a[i * size : (i + 1) * size] for a in track))
-            out.append(np.concatenate([self.swum(part), self.pushed(water)]))
+            out.append(np.concatenate([self.swim_errors(part), self.thrust_errors(water)]))
         return np.stack(out) if count else np.zeros((0, 0))
 
-    def swum(self, track: SwimTrack) -> np.ndarray:
+    def swim_errors(self, track: SwimTrack) -> np.ndarray:
         """Errors of the windows of all swims."""
-        view, seen, errors = windows(track, self.fleet, self.tick), self.seen, []
-        speed = np.hypot(seen.surge, seen.sway)
+        view, errors = windows(track, self.fleet, self.tick), []
+        speed = np.hypot(self.recorded_windows.surge, self.recorded_windows.sway)
         for name, size, kind in (
             ("surge", speed, "speed"),
             ("sway", speed, "speed"),
@@ -117,26 +117,26 @@ class Match:
             ("power", None, "power"),
         ):
             share, floor = TOLERANCE[kind]
-            got, wanted = getattr(view, name), getattr(seen, name)
-            wide = share * np.abs(wanted if size is None else size) + floor
-            error = np.where(np.isfinite(got), np.clip((got - wanted) / wide, -CLIP, CLIP), CLIP)
-            errors.append(error[np.isfinite(wanted)])
+            modelled, measured = getattr(view, name), getattr(self.recorded_windows, name)
+            tolerance = share * np.abs(measured if size is None else size) + floor
+            error = np.where(np.isfinite(modelled), np.clip((modelled - measured) / tolerance, -CLIP, CLIP), CLIP)
+            errors.append(error[np.isfinite(measured)])
         return np.concatenate(errors) / np.sqrt(max(1, view.surge.shape[1]))
 
-    def pushed(self, water: np.ndarray) -> np.ndarray:
+    def thrust_errors(self, water: np.ndarray) -> np.ndarray:
         """Errors of the mean thrust on held fish."""
         if self.held is None:
             return np.zeros(0)
         c = unflat(water.tolist())
         s = self.swim.chain.strips
-        if self.learnt is not None and self._push is None:  # it hangs on the movement, next to nothing on the coefficients
-            self._push = wake_warmup.warm_up(self.swim.chain, self.held, c, self.learnt, self.tick).force
+        if self.learnt is not None and self._residual_force is None:  # it depends on the motion alone
+            self._residual_force = wake_warmup.warm_up(self.swim.chain, self.held, c, self.learnt, self.tick).force
         force = base_force(self.held, s, c, attachment(self.held, s, c, self.tick))
-        got = thrusts(self.held, force if self._push is None else force + self._push)
-        return calmed((got - self.thrust) / (THRUST * self.drag))
+        modelled = thrusts(self.held, force if self._residual_force is None else force + self._residual_force)
+        return pseudo_huber((modelled - self.thrust) / (THRUST * self.drag))
 
 
-def calmed(error: np.ndarray) -> np.ndarray:
+def pseudo_huber(error: np.ndarray) -> np.ndarray:
     """Residuals whose squares grow as the errors do beyond `CLIP` (pseudo-Huber): far off, they pull on, but no harder.
 
     r^2 = 2 c^2 (sqrt(1 + (e / c)^2) - 1)
@@ -178,33 +178,38 @@ def fit_rollout(
     jacobian, loop = np.zeros((0, size)), loop or Loop()
     at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])
     cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)
-    around = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
-    since, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
+    # ten factors cost eleven swims, forwards only, in one batch: no gradient has to be kept through thousands of steps
+    with_differences = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
+    begun, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
     x, damping, best, first = kept
-    now = around(x)
-    if not since:
-        first = best = np.float64(cost(now[0], x))
-    done = since
-    for done in range(since + 1, rounds + 1):
-        jacobian = ((now[1:] - now[0]) / STEP).T
+    residuals = with_differences(x)
+    if not begun:
+        first = best = np.float64(cost(residuals[0], x))
+    done = begun
+    for done in range(begun + 1, rounds + 1):
+        jacobian = ((residuals[1:] - residuals[0]) / STEP).T
+        # the prior is one more residual a factor, x / SPREAD: what the swims do not tell stays where the forces put it
         normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
-        slope = jacobian.T @ now[0] + x / SPREAD**2
-        tries = [damping * share for share in DAMPING]
-        steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in tries]
-        found = match.residuals(at(steps))
-        costs = [cost(r, s) for r, s in zip(found, steps, strict=True)]
+        gradient = jacobian.T @ residuals[0] + x / SPREAD**2
+        # all dampings in one batch: no round is lost to a step that fails
+        dampings = [damping * share for share in DAMPING]
+        steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), gradient) for d in dampings]
+        tried = match.residuals(at(steps))
+        costs = [cost(r, s) for r, s in zip(tried, steps, strict=True)]
         pick = int(np.argmin(costs))
-        fall = best - costs[pick]
-        if fall <= 0:
+        decrease = best - costs[pick]
+        # even the most damped step was no better, so `x` stays: the fit never ends worse than it began
+        if decrease <= 0:
             break
-        x, best, damping = steps[pick], costs[pick], tries[pick]
+        x, best, damping = steps[pick], costs[pick], dampings[pick]
         if report is not None:
             report(done, rounds, best)
-        if fall < LEAST * best or done == rounds:
+        if decrease < LEAST * best or done == rounds:
             break
         loop.after(done, (x, np.float64(damping), np.float64(best), first))
-        now = around(x)
+        residuals = with_differences(x)
     prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
     result = scaled(start, x, ch.n, limits)
+    # the Jacobian of the last round, one step before `x`: near the optimum it is the same to the accuracy of an error bar
     judged = identify(prior, np.exp(x), jacobian.T @ jacobian)
     return Scaled(unflat(result.tolist()), judged, float(first), float(best), jacobian, done)

@@ -1,6 +1,6 @@
 """A fitted water, fitted again to more swims: the residual learns from them, then the ten factors move.
 
-    model = Again(robot, model, train, val, dataset={...}).run()
+    model = Refit(robot, model, train, val, dataset={...}).run()
 
 As in the first fit, what makes the validation swims worse is not taken, and the notes say so. The range grows with the new swims
 and keeps what it had.
@@ -49,7 +49,7 @@ class Refit(FitPipeline):
     def run(self) -> HydroModel:
         """The factors of the model as it swims, then the error bar; strips fitted without the residual stay as they are."""
         stages = ("rollout", "finish") if self.model.learnt is None else ("swims", "retune", "finish")
-        return self._model(self.through(stages, state=self._first()))
+        return self._model(self.run_stages(stages, state=self._first()))
 
     def _first(self) -> dict[str, Any]:
         """The model as a fit has it that comes to its swims."""
@@ -58,19 +58,19 @@ class Refit(FitPipeline):
         return state if model.learnt is None else state | packed(model.learnt)
 
     def _swims(self, state) -> dict:
-        taught = super()._swims(state)
-        if self.score(state["water"], unpacked(state | taught)) < self.score(state["water"], self.model.learnt):
-            return taught
+        trained = super()._swims(state)
+        if self.score(state["water"], unpacked(state | trained)) < self.score(state["water"], self.model.learnt):
+            return trained
         self.notes.append("swims: not taken")
         return {}
 
-    def _reached(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
+    def _with_range(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
         """The range of before, as far as the new swims go beyond it wider."""
-        made, before = super()._reached(net, water), self.model.learnt
+        made, before = super()._with_range(net, water), self.model.learnt
         if before is None or before.reach is None:
             return made
         return made._replace(
-            reach=residual_hooks.widened(before.reach, *wake_warmup.features(self.chain, rows_of(self.chain, self.taught)))
+            reach=residual_hooks.widened(before.reach, *wake_warmup.features(self.chain, rows_of(self.chain, self.force_records)))
         )
 
     def score(self, water: np.ndarray, learnt) -> float:

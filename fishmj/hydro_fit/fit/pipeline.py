@@ -30,9 +30,7 @@ from fishmj.hydro_fit.fit import (
     transient_tolerance,
     wake_warmup,
 )
-from fishmj.hydro_fit.fit import (
-    rollout_training as swims,
-)
+from fishmj.hydro_fit.fit import rollout_training as swims
 from fishmj.hydro_fit.fit.code_hash import code
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
@@ -94,18 +92,19 @@ class FitPipeline:
             raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
         self.robot, self.chain, self.folder, self.report = robot, planar_chain.chain_of(robot), folder, report
         self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or FitSettings()
-        self.taught = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
+        self.force_records = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
         self.tick = self.train[0].tick
         self.swim = rollout.SwimWindow(self.chain, planar_chain.nominal(robot))
         self.limits = prior_of(robot)
-        believed = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
-        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": believed, "data": dataset, "code": code()}
+        prior = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
+        self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code()}
         self.about |= {
             "water": flat(planar_chain.nominal(robot).water).tolist(),
             "records": [r.id for r in [*self.train, *self.val]],
         }
-        told = self.about | {"settings": asdict(self.settings)}
-        self.key = hashlib.sha256(json.dumps(plain(told), sort_keys=True).encode()).hexdigest()
+        # everything that decides the result: a stage that was kept is read again only where all of it is the same
+        depends = self.about | {"settings": asdict(self.settings)}
+        self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
         self.notes: list[str] = []
         self.found: dict[str, dict] = {}
         self.seconds: dict[str, float] = {}
@@ -113,15 +112,15 @@ class FitPipeline:
 
     def run(self) -> HydroModel:
         """All stages; returns the model."""
-        return self._model(self.through(STAGES))
+        return self._model(self.run_stages(STAGES))
 
-    def through(
+    def run_stages(
         self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter, state: dict[str, Any] | None = None
     ) -> dict[str, Any]:
         """What the stages leave, each read where it is kept and else done; `clock` times them, they begin with `state`."""
         state = dict(state or {})
         for stage in stages:
-            self.enter(stage)
+            self.begin_stage(stage)
             kept = self._read(stage)
             if kept is None:
                 self.report(stage, self._share(stage, 0.0), {})
@@ -136,7 +135,7 @@ class FitPipeline:
             self.report(stage, self._share(stage, 1.0), {"seconds": self.seconds.get(stage, 0.0)})
         return state
 
-    def words(self) -> str:
+    def kept_so_far(self) -> str:
         """Keep the stage that is under way as far as it has come; says what there is. For `interrupt.keeping`: another thread."""
         self.loop.save()
         if self.folder is None:
@@ -144,13 +143,13 @@ class FitPipeline:
         done = [stage for stage in STAGES if (path := self._path(stage)) is not None and path.is_file()]
         return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; {interrupt.again()}"
 
-    def enter(self, stage: str) -> None:
-        """Called before a stage; a fit whose stages have keys of their own sets `key`."""
+    def begin_stage(self, stage: str) -> None:
+        """Before each stage; a fit whose stages have keys of their own sets `key` here."""
 
     # stages: state -> what they add to it
 
     def _linear(self, state) -> dict:
-        rows = rows_of(self.chain, self.taught)
+        rows = rows_of(self.chain, self.force_records)
         done = linear_regression.fit_linear(self.robot, self.chain, rows, self.tick)
         self.found["linear"] = done.found.table()
         return {"water": flat(done.water), "noise": done.noise}
@@ -158,13 +157,14 @@ class FitPipeline:
     def _rollout(self, state) -> dict:
         if not self.settings.rollout:
             return self._unmoved(state)
-        return self._newton(state, None, "rollout")
+        return self._gauss_newton(state, None, "rollout")
 
-    def _newton(self, state, learnt, stage: str) -> dict:
+    def _gauss_newton(self, state, learnt, stage: str) -> dict:
         before = self.score(state["water"], learnt)
-        told = lambda k, n, cost: self._tell(stage, k / n, cost=cost)
+        report = lambda k, n, cost: self._report(stage, k / n, cost=cost)
         match, start = self._match(self.train, learnt), unflat(state["water"])
-        done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=told, loop=self.loop)
+        done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=report, loop=self.loop)
+        # on swims that Gauss-Newton has not seen: it may fit the noise of the training swims, or leave its valley
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
@@ -172,6 +172,7 @@ class FitPipeline:
         self.found[stage] = done.found.table()
         names = len(done.found.parameters)
         normal = done.jacobian.T @ done.jacobian + np.eye(names) / gauss_newton.SPREAD**2
+        # members of the error bar: draws from the Laplace approximation N(x, (J^T J + prior)^-1) of the factors
         draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
         factors = np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
         new = {"water": flat(done.water), "factors": factors}
@@ -185,37 +186,39 @@ class FitPipeline:
         s = self.settings
         if not s.residual:
             return {}
-        told = lambda k, n, cost: self._tell("residual", k / n, loss=cost)
+        report = lambda k, n, cost: self._report("residual", k / n, loss=cost)
         net = residual.blank(self.chain.n, s.members, s.hidden, seed=s.seed)
-        taught = self._lessons(state["water"])
+        windows = self._training_windows(state["water"])
         net = force_training.learn(
-            self.chain, taught, net, steps=s.steps, seed=s.seed, left=self._left, report=told, loop=self.loop
+            self.chain, windows, net, steps=s.steps, seed=s.seed, ablated=self._ablated, report=report, loop=self.loop
         ).net
-        return packed(self._reached(net, state["water"]))
+        return packed(self._with_range(net, state["water"]))
 
     def _swims(self, state) -> dict:
         learnt, water = unpacked(state), state["water"]
         if learnt is None or not self.settings.swims:
             return {}
         s, c = self.settings, unflat(water.tolist())
-        taught, held = self._lessons(water), swims.held_of(self.chain, self.train, c)
+        windows = self._training_windows(water)
+        tethered = swims.tethered_of(self.chain, self.train, c)
         pieces = swims.windows_of(self.chain, self.robot, self.train, c)
-        told = lambda k, n, cost: self._tell("swims", k / n, loss=cost)
-        school = swims.RolloutTrainer(self.robot, self.swim, pieces, held, taught, water, left=self._left)
-        net = school.learn(learnt.net, steps=s.swims, seed=s.seed, report=told, loop=self.loop)
-        return packed(self._reached(net, water))
+        report = lambda k, n, cost: self._report("swims", k / n, loss=cost)
+        trainer = swims.RolloutTrainer(self.robot, self.swim, pieces, tethered, windows, water, ablated=self._ablated)
+        net = trainer.learn(learnt.net, steps=s.swims, seed=s.seed, report=report, loop=self.loop)
+        return packed(self._with_range(net, water))
 
     @property
-    def _left(self) -> dict:
+    def _ablated(self) -> dict:
         return {"memory": self.settings.memory, "products": self.settings.products}
 
-    def _reached(self, net: residual.Net, water) -> residual_hooks.Residual:
-        """The net with the range that it was taught in, and a note on how it swims."""
-        rows = rows_of(self.chain, self.taught)
+    def _with_range(self, net: residual.Net, water) -> residual_hooks.Residual:
+        """The net with the range of its training data, and a note on how it swims."""
+        rows = rows_of(self.chain, self.force_records)
         reach = residual_hooks.fitted(*wake_warmup.features(self.chain, rows), 1e6)
         spread = wake_warmup.warm_up(
             self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
         ).spread
+        # three times the typical disagreement of the members halves the force: beyond the data members disagree first
         learnt = residual_hooks.Residual(net, reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6)))
         before, after = self.score(water, None), self.score(water, learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
@@ -223,13 +226,14 @@ class FitPipeline:
 
     def _retune(self, state) -> dict:
         learnt = unpacked(state)
-        return {} if learnt is None or not self.settings.rollout else self._newton(state, learnt, "retune")
+        return {} if learnt is None or not self.settings.rollout else self._gauss_newton(state, learnt, "retune")
 
     def _finish(self, state) -> dict:
         learnt, water = unpacked(state), state["water"]
         if learnt is not None:
             alone, both = self.score(state["alone"], None), self.score(water, learnt)
             self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
+            # the strips alone were fitted for this case; the residual must earn its place on swims
             if alone < both:
                 self.notes.append("the residual is not taken")
                 learnt, water = None, state["alone"]
@@ -265,27 +269,28 @@ class FitPipeline:
         """The same of some of them."""
         match.learnt = learnt
         error = match.residuals(np.asarray(water)[None])[0]
-        return float(error @ error / len(error) * match.seen.surge.shape[1])
+        return float(error @ error / len(error) * match.recorded_windows.surge.shape[1])
 
     @cached_property
     def _validation(self) -> gauss_newton.Match:
         return self._match(self.val, None)
 
-    def _lessons(self, water: np.ndarray) -> training_windows.TrainingWindows:
-        return training_windows.training_windows_of(self.chain, self.taught, unflat(water.tolist()))
+    def _training_windows(self, water: np.ndarray) -> training_windows.TrainingWindows:
+        return training_windows.training_windows_of(self.chain, self.force_records, unflat(water.tolist()))
 
     def _match(self, records, learnt) -> gauss_newton.Match:
         fleet = rollout.fish_batch_of(self.chain, self.robot, records)
         most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
         if len(fleet.q) > most:
             rng = np.random.default_rng([59, self.settings.seed])
+            # drawn by block: the blocks with most swims would leave none of the rare manoeuvres
             share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
-        held = [r for r in records if gauss_newton.flaps(r)]
-        rows: RegressionRows | None = rows_of(self.chain, held) if held else None
+        tethered = [r for r in records if gauss_newton.flaps(r)]
+        rows: RegressionRows | None = rows_of(self.chain, tethered) if tethered else None
         return gauss_newton.Match(self.swim, fleet, self.tick, rows, gauss_newton.tow_drag(self.chain, self.robot), learnt)
 
-    def _tell(self, stage: str, part: float, **figures) -> None:
+    def _report(self, stage: str, part: float, **figures) -> None:
         self.report(stage, self._share(stage, min(part, 1.0)), figures)
 
     def _share(self, stage: str, part: float) -> float:

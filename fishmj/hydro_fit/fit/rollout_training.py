@@ -4,7 +4,7 @@
     h(e) = 2 c^2 (sqrt(1 + e^2 / c^2) - 1)
 
 dv: surge, sway and yaw rate over windows of 0.2 s, dV: over the whole piece, dP: servo power, in shares of the record with floors
-(tolerance.py); dT: mean thrust of held fish; L_forces (learning.py) keeps the forces true where swims do not tell. What is right
+(tolerance.py); dT: mean thrust of held fish; L_forces (force_training) keeps forces true where swims do not tell. What is right
 to a per cent in every force may still swim away: the swims decide. A beat's error drowns that of the mean, by which a fish is
 late or turns too wide: the mean counts apart. The wake at a start is filled by the recorded motion of the 1.2 s before it;
 gradients go through that, too. The members act together, as they do in a fish. Backpropagation through a differentiable
@@ -29,7 +29,7 @@ from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
 from fishmj.hydro_fit.fit.tolerance import TOLERANCE
-from fishmj.hydro_fit.fit.training_windows import EVERY, TrainingWindows, motion_of, taken
+from fishmj.hydro_fit.fit.training_windows import EVERY, TrainingWindows, motion_of, subset
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
@@ -38,7 +38,7 @@ BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means th
 CLIP, POWER = 6.0, 0.3
 THRUST = 0.10  # of the tow drag: what is asked for
 LENGTH, BATCH, RATE = 2.0, 32, 1.5e-3  # s of a piece, which begin half of it apart; pieces a step; of learning
-LESSONS, HOLDS = 32, 16  # pieces of forces, and held fish, a step
+FORCE_WINDOWS, TETHERED = 32, 16  # pieces of forces, and held fish, a step
 FLOORS, PART = 2.0, 0.25  # of the tolerances: times the floors in a window, times all of it for a mean
 TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
 
@@ -54,14 +54,14 @@ class Windows(NamedTuple):
 
 
 class TetheredRecords(NamedTuple):
-    """R held fish that flap, T rows as far apart as those of lessons; thrusts are means over a record, (R,) N."""
+    """R held fish that flap, T rows as far apart as those of `TrainingWindows`; thrusts are means over a record, (R,) N."""
 
     x: Any  # (T, F, R)
     speed: Any  # (T, R)
     push: Any  # (T, N, R)
     weight: Any  # (T, R)
     strips: Any  # thrust of the strips
-    seen: Any  # as recorded
+    recorded: Any  # in the flow solver
 
 
 def windows_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> Windows:
@@ -99,7 +99,7 @@ def shares(blocks: Sequence[str]) -> np.ndarray:
     return share / share.sum()
 
 
-def held_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> TetheredRecords | None:
+def tethered_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> TetheredRecords | None:
     """The held fish that flap, if any."""
     chosen = [r for r in records if flaps(r)]
     if not chosen:
@@ -115,9 +115,9 @@ def held_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: strip_f
         )
 
     weight = wide(np.ones(len(rows.record)))[::EVERY]
-    pushed = (thrusts(rows, force) for force in (strips, rows.force))
+    thrust = (thrusts(rows, force) for force in (strips, rows.force))
     motion = (wide(np.asarray(values))[::EVERY] for values in (m.x, m.speed, m.push))
-    return TetheredRecords._make([*motion, weight / weight.sum(0), *pushed])
+    return TetheredRecords._make([*motion, weight / weight.sum(0), *thrust])
 
 
 def some(pieces: Windows, at) -> Windows:
@@ -132,35 +132,37 @@ def huber(error):
 
 
 class RolloutTrainer:
-    """What a net is taught by.
+    """Trains a net by free swims.
 
     Args:
         water: flat coefficients of the strips, which stay.
-        left: what `residual.without` is told, for comparison.
+        ablated: what `residual_network.without` leaves out, for comparison.
     """
 
     def __init__(
-        self, robot: Robot, swim: SwimWindow, pieces: Windows, held: TetheredRecords | None, lessons: TrainingWindows,
-        water: np.ndarray, *, left: dict | None = None,
+        self, robot: Robot, swim: SwimWindow, pieces: Windows, tethered: TetheredRecords | None, force_windows: TrainingWindows,
+        water: np.ndarray, *, ablated: dict | None = None,
     ):  # fmt: skip
-        self.swim, self.water, self.left = swim, np.asarray(water, np.float32), left or {}
+        self.swim, self.water, self.ablated = swim, np.asarray(water, np.float32), ablated or {}
         single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)
-        self.pieces, self.lessons = single(pieces._replace(fleet=pieces.fleet._replace(source=()))), lessons
-        self.held, self.share = None if held is None else single(held), pieces.share
-        self.ch, self.tick = swim.chain, lessons.step / EVERY
+        self.pieces, self.force_windows = single(pieces._replace(fleet=pieces.fleet._replace(source=()))), force_windows
+        self.tethered, self.share = None if tethered is None else single(tethered), pieces.share
+        self.ch, self.tick = swim.chain, force_windows.step / EVERY
         self.panels, self.drag = residual_network.panels(self.ch), tow_drag(self.ch, robot)
 
-    def loss(self, net: residual_network.Net, part: Windows, lessons: TrainingWindows, weights, held: TetheredRecords | None):
+    def loss(self, net: residual_network.Net, part: Windows, windows: TrainingWindows, drawn, tethered: TetheredRecords | None):
         """L of a batch."""
-        net = residual_network.without(net, **self.left)
-        total = self.swum(net, part) + force_training.loss(net, lessons, weights, self.panels, self.ch.strips.rho)
-        return total if held is None else total + huber(self.pushed(net, held))
+        net = residual_network.without(net, **self.ablated)
+        total = self.swim_loss(net, part) + force_training.loss(net, windows, drawn, self.panels, self.ch.strips.rho)
+        return total if tethered is None else total + huber(self.thrust_errors(net, tethered))
 
-    def swum(self, net: residual_network.Net, part: Windows):
+    def swim_loss(self, net: residual_network.Net, part: Windows):
         """What the swims are off by."""
         fleet, count = part.fleet, len(part.attached)
+        # the wake at the start hangs on the weights, too: filled within the gradient, else training would forget what fills it
         _, wake = force_training.wakes(net, part.x, part.speed, self.tick)
         memory = jnp.concatenate([wake.T, jnp.zeros((count, 2))], 1)
+        # no range while it learns: a force that fades outside would have no gradient where it is most wrong
         learnt = residual_hooks.Residual(net, None)
         water = jnp.tile(self.water, (count, 1))
         start = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient)
@@ -176,29 +178,30 @@ class RolloutTrainer:
             whole = a.shape[1] // size * size
             return a[:, :whole].reshape(len(a), -1, size, *a.shape[2:]).mean(2)
 
-        got, seen = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
+        got, recorded = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
         (part, least), spent, wanted = TOLERANCE["power"], mean(power), mean(fleet.power)
+        # nan where no power was recorded: such windows count nothing
         off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
-        return (got - seen) / _tolerated(seen, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
+        return (got - recorded) / _tolerated(recorded, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
 
     def means(self, q, v, fleet: FishBatch):
         """Of movement over whole pieces, (P, 3), in the same units."""
-        got, seen = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
-        return (got - seen) / (_tolerated(seen, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
+        got, recorded = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
+        return (got - recorded) / (_tolerated(recorded, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
 
-    def pushed(self, net: residual_network.Net, held: TetheredRecords):
+    def thrust_errors(self, net: residual_network.Net, tethered: TetheredRecords):
         """Errors of the mean thrust of held fish, (R,), in what is asked for."""
-        z, _ = force_training.wakes(net, held.x, held.speed, self.lessons.step)
-        force = force_training.forces(net, self.panels, self.ch.strips.rho, held.x, held.push, z).mean(0)  # (T, 3, N, R)
-        got = held.strips + (held.weight * force[:, 0].sum(1)).sum(0)
-        return (got - held.seen) / (THRUST * self.drag)
+        z, _ = force_training.wakes(net, tethered.x, tethered.speed, self.force_windows.step)
+        force = force_training.forces(net, self.panels, self.ch.strips.rho, tethered.x, tethered.push, z).mean(0)  # (T, 3, N, R)
+        got = tethered.strips + (tethered.weight * force[:, 0].sum(1)).sum(0)
+        return (got - tethered.recorded) / (THRUST * self.drag)
 
-    def drawn_held(self, rng: np.random.Generator, most: int) -> TetheredRecords | None:
+    def draw_tethered(self, rng: np.random.Generator, most: int) -> TetheredRecords | None:
         """At most so many of the held fish, at random."""
-        if self.held is None:
+        if self.tethered is None:
             return None
-        at = rng.permutation(len(self.held.seen))[:most]
-        return TetheredRecords._make(a[..., at] for a in self.held)
+        at = rng.permutation(len(self.tethered.recorded))[:most]
+        return TetheredRecords._make(a[..., at] for a in self.tethered)
 
     def learn(
         self, net: residual_network.Net, *, steps: int, seed: int = 0, report: Callable | None = None, loop: Loop | None = None
@@ -212,31 +215,33 @@ class RolloutTrainer:
         net = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), net)
         rng, loop = np.random.default_rng([47, seed]), loop or Loop()
         since, (net, state) = loop.begin((net, optimiser.init(net)))
-        drawn, count = force_training.bootstrap(self.lessons.episode, net.members, seed), len(self.lessons.episode)
-        swims, told = (min(most, there) for most, there in ((BATCH, len(self.share)), (LESSONS, count)))
-        among = devices(swims, told)
-        slope_of = sharded(self.loss, among)
+        count = len(self.force_windows.episode)
+        drawn = force_training.bootstrap(self.force_windows.episode, net.members, seed)
+        swim_count, force_count = (min(most, there) for most, there in ((BATCH, len(self.share)), (FORCE_WINDOWS, count)))
+        shards = devices(swim_count, force_count)
+        gradient_of = sharded(self.loss, shards)
 
-        @partial(jax.jit, compiler_options=quick(among[0].platform))
-        def step(net, state, *hands):
-            value, slope = slope_of(net, *hands)
-            change, state = optimiser.update(slope, state)
-            return optax.apply_updates(net, change), state, value
+        @partial(jax.jit, compiler_options=quick(shards[0].platform))
+        def step(net, state, *batches):
+            value, gradient = gradient_of(net, *batches)
+            updates, state = optimiser.update(gradient, state)
+            return optax.apply_updates(net, updates), state, value
 
         for k in range(steps):
-            at = np.split(rng.choice(len(self.share), swims, replace=False, p=self.share), len(among))
-            rows = np.split(rng.choice(count, told, replace=False), len(among))
-            fish = [self.drawn_held(rng, HOLDS // len(among)) for _ in among]
-            if k < since:  # drawn and done before
+            at = np.split(rng.choice(len(self.share), swim_count, replace=False, p=self.share), len(shards))
+            rows = np.split(rng.choice(count, force_count, replace=False), len(shards))
+            fish = [self.draw_tethered(rng, TETHERED // len(shards)) for _ in shards]
+            if k < since:  # done before; drawn all the same, so that the generator stands where it stood
                 continue
-            hands = [
-                (some(self.pieces, a), taken(self.lessons, r), drawn[:, r], h) for a, r, h in zip(at, rows, fish, strict=True)
+            batches = [
+                (some(self.pieces, a), subset(self.force_windows, r), drawn[:, r], h)
+                for a, r, h in zip(at, rows, fish, strict=True)
             ]
-            net, state, value = step(net, state, *stacked(hands))
+            net, state, value = step(net, state, *stacked(batches))
             if report is not None and (k % 5 == 4 or k + 1 == steps):
                 report(k + 1, steps, float(value))
             loop.after(k + 1, (net, state))
-        return residual_network.without(jax.tree.map(np.asarray, net), **self.left)
+        return residual_network.without(jax.tree.map(np.asarray, net), **self.ablated)
 
 
 def _body(q, v):
@@ -245,8 +250,8 @@ def _body(q, v):
     return jnp.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
 
 
-def _tolerated(seen, floors: float):
+def _tolerated(recorded, floors: float):
     """Of surge, sway and yaw rate as recorded, (.., 3)."""
     (share, floor), (turn, still) = TOLERANCE["speed"], TOLERANCE["yaw"]
-    speed = share * jnp.hypot(seen[..., 0], seen[..., 1]) + floors * floor
-    return jnp.stack([speed, speed, turn * jnp.abs(seen[..., 2]) + floors * still], -1)
+    speed = share * jnp.hypot(recorded[..., 0], recorded[..., 1]) + floors * floor
+    return jnp.stack([speed, speed, turn * jnp.abs(recorded[..., 2]) + floors * still], -1)

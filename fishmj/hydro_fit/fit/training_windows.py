@@ -91,6 +91,6 @@ def training_windows_of(
     return TrainingWindows._make([step, *(cut(values) for values in features), weight, size.astype(np.float32), episode])
 
 
-def taken(lessons: TrainingWindows, at) -> TrainingWindows:
+def subset(windows: TrainingWindows, at) -> TrainingWindows:
     """Some of the pieces."""
-    return TrainingWindows._make([lessons.step, *(a[..., at] for a in lessons[1:6]), lessons.size, lessons.episode[at]])
+    return TrainingWindows._make([windows.step, *(a[..., at] for a in windows[1:6]), windows.size, windows.episode[at]])

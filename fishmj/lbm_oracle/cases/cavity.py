@@ -24,7 +24,13 @@ def centrelines(reynolds: int, n: int, device: str) -> tuple[float, float, float
     """Extremes of u on the vertical and of v on the horizontal centreline, in units of the lid's speed."""
     wall = Axis("wall", "wall")
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=LID * n / reynolds)
-    water = Fluid(lattice, (n, n, 1), device, boundaries=Boundaries(x=wall, y=wall, slide_lu=(LID, 0.0, 0.0)), subgrid="none")
+    water = Fluid(
+        lattice,
+        (n, n, 1),
+        device,
+        boundaries=Boundaries(x=wall, y=Axis("wall", "moving"), wall_velocity_lu=(LID, 0.0, 0.0)),
+        subgrid="none",
+    )
     before, turn = np.zeros((n, n, 2)), round(n / LID)
     for _ in range(200):
         water.run(turn)

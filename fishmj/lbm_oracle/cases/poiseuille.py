@@ -23,7 +23,7 @@ def profile_error(height: int, device: str, axis: int = 1) -> float:
     shape, faces = ((1, height, 1), Boundaries(y=wall)) if axis == 1 else ((1, 1, height), Boundaries(z=wall))
     g = 8 * NU_LU * U_MAX / height**2
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=NU_LU)
-    water = Fluid(lattice, shape, device, boundaries=faces, subgrid="none", drive=(g, 0.0, 0.0))
+    water = Fluid(lattice, shape, device, boundaries=faces, subgrid="none", body_acceleration=(g, 0.0, 0.0))
     water.run(round(9 * height**2 / (np.pi**2 * NU_LU)))  # nine times the slowest mode's time
     y = np.arange(height) + 0.5
     exact = g * y * (height - y) / (2 * NU_LU)

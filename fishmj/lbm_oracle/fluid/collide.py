@@ -1,6 +1,6 @@
 """Recursive-regularised collision, written in moments.
 
-    rho = sum f_i      rho u = sum c_i f_i      P = sum (c_i c_i - c_s^2 I) f_i - rho u u            (departure from equilibrium)
+    rho = sum f_i      rho u = sum c_i f_i      P = sum (c_i c_i - c_s^2 I) f_i - rho u u            (non-equilibrium stress)
     P <- P + b (-2 rho c_s^2 tau dev S - dev P)      S = (grad u + grad u^T) / 2, with eddy viscosity only
     P' = (1 - omega) (P - tr P / 3 I) + (1 - omega_bulk) tr P / 3 I                                 omega = 1 / tau
     A2 = rho v v + P',  v = u + G                                                                    exact-difference force
@@ -71,8 +71,8 @@ def non_equilibrium_stress(f: vec19, drho: float, u: wp.vec3):
 
 @wp.func
 def hybrid_stress(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float):
-    """P with a share of its traceless part replaced by what the slopes dx = d u / d x, ... of the velocity say."""
-    a = share * _CS2 * rho_tau
+    """P with a share of its traceless part replaced by that of the velocity gradient, dx = d u / d x and so on."""
+    a = share * _CS2 * rho_tau  # a viscous stress of the same viscosity: on resolved scales both agree and the blend is idle
     mean = _CS2 * (p[0] + p[1] + p[2])
     third = 2.0 * _CS2 * (dx[0] + dy[1] + dz[2])
     keep = 1.0 - share
@@ -90,7 +90,7 @@ def hybrid_stress(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float
 def relaxed(p: vec6, omega: float, omega_bulk: float):
     """P' of the docstring."""
     mean = _CS2 * (p[0] + p[1] + p[2])
-    keep = 1.0 - omega
+    keep = 1.0 - omega  # near -1 in water: P only changes its sign, which is why the blend is needed at all
     bulk = (1.0 - omega_bulk) * mean
     return vec6(
         keep * (p[0] - mean) + bulk,
@@ -109,6 +109,7 @@ def reconstruct(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
     j = rho * v
     axx, ayy, azz = j[0] * v[0] + p[0], j[1] * v[1] + p[1], j[2] * v[2] + p[2]
     axy, axz, ayz = j[0] * v[1] + p[3], j[0] * v[2] + p[4], j[1] * v[2] + p[5]
+    # third order by recursion, not from f: the populations' own third moments hold the lattice's ghost modes
     axxy = j[0] * v[0] * v[1] + 2.0 * u[0] * p[3] + u[1] * p[0]
     axxz = j[0] * v[0] * v[2] + 2.0 * u[0] * p[4] + u[2] * p[0]
     axyy = j[1] * v[1] * v[0] + 2.0 * u[1] * p[3] + u[0] * p[1]
@@ -116,6 +117,7 @@ def reconstruct(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
     axzz = j[2] * v[2] * v[0] + 2.0 * u[2] * p[4] + u[0] * p[2]
     ayzz = j[2] * v[2] * v[1] + 2.0 * u[2] * p[5] + u[1] * p[2]
 
+    # opposite populations share all even moments and differ in the sign of the odd: each pair costs one sum and one difference
     rest = drho - 1.5 * (axx + ayy + azz)
     f = vec19()
 

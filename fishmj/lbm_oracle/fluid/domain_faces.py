@@ -1,29 +1,34 @@
-"""Six faces of the box: periodic, free slip, wall or open; and the sponge that lets sound and wakes leave.
+"""Six faces of the box: periodic, free slip, wall, moving wall or open; and the sponge that lets sound and wakes leave.
 
-slip   specular reflection half a cell outside the last node: f_i(x) = f_mirror(i)(x - tangential part of c_i)
-wall   halfway bounce-back:                                   f_i(x) = f_opp(i)(x) + 6 w_i c_i . u_wall
-open   the node takes the moments of its inner neighbour and replaces the incoming sound wave:
-           out = c_s drho + (u - u_in).n      kept                               n points outwards
-           in  = c_s drho - (u - u_in).n      0
-       the tangential velocity is u_in on an inlet (u_in.n < 0) and the neighbour's on an outlet.
-sponge the last `sponge` cells of an open face relax towards density 1 and the background flow with
-       sigma = sponge_rate (depth / sponge)^2
+slip    specular reflection half a cell outside the last node: f_i(x) = f_mirror(i)(x - tangential part of c_i)
+wall    halfway bounce-back:                                   f_i(x) = f_opp(i)(x)
+moving  the same off a wall that slides in its own plane:      f_i(x) = f_opp(i)(x) + 6 w_i c_i . u_wall
+open    the node takes the moments of its inner neighbour and replaces the incoming sound wave:
+            out = c_s drho + (u - u_in).n      kept                               n points outwards
+            in  = c_s drho - (u - u_in).n      0
+        the tangential velocity is u_in on an inlet (u_in.n < 0) and the neighbour's on an outlet.
+sponge  the last `sponge` cells of an open face relax towards density 1 and the background flow with
+        sigma = sponge_rate (depth / sponge)^2
+
+A new face is one subclass of `Face` and its entry in `FACES`. `redirect` is called while the kernel's code is generated and
+`gain` and `complete` are Warp functions that the kernel names directly, so that a face that is not there costs nothing.
 
 Sources: Ladd 1994, J. Fluid Mech. 271:285 (bounce-back); Poinsot and Lele 1992, J. Comput. Phys. 101:104 (characteristics);
 Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import combinations
+from typing import Any, NamedTuple
 
 import warp as wp
 
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.lbm_oracle.fluid.lattice import CS
+from fishmj.lbm_oracle.fluid.lattice import CS, VELOCITIES, mirrored, opposite
 
 SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
-KINDS = ("periodic", "slip", "wall", "open")
+_CS = wp.constant(CS)
 
 
 class Axis(NamedTuple):
@@ -33,34 +38,129 @@ class Axis(NamedTuple):
     high: str
 
 
+class Source(NamedTuple):
+    """Where a population comes from that would have come through faces."""
+
+    population: int
+    stays: tuple[bool, bool, bool]  # axes along which it is taken from the node itself, not from its neighbour
+    gain: Any = None  # Warp function (6 w_i, c_i, u_wall): what it gains on the way
+
+
+class Face:
+    """A kind of face: what the step does there, and where it may be."""
+
+    rank = 0  # of the faces that a population meets at once, in an edge of the box, the highest redirects it; 0: it does not
+    wraps = False  # the node across is a neighbour
+    complete: Any = None  # Warp function (drho, u, u_in, n) -> drho, u of an outermost node of x or y, from its inner neighbour's
+
+    @staticmethod
+    def check(boundaries: "Boundaries", axis: str) -> None:
+        """Raises ConfigError where this kind cannot be on an axis, `x`, `y` or `z`; by itself it may be anywhere."""
+
+    @staticmethod
+    def redirect(i: int, axes: tuple[int, ...]) -> Source:
+        """Where population i comes from that meets faces of this kind on `axes`, one or two of them."""
+        raise NotImplementedError
+
+
+class Periodic(Face):
+    """Memory wraps round: nothing to do."""
+
+    wraps = True
+
+    @staticmethod
+    def check(boundaries, axis):
+        low, high = getattr(boundaries, axis)
+        if low != high:
+            raise ConfigError(f"boundaries: axis {axis} is {low} below and {high} above; both faces are periodic or none")
+
+
+class Slip(Face):
+    rank = 1
+
+    @staticmethod
+    def redirect(i, axes):
+        return Source(mirrored(i, *axes), (0 in axes, 1 in axes, 2 in axes))
+
+
+class Wall(Face):
+    rank = 3
+
+    @staticmethod
+    def redirect(i, axes):
+        return Source(opposite(i), (True, True, True))
+
+
+@wp.func
+def _dragged(six_w: float, c: wp.vec3, wall_velocity: wp.vec3):
+    """Momentum that a population takes from a sliding wall."""
+    return six_w * wp.dot(c, wall_velocity)
+
+
+class Moving(Face):
+    """Ranks below a wall at rest, which holds the edge between them: a lid that drags its corners along is first order."""
+
+    rank = 2
+
+    @staticmethod
+    def check(boundaries, axis):
+        normal = boundaries.wall_velocity_lu["xyz".index(axis)]
+        if normal:
+            raise ConfigError(f"boundaries: the moving wall of axis {axis} leaves its plane by {normal}; it can only slide")
+
+    @staticmethod
+    def redirect(i, axes):
+        return Source(opposite(i), (True, True, True), _dragged)
+
+
+class Open(Face):
+    @staticmethod
+    def check(boundaries, axis):
+        if axis == "z":
+            raise ConfigError("boundaries: an open face at the top or bottom; z takes slip, wall or periodic")
+
+    @wp.func
+    def complete(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
+        """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
+        away = u - target
+        normal = wp.dot(away, n)
+        leaving = 0.5 * (_CS * drho + normal)
+        if wp.dot(target, n) < 0.0:
+            return leaving / _CS, target + leaving * n
+        return leaving / _CS, u + (leaving - normal) * n
+
+
+FACES: dict[str, type[Face]] = {"periodic": Periodic, "slip": Slip, "wall": Wall, "moving": Moving, "open": Open}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Boundaries:
-    """Kinds of the faces of each axis. `slide_lu` is the velocity of the wall at high y (a lid), in lattice units.
+    """Kinds of the faces of each axis. `wall_velocity_lu` is the velocity of the moving walls, in lattice units.
 
     Raises:
         UnknownName: a kind that does not exist.
-        ConfigError: one face of an axis periodic and the other not; an open face above or below.
+        ConfigError: a kind where it cannot be: one face of an axis periodic and the other not; an open face above or below; a
+            wall that moves out of its plane, or no wall that moves.
     """
 
     x: Axis = Axis("periodic", "periodic")
     y: Axis = Axis("periodic", "periodic")
     z: Axis = Axis("periodic", "periodic")
-    slide_lu: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wall_velocity_lu: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sponge: int = 0
     sponge_rate: float = RATE
 
     def __post_init__(self):
+        for kind in self.kinds:
+            if kind not in FACES:
+                raise UnknownName("kind of face", kind, tuple(FACES))
         for name in "xyz":
-            axis = getattr(self, name)
-            for kind in axis:
-                if kind not in KINDS:
-                    raise UnknownName("kind of face", kind, KINDS)
-            if ("periodic" in axis) and axis.low != axis.high:
-                raise ConfigError(
-                    f"boundaries: axis {name} is {axis.low} below and {axis.high} above; both faces are periodic or none"
-                )
-        if "open" in self.z:
-            raise ConfigError("boundaries: an open face at the top or bottom; z takes slip, wall or periodic")
+            for kind in getattr(self, name):
+                FACES[kind].check(self, name)
+        if any(self.wall_velocity_lu) and "moving" not in self.kinds:
+            raise ConfigError(
+                f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so"
+            )
         if self.sponge < 0 or not 0 <= self.sponge_rate <= 1:
             raise ConfigError(f"boundaries: sponge = {self.sponge} cells (>= 0), sponge_rate = {self.sponge_rate} (0 to 1)")
 
@@ -69,8 +169,9 @@ class Boundaries:
         return self.x, self.y, self.z
 
     @property
-    def is_open(self) -> bool:
-        return any("open" in axis for axis in self.axes)
+    def kinds(self) -> tuple[str, ...]:
+        """Of all six faces."""
+        return self.x + self.y + self.z
 
 
 PERIODIC = Boundaries()
@@ -82,23 +183,26 @@ def channel(*, bottom: str = "slip", sponge: int = SPONGE) -> Boundaries:
     return Boundaries(x=side, y=side, z=Axis(bottom, "slip"), sponge=sponge)
 
 
-_CS = wp.constant(CS)
+def sources(faces: tuple[Axis, Axis, Axis], i: int) -> dict[int, Source]:
+    """Where population i comes from, by the faces that it meets at once: bit a of the key is set where it meets one of axis a."""
+    velocity = VELOCITIES[i]
+    met = {a: FACES[faces[a].low if velocity[a] > 0 else faces[a].high] for a in range(3) if velocity[a]}
+    redirecting = [a for a in met if met[a].rank]
+    found = {}
+    for meeting in [*combinations(redirecting, 1), *combinations(redirecting, 2)]:  # no D3Q19 velocity has a third component
+        top = max((met[a] for a in meeting), key=lambda face: face.rank)
+        found[sum(1 << a for a in meeting)] = top.redirect(i, tuple(a for a in meeting if met[a] is top))
+    return found
+
+
+def completes(axis: Axis) -> tuple[bool, bool]:
+    """Whether the low and the high face of an axis complete their nodes, behind a sponge."""
+    return FACES[axis.low].complete is not None, FACES[axis.high].complete is not None
 
 
 @wp.func
-def through(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
-    """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
-    away = u - target
-    normal = wp.dot(away, n)
-    leaving = 0.5 * (_CS * drho + normal)
-    if wp.dot(target, n) < 0.0:
-        return leaving / _CS, target + leaving * n
-    return leaving / _CS, u + (leaving - normal) * n
-
-
-@wp.func
-def ramp(position: int, size: int, width: int):
-    """0 in the interior, up to 1 at the last node of an axis."""
-    depth = wp.max(width - position, position - (size - 1 - width))
+def ramp(low: bool, high: bool, position: int, size: int, width: int):
+    """0 in the interior of an axis, up to 1 at the last node of a face that has a sponge."""
+    depth = wp.max(wp.where(low, width - position, 0), wp.where(high, position - (size - 1 - width), 0))
     s = wp.clamp(float(depth) / float(width), 0.0, 1.0)
     return s * s

@@ -6,8 +6,8 @@ import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, momentum, reconstruct, relaxed
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19
-from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, folded
+from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19, wrap
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
 from fishmj.lbm_oracle.fluid.storage import peek, poke
 
 wp.set_module_options(OPTIONS)
@@ -33,7 +33,7 @@ def settle(
     """Equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
     i, j, k = wp.tid()
     wx, wy, wz = low[0] + i, low[1] + j, low[2] + k
-    x, y, z = folded(wx, s.nx), folded(wy, s.ny), folded(wz, s.nz)
+    x, y, z = wrap(wx, s.nx), wrap(wy, s.ny), wrap(wz, s.nz)
     v = background(flow, wp.vec3(float(wx), float(wy), float(wz)), clock[0])
     _store(f, reconstruct(0.0, v, v, vec6()), s, x, y, z)
     u[x, y, z] = v
@@ -43,9 +43,9 @@ def settle(
 def impose(s: Params, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=Any)):
     """A given field with its viscous stress, P = -2 rho c_s^2 tau S, derivatives across the periodic box."""
     x, y, z = wp.tid()
-    xm, xp = folded(x - 1, s.nx), folded(x + 1, s.nx)
-    ym, yp = folded(y - 1, s.ny), folded(y + 1, s.ny)
-    zm, zp = folded(z - 1, s.nz), folded(z + 1, s.nz)
+    xm, xp = wrap(x - 1, s.nx), wrap(x + 1, s.nx)
+    ym, yp = wrap(y - 1, s.ny), wrap(y + 1, s.ny)
+    zm, zp = wrap(z - 1, s.nz), wrap(z + 1, s.nz)
     dx = 0.5 * (u[xp, y, z] - u[xm, y, z])
     dy = 0.5 * (u[x, yp, z] - u[x, ym, z])
     dz = 0.5 * (u[x, y, zp] - u[x, y, zm])
@@ -110,10 +110,3 @@ def survey(
     wp.atomic_add(mass, y, total)
     if bad > 0:
         wp.atomic_add(lost, y, bad)
-
-
-@wp.kernel
-def rest(low: wp.vec3i, s: Params, force: wp.array3d(dtype=wp.vec3)):
-    """No force in a box of world nodes."""
-    i, j, k = wp.tid()
-    force[folded(low[0] + i, s.nx), folded(low[1] + j, s.ny), folded(low[2] + k, s.nz)] = wp.vec3()

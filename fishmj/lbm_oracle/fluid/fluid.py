@@ -5,6 +5,7 @@ n % 2 and writes the other, so a captured graph holds an even number of steps.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.fluid.step import Params, box_array, kernels
+from fishmj.lbm_oracle.fluid.step import Params, box_array, stream_collide
 from fishmj.lbm_oracle.fluid.storage import STORAGE
 
 SUBGRID = ("wale", "none")
@@ -37,15 +38,20 @@ class Fluid:
 
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
-            scaled (`memory`), which no body may touch yet.
+            scaled (`storage`), which no body may touch yet.
         u: (nx, ny, nz) vec3, velocity of the last step; without `keep_velocity` it is derived when asked for.
         force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
         clock: (1,) int32, steps done.
 
-    `blend` (collide.py) is quoted at the paper's grid; 0 is kept to show that it fails. Arrays are indexed by world node modulo
-    shape. Raises ConfigError and UnknownName for what cannot be.
+    Args:
+        boundaries: of the six faces. subgrid: eddy viscosity, `wale` or `none`. flow: background, through open faces and at rest
+            else. body_acceleration: (3,) m/s2, everywhere. cw: WALE's constant. omega_bulk: rate at which the trace of the stress
+            relaxes. blend: share of the stress that the velocity gradient gives in a step (collide.py), at the paper's grid;
+            0 is kept to show that it fails. dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
+
+    Arrays are indexed by world node modulo shape. Raises ConfigError and UnknownName for what cannot be.
     """
 
     def __init__(
@@ -57,7 +63,7 @@ class Fluid:
         boundaries: Boundaries = PERIODIC,
         subgrid: str = "wale",
         flow: Flow | None = None,
-        drive: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        body_acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0),
         cw: float = CW,
         omega_bulk: float = OMEGA_BULK,
         blend: float = BLEND,
@@ -71,15 +77,27 @@ class Fluid:
             raise UnknownName("storage", dtype, STORAGE)
         if subgrid != "none" and not keep_velocity:
             raise ConfigError("fluid: the eddy viscosity reads the velocity of the last step; keep_velocity must be True with it")
+        if subgrid != "none" and "moving" in boundaries.kinds:
+            raise ConfigError(
+                "fluid: a moving wall with an eddy viscosity: its node would stand in for the wall in the velocity gradient, and"
+                " the shear would be wrong; take subgrid = 'none'"
+            )
         if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
             raise ConfigError(f"fluid: shape = {shape}; expected three sizes of at least 1, in all under {2**31 // Q} cells")
         self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
         self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
-        self._kernels = kernels(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
+        self._kernel = stream_collide(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
         self._keeps = keep_velocity
-        self._numbers = _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend)
+        self._options = {
+            "cw": cw,
+            "omega_bulk": omega_bulk,
+            "blend": blend,
+            "body_acceleration": body_acceleration,
+            "dtype": dtype,
+        }
+        self._params = _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend)
         self.threads = thread_slabs.slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
             self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
@@ -101,7 +119,7 @@ class Fluid:
     @property
     def u(self) -> wp.array:
         if not self._keeps:
-            args = [self._numbers, _flat(self.f), self._u[self.parity]]
+            args = [self._params, _flat(self.f), self._u[self.parity]]
             wp.launch(fields.derive, dim=self.shape, inputs=args, device=self.device)
         return self._u[self.parity]
 
@@ -110,8 +128,8 @@ class Fluid:
         return self._clock[self.parity]
 
     @property
-    def numbers(self) -> Params:
-        return self._numbers
+    def params(self) -> Params:
+        return self._params
 
     @property
     def time(self) -> float:
@@ -133,7 +151,7 @@ class Fluid:
         self._settle(self.origin_lu, self.shape)
 
     def _settle(self, low, size) -> None:
-        inputs = [self._numbers, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
+        inputs = [self._params, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
         wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
 
     def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
@@ -143,12 +161,12 @@ class Fluid:
         now = self.u
         now.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
         rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
-        wp.launch(fields.impose, dim=self.shape, inputs=[self._numbers, rho, now, _flat(self.f)], device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self._params, rho, now, _flat(self.f)], device=self.device)
 
     def step(self, box: Box | None = None) -> None:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
         self.set_box(box or NOWHERE)
-        self.advance()
+        self.stream_collide()
 
     def set_box(self, box: Box) -> None:
         """The world nodes where `force` acts, until told otherwise."""
@@ -156,7 +174,7 @@ class Fluid:
             self.box.assign(box_array(box))
             self._box = box
 
-    def advance(self) -> None:
+    def stream_collide(self) -> None:
         """One time step with the force in `self.box`; no host transfer, so that a graph can capture it."""
         if self._launches is None:
             self._launches = [self._recorded(parity) for parity in range(2)]
@@ -166,17 +184,17 @@ class Fluid:
     def _recorded(self, parity: int) -> list[Any]:
         """The launches of a step that starts from this parity."""
         a, b = parity, 1 - parity
-        args = [self._numbers, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
+        args = [self._params, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
         args += [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
         planes, plane = self.shape[0], self.shape[1] * self.shape[2]
-        return thread_slabs.record(self._kernels.advance, planes, plane, args, self.device, self.threads)
+        return thread_slabs.record(self._kernel, planes, plane, args, self.device, self.threads)
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
         """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
         self.set_box(NOWHERE)
         if before is None and self.device.is_cuda and steps >= 4:
             if self.parity:
-                self.advance()
+                self.stream_collide()
                 steps -= 1
             for stride in STRIDES:
                 for _ in range(steps // stride):
@@ -186,33 +204,18 @@ class Fluid:
         for _ in range(steps):
             if before is not None:
                 before()
-            self.advance()
+            self.stream_collide()
 
     def _captured(self, stride: int) -> wp.Graph:
         """A graph of an even number of steps from even parity; capturing does not run them."""
         if stride not in self._graphs:
-            self._kernels.advance.module.load(self.device)
+            self._kernel.module.load(self.device)
             steps = self.steps
             with wp.ScopedCapture(self.device) as capture:
                 for _ in range(stride):
-                    self.advance()
+                    self.stream_collide()
             self._graphs[stride], self.steps = capture.graph, steps
         return self._graphs[stride]
-
-    def predict(self, box: Box, out_u: wp.array, out_rho: wp.array) -> None:
-        """Velocity [lu] and density that the next step would find without a body, at the nodes of a box.
-
-        u* = sum c_i f_i / rho + drive, pulled through the same faces. The outputs are (nx, ny, nz) arrays, indexed like `u`.
-        """
-        self.set_box(box)
-        size = tuple(int(b - a) for a, b in zip(*box, strict=True))
-        inputs = [self._numbers, self.origin, self.box, _flat(self.f), out_u, out_rho]
-        wp.launch(self._kernels.predict, dim=size, inputs=inputs, device=self.device)
-
-    def clear_force(self, box: Box) -> None:
-        """No force at the nodes of a box."""
-        size = tuple(int(b - a) for a, b in zip(*box, strict=True))
-        wp.launch(fields.rest, dim=size, inputs=[wp.vec3i(*map(int, box[0])), self._numbers, self.force], device=self.device)
 
     def shift(self, by: tuple[int, int, int]) -> None:
         """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
@@ -241,7 +244,7 @@ class Fluid:
     def drho(self) -> wp.array:
         """(nx, ny, nz) density minus one, in memory order."""
         out = wp.empty(self.shape, dtype=float, device=self.device)
-        wp.launch(fields.weigh, dim=self.shape, inputs=[self._numbers, _flat(self.f), out], device=self.device)
+        wp.launch(fields.weigh, dim=self.shape, inputs=[self._params, _flat(self.f), out], device=self.device)
         return out
 
     def survey(self) -> Survey:
@@ -252,11 +255,20 @@ class Fluid:
 
     def begin_survey(self) -> None:
         """Queue a survey on the present stream; the host goes on."""
-        self._surveyor.start(self._numbers, _flat(self.f), self.u)
+        self._surveyor.start(self._params, _flat(self.f), self.u)
 
     def surveyed(self) -> Survey:
         """What the last one found; to be asked once the device is through with it."""
         return self._surveyor.result()
+
+    def finer(self, factor: int) -> "Fluid":
+        """Undisturbed water in a box of the same cells, faces and options, with steps `factor` times finer."""
+        old = self.lattice
+        lattice = replace(old, dt=old.dt / factor)
+        x, y, z = self.boundaries.wall_velocity_lu  # in lattice units a wall of the same m/s is slower
+        faces = replace(self.boundaries, wall_velocity_lu=(x / factor, y / factor, z / factor))
+        more: dict[str, Any] = {"boundaries": faces, "subgrid": self.subgrid, "flow": self.flow, "threads": self.threads}
+        return Fluid(lattice, self.shape, self.device, keep_velocity=self._keeps, **more, **self._options)
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
@@ -278,13 +290,14 @@ class Fluid:
         self.clock.fill_(self.steps)
 
 
-def _numbers(lattice, shape, boundaries, drive, cw, omega_bulk, blend) -> Params:
+def _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend) -> Params:
     made = Params()
     made.nx, made.ny, made.nz = shape
     made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
     share = blend * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity  # the same loss in a second
-    made.borrowed, made.borrowed_layer = min(1.0, share), min(1.0, LAYER * share)
-    made.drive, made.slide = wp.vec3(*(np.asarray(drive, float) / lattice.acceleration)), wp.vec3(*boundaries.slide_lu)
+    made.hybrid_share, made.hybrid_share_layer = min(1.0, share), min(1.0, LAYER * share)
+    made.body_acceleration = wp.vec3(*(np.asarray(body_acceleration, float) / lattice.acceleration))
+    made.wall_velocity = wp.vec3(*boundaries.wall_velocity_lu)
     made.sponge, made.sponge_rate = max(boundaries.sponge, 1), boundaries.sponge_rate
     return made
 

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.flow import LENGTH, TICK, Flow, solenoidal_box, table_of
+from fishmj.lbm_oracle.fluid.lattice import wrap
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
 
 STEADY, FROZEN, GUST = 0, 1, 2
@@ -57,14 +58,6 @@ def _in_three(planar):
 
 
 @wp.func
-def _wrapped(i: int, n: int):
-    r = i % n
-    if r < 0:
-        r += n
-    return r
-
-
-@wp.func
 def background(flow: Inflow, node: wp.vec3, step: int):
     """Velocity of the undisturbed water at a node's coordinates and a step, lattice units."""
     if flow.kind == STEADY:
@@ -78,9 +71,9 @@ def background(flow: Inflow, node: wp.vec3, step: int):
         g += wp.vec3(0.0, 0.0, flow.scale * t)
     i, j, k = int(wp.floor(g[0])), int(wp.floor(g[1])), int(wp.floor(g[2]))
     a, b, c = g[0] - float(i), g[1] - float(j), g[2] - float(k)
-    i0, i1 = _wrapped(i, flow.table.shape[0]), _wrapped(i + 1, flow.table.shape[0])
-    j0, j1 = _wrapped(j, flow.table.shape[1]), _wrapped(j + 1, flow.table.shape[1])
-    k0, k1 = _wrapped(k, flow.table.shape[2]), _wrapped(k + 1, flow.table.shape[2])
+    i0, i1 = wrap(i, flow.table.shape[0]), wrap(i + 1, flow.table.shape[0])
+    j0, j1 = wrap(j, flow.table.shape[1]), wrap(j + 1, flow.table.shape[1])
+    k0, k1 = wrap(k, flow.table.shape[2]), wrap(k + 1, flow.table.shape[2])
     low = wp.lerp(
         wp.lerp(flow.table[i0, j0, k0], flow.table[i0, j0, k1], c), wp.lerp(flow.table[i0, j1, k0], flow.table[i0, j1, k1], c), b
     )

@@ -37,3 +37,12 @@ def mirrored(i: int, *axes: int) -> int:
     c = VELOCITIES[i].copy()
     c[list(axes)] *= -1
     return index_of(c)
+
+
+@wp.func
+def wrap(i: int, n: int) -> int:
+    """i modulo n in 0 .. n - 1, for negative i too: the world's node in memory."""
+    r = i % n
+    if r < 0:
+        r += n
+    return r

@@ -1,4 +1,4 @@
-"""One step of the fluid in one pass over memory: pull, moments, faces, sponge, slopes, eddy viscosity, collision, force.
+"""One step of the fluid in one pass over memory: pull, moments, faces, force, gradient, eddy viscosity, collision, sponge.
 
     f_i(x, t + 1) = f_i'(x - c_i, t)
 
@@ -6,24 +6,24 @@ Arrays are (19, nx, ny, nz) and (nx, ny, nz) with z fastest: neighbouring thread
 Memory is addressed by world node modulo size, so that a window moves by changing `origin`, the world node of its low corner.
 
 Bytes a cell and step, FP32: populations 2 x 76 = 152; with eddy viscosity 12 more to write u and about 12 to read it once (its
-six neighbours come from cache; the same slopes serve the stress); the force is read inside the body's box only.
+six neighbours come from cache; the same gradient serves the stress); the force is read inside the body's box only.
 
-`kernels(faces, subgrid)` compiles the two kernels for one set of faces: what a face does not need costs nothing.
+`stream_collide(faces, subgrid)` is the kernel for one set of faces (domain_faces.py): a face that is not there costs nothing.
 """
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, ramp, through
+from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Source, completes, ramp, sources
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, C, Q, W, mirrored, opposite, vec19
+from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec19
 from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and quotients on a GPU where there is an eddy viscosity
+Faces = tuple[Axis, Axis, Axis]
 
 
 @wp.struct
@@ -36,17 +36,12 @@ class Params:
     nu: float
     omega_bulk: float
     cw2: float  # square of the WALE constant
-    borrowed: float  # share of the stress that the slopes of the velocity give
-    borrowed_layer: float  # the same where the body's force acts
-    drive: wp.vec3  # uniform acceleration
-    slide: wp.vec3  # velocity of the wall at high y
+    hybrid_share: float  # of the stress that the velocity gradient gives
+    hybrid_share_layer: float  # the same where the body's force acts
+    body_acceleration: wp.vec3  # uniform
+    wall_velocity: wp.vec3  # of the moving walls
     sponge: int
     sponge_rate: float
-
-
-class Kernels(NamedTuple):
-    advance: wp.Kernel
-    predict: wp.Kernel
 
 
 @wp.func
@@ -60,18 +55,9 @@ def pick(c: int, back: int, here: int, ahead: int):
 
 
 @wp.func
-def hits(c: int, low: bool, high: bool):
-    """Does it come through the low or the high face?"""
-    return (c > 0 and low) or (c < 0 and high)
-
-
-@wp.func
-def folded(i: int, n: int):
-    """World node -> memory."""
-    r = i % n
-    if r < 0:
-        r += n
-    return r
+def hits(c: int, at: int, size: int):
+    """Does it come through the low or the high face of an axis?"""
+    return (c > 0 and at == 0) or (c < 0 and at == size - 1)
 
 
 @wp.func
@@ -84,47 +70,25 @@ def within(i: int, n: int):
     return i
 
 
-@cache
-def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32", keeps: bool = True) -> Kernels:
-    """Kernels for these faces of x, y and z; `subgrid` adds eddy viscosity and blend.
+def pull_through(faces: Faces, number: type):
+    """The Warp function that streams: f_i(x - c_i) of all populations, or what the faces make of it."""
+    redirected = [sources(faces, i) for i in range(Q)]
 
-    `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
-    """
-    number = STORAGE[dtype]
+    def source(i: int, met: int) -> Source:
+        return redirected[i].get(met, Source(i, (False, False, False)))
 
-    def meets(i: int, axis: int, kind: str) -> bool:
-        """Can population i come through a face of this kind?"""
-        c = VELOCITIES[i, axis]
-        return bool(c) and faces[axis][0 if c > 0 else 1] == kind
-
-    def bends(i: int) -> bool:
-        return any(meets(i, axis, "slip") for axis in range(3))
-
-    def bounces(i: int) -> bool:
-        return any(meets(i, axis, "wall") for axis in range(3))
-
-    def turned(i: int, *axes: int) -> int:
-        return mirrored(i, *axes)
-
-    # a module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop
-    module = wp.get_module(
-        ".".join([__name__, *("_".join(axis) for axis in faces), "wale" if subgrid else "none", dtype, "u" if keeps else "f"])
-    )
-    wp.set_module_options(OPTIONS | {"fast_math": subgrid}, module)
-    bounded = [axis.low != "periodic" for axis in faces]
-    opened = ["open" in axis for axis in faces]
+    def meets(i: int, axis: int) -> bool:
+        return any(met >> axis & 1 for met in redirected[i])
 
     @wp.func
-    def pull(f: wp.array(dtype=number), s: Params, lx: int, ly: int, lz: int, x: int, y: int, z: int):
-        """Populations that arrive at memory node (x, y, z), logical node (lx, ly, lz)."""
+    def pull(f: wp.array(dtype=number), s: Params, at: wp.vec3i, m: wp.vec3i):
+        """Populations that arrive at logical node `at`, memory node m."""
         ny, nz = s.ny, s.nz
         n = s.nx * ny * nz
-        x0, y0, z0 = x * (ny * nz), y * nz, z
-        xm, xp = wp.where(x > 0, x - 1, s.nx - 1) * (ny * nz), wp.where(x < s.nx - 1, x + 1, 0) * (ny * nz)
-        ym, yp = wp.where(y > 0, y - 1, ny - 1) * nz, wp.where(y < ny - 1, y + 1, 0) * nz
-        zm, zp = wp.where(z > 0, z - 1, nz - 1), wp.where(z < nz - 1, z + 1, 0)
-        lowx, lowy, lowz = lx == 0, ly == 0, lz == 0
-        highx, highy, highz = lx == s.nx - 1, ly == ny - 1, lz == nz - 1
+        x0, y0, z0 = m[0] * (ny * nz), m[1] * nz, m[2]
+        xm, xp = wp.where(m[0] > 0, m[0] - 1, s.nx - 1) * (ny * nz), wp.where(m[0] < s.nx - 1, m[0] + 1, 0) * (ny * nz)
+        ym, yp = wp.where(m[1] > 0, m[1] - 1, ny - 1) * nz, wp.where(m[1] < ny - 1, m[1] + 1, 0) * nz
+        zm, zp = wp.where(m[2] > 0, m[2] - 1, nz - 1), wp.where(m[2] < nz - 1, m[2] + 1, 0)
         out = vec19()
         out[0] = peek(f, x0 + y0 + z0)
         for i in range(1, wp.static(Q)):
@@ -132,51 +96,79 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             sy = pick(wp.static(C[i][1]), ym, y0, yp)
             sz = pick(wp.static(C[i][2]), zm, z0, zp)
             j = int(i)
-            lift = float(0.0)  # noqa: UP018  a variable, not a constant, to Warp
-            if wp.static(bends(i)):
-                fx = wp.static(meets(i, 0, "slip")) and hits(wp.static(C[i][0]), lowx, highx)
-                fy = wp.static(meets(i, 1, "slip")) and hits(wp.static(C[i][1]), lowy, highy)
-                fz = wp.static(meets(i, 2, "slip")) and hits(wp.static(C[i][2]), lowz, highz)
-                sx, sy, sz = wp.where(fx, x0, sx), wp.where(fy, y0, sy), wp.where(fz, z0, sz)
-                plain = wp.where(
-                    fx,
-                    wp.where(fy, wp.static(turned(i, 0, 1)), wp.static(turned(i, 0))),
-                    wp.where(fy, wp.static(turned(i, 1)), i),
-                )
-                above = wp.where(
-                    fx,
-                    wp.where(fy, wp.static(turned(i, 0, 1, 2)), wp.static(turned(i, 0, 2))),
-                    wp.where(fy, wp.static(turned(i, 1, 2)), wp.static(turned(i, 2))),
-                )
-                j = wp.where(fz, above, plain)
-            if wp.static(bounces(i)):
-                bx = wp.static(meets(i, 0, "wall")) and hits(wp.static(C[i][0]), lowx, highx)
-                by = wp.static(meets(i, 1, "wall")) and hits(wp.static(C[i][1]), lowy, highy)
-                bz = wp.static(meets(i, 2, "wall")) and hits(wp.static(C[i][2]), lowz, highz)
-                if bx or by or bz:
-                    sx, sy, sz, j = x0, y0, z0, wp.static(opposite(i))
-                    if wp.static(C[i][1] < 0):
-                        if by and not bx and not bz:  # in the corner the side wall holds: a moving corner is first order
+            gain = float(0.0)  # noqa: UP018  a variable, not a constant, to Warp
+            if wp.static(bool(redirected[i])):
+                met = wp.where(wp.static(meets(i, 0)) and hits(wp.static(C[i][0]), at[0], s.nx), 1, 0)
+                met += wp.where(wp.static(meets(i, 1)) and hits(wp.static(C[i][1]), at[1], ny), 2, 0)
+                met += wp.where(wp.static(meets(i, 2)) and hits(wp.static(C[i][2]), at[2], nz), 4, 0)
+                # selections rather than branches: neighbouring threads of a GPU take one path, and the load comes last
+                for way in range(1, 8):
+                    if wp.static(way in redirected[i]):
+                        j = wp.where(met == way, wp.static(source(i, way).population), j)
+                        sx = wp.where(wp.static(source(i, way).stays[0]) and met == way, x0, sx)
+                        sy = wp.where(wp.static(source(i, way).stays[1]) and met == way, y0, sy)
+                        sz = wp.where(wp.static(source(i, way).stays[2]) and met == way, z0, sz)
+                    if wp.static(source(i, way).gain is not None):
+                        if met == way:
                             c = wp.vec3(wp.static(float(C[i][0])), wp.static(float(C[i][1])), wp.static(float(C[i][2])))
-                            lift = wp.static(6.0 * W[i]) * wp.dot(c, s.slide)
+                            gain = wp.static(source(i, way).gain)(wp.static(6.0 * W[i]), c, s.wall_velocity)
             arrived = peek(f, j * n + sx + sy + sz)
-            if wp.static(bounces(i)):
-                arrived += lift
+            if wp.static(any(known.gain is not None for known in redirected[i].values())):
+                arrived += gain
             out[i] = arrived
         return out
 
+    return pull
+
+
+def leave_through(faces: Faces):
+    """Two Warp functions of the faces that complete their nodes, on x and y: the inner neighbour; what its moments become."""
+    (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
+    complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
+
     @wp.func
-    def slopes(u: wp.array(dtype=wp.vec3), s: Params, lx: int, ly: int, lz: int, x: int, y: int, z: int):
-        """d u / d x, d y, d z in rows, from the last step; at a face the node stands in for its missing neighbour."""
+    def inward(s: Params, at: wp.vec3i):
+        x = wp.clamp(at[0], wp.static(int(low_x)), s.nx - 1 - wp.static(int(high_x)))
+        y = wp.clamp(at[1], wp.static(int(low_y)), s.ny - 1 - wp.static(int(high_y)))
+        return wp.vec3i(x, y, at[2])
+
+    @wp.func
+    def leave(s: Params, flow: Inflow, at: wp.vec3i, inner: wp.vec3i, node: wp.vec3i, step: int, drho: float, u: wp.vec3):
+        """Density and velocity, the sponge's rate, and the background velocity that it relaxes to."""
+        sigma = ramp(wp.static(low_x), wp.static(high_x), at[0], s.nx, s.sponge)
+        sigma += ramp(wp.static(low_y), wp.static(high_y), at[1], s.ny, s.sponge)
+        sigma = s.sponge_rate * sigma
+        target = wp.vec3()
+        outer = inner[0] != at[0] or inner[1] != at[1]
+        if outer or sigma > 0.0:  # the interior never evaluates the background flow, eight loads of a table
+            target = background(flow, wp.vec3(float(node[0]), float(node[1]), float(node[2])), step)
+            if outer:
+                n = wp.normalize(wp.vec3(float(at[0] - inner[0]), float(at[1] - inner[1]), 0.0))
+                drho, u = wp.static(complete)(drho, u, target, n)
+        return drho, u, sigma, target
+
+    return inward, leave
+
+
+def gradient_within(faces: Faces):
+    """The Warp function of the velocity gradient, d u / d x, d y, d z in rows, from the last step.
+
+    At a face the node stands in for its missing neighbour: right along a slip face, half the shear beside a wall at rest.
+    """
+    bounded = [not FACES[axis.low].wraps for axis in faces]
+
+    @wp.func
+    def velocity_gradient(u: wp.array(dtype=wp.vec3), s: Params, at: wp.vec3i, m: wp.vec3i):
+        x, y, z = m[0], m[1], m[2]
         xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
         ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
         zm, zp = wp.where(z > 0, z - 1, s.nz - 1), wp.where(z < s.nz - 1, z + 1, 0)
         if wp.static(bounded[0]):
-            xm, xp = wp.where(lx == 0, x, xm), wp.where(lx == s.nx - 1, x, xp)
+            xm, xp = wp.where(at[0] == 0, x, xm), wp.where(at[0] == s.nx - 1, x, xp)
         if wp.static(bounded[1]):
-            ym, yp = wp.where(ly == 0, y, ym), wp.where(ly == s.ny - 1, y, yp)
+            ym, yp = wp.where(at[1] == 0, y, ym), wp.where(at[1] == s.ny - 1, y, yp)
         if wp.static(bounded[2]):
-            zm, zp = wp.where(lz == 0, z, zm), wp.where(lz == s.nz - 1, z, zp)
+            zm, zp = wp.where(at[2] == 0, z, zm), wp.where(at[2] == s.nz - 1, z, zp)
         plane, row = s.ny * s.nz, s.nz
         over_y_z, over_x_z, over_x_y = y * row + z, x * plane + z, x * plane + y * row
         return wp.matrix_from_rows(
@@ -185,8 +177,48 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             0.5 * (peek3(u, zp + over_x_y) - peek3(u, zm + over_x_y)),
         )
 
+    return velocity_gradient
+
+
+@wp.func
+def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=wp.vec3), node: wp.vec3i, here: int):
+    """Acceleration of a world node, uniform and, inside `box`, the body's; and the share of stress that the gradient gives."""
+    push = wp.vec3()
+    # only in the body's box is there a force to load: 12 bytes that all other nodes save
+    if (
+        node[0] >= box[0]
+        and node[0] < box[3]
+        and node[1] >= box[1]
+        and node[1] < box[4]
+        and node[2] >= box[2]
+        and node[2] < box[5]
+    ):
+        push = peek3(force, here)
+    share = wp.where(wp.length_sq(push) == 0.0, s.hybrid_share, s.hybrid_share_layer)
+    return s.body_acceleration + push, share
+
+
+def _module(faces: Faces, model: str, dtype: str, keeps: str):
+    """A module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop."""
+    module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), model, dtype, keeps]))
+    wp.set_module_options(OPTIONS | {"fast_math": model != "none"}, module)
+    return module
+
+
+@cache
+def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
+    """The kernel for these faces of x, y and z; `subgrid` adds eddy viscosity and hybrid stress.
+
+    `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
+    """
+    number = STORAGE[dtype]
+    module = _module(faces, "wale" if subgrid else "none", dtype, "u" if keeps else "f")
+    pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
+    opened = any(any(completes(axis)) for axis in faces)
+    inward, leave = leave_through(faces)
+
     @wp.kernel(module=module, grid_stride=False)
-    def advance(
+    def stream_collide(
         start: int,
         s: Params,
         flow: Inflow,
@@ -201,61 +233,37 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
         clock_next: wp.array(dtype=int),
     ):
         here = start + wp.tid()
-        z = here % s.nz
         column = here / s.nz
-        y = column % s.ny
-        x = column / s.ny
+        m = wp.vec3i(column / s.ny, column % s.ny, here % s.nz)
         step = clock[0]
         if here == 0:
             clock_next[0] = step + 1
-        lx, ly, lz = within(x - origin[3], s.nx), within(y - origin[4], s.ny), within(z - origin[5], s.nz)
-        wx, wy, wz = lx + origin[0], ly + origin[1], lz + origin[2]
+        at = wp.vec3i(within(m[0] - origin[3], s.nx), within(m[1] - origin[4], s.ny), within(m[2] - origin[5], s.nz))
+        node = wp.vec3i(at[0] + origin[0], at[1] + origin[1], at[2] + origin[2])
 
-        if wp.static(any(opened)):
-            inner_x, inner_y = int(lx), int(ly)
-            if wp.static(opened[0]):
-                inner_x = wp.clamp(lx, 1, s.nx - 2)
-            if wp.static(opened[1]):
-                inner_y = wp.clamp(ly, 1, s.ny - 2)
-            inner_mx, inner_my = within(x + inner_x - lx, s.nx), within(y + inner_y - ly, s.ny)
-            q = pull(f, s, inner_x, inner_y, lz, inner_mx, inner_my, z)
-        else:
-            q = pull(f, s, lx, ly, lz, x, y, z)
-        drho = density(q)
+        inner, inner_m = at, m
+        if wp.static(opened):
+            inner = inward(s, at)
+            inner_m = wp.vec3i(within(m[0] + inner[0] - at[0], s.nx), within(m[1] + inner[1] - at[1], s.ny), m[2])
+        q = pull(f, s, inner, inner_m)
+        drho = density(q)  # of the pulled populations: ten moments are all that the collision needs of nineteen
         u = (1.0 / (1.0 + drho)) * momentum(q)
         p = non_equilibrium_stress(q, drho, u)
-
         sigma = float(0.0)  # noqa: UP018
         target = wp.vec3()
-        if wp.static(any(opened)):
-            if wp.static(opened[0]):
-                sigma = ramp(lx, s.nx, s.sponge)
-            if wp.static(opened[1]):
-                sigma += ramp(ly, s.ny, s.sponge)
-            sigma = s.sponge_rate * sigma
-            outer = inner_x != lx or inner_y != ly
-            if outer or sigma > 0.0:
-                target = background(flow, wp.vec3(float(wx), float(wy), float(wz)), step + 1)
-                if outer:
-                    n = wp.normalize(wp.vec3(float(lx - inner_x), float(ly - inner_y), 0.0))
-                    drho, u = through(drho, u, target, n)
+        if wp.static(opened):
+            drho, u, sigma, target = leave(s, flow, at, inner, node, step + 1, drho, u)
 
-        g = s.drive
+        g, share = acceleration_at(s, box, force, node, here)
         nu = s.nu
-        bare = True
-        if wx >= box[0] and wx < box[3] and wy >= box[1] and wy < box[4] and wz >= box[2] and wz < box[5]:
-            push = peek3(force, here)
-            g += push
-            bare = wp.length_sq(push) == 0.0
-        if wp.static(subgrid):
-            d = slopes(u_old, s, lx, ly, lz, x, y, z)
+        if wp.static(subgrid):  # from the last step's velocity: this step's neighbours are being written by other threads
+            d = velocity_gradient(u_old, s, at, m)
             nu += wale(d[0], d[1], d[2], s.cw2)
-            share = wp.where(bare, s.borrowed, s.borrowed_layer)
             p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
         p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
-        v = u + g
-        if wp.static(any(opened)):
-            if sigma > 0.0:
+        v = u + g  # exact difference: f_eq(u + G) - f_eq(u), without a half-force correction of P (collide.py)
+        if wp.static(opened):
+            if sigma > 0.0:  # in moments, P among them: at sigma = 1 the node would be the background's equilibrium
                 drho -= sigma * drho
                 u += sigma * (target - u)
                 v += sigma * (target - v)
@@ -266,28 +274,9 @@ def kernels(faces: tuple[Axis, Axis, Axis], subgrid: bool, dtype: str = "float32
             # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
             poke(f_next, wp.static(i) * n_cells + here, q[i])
         if wp.static(keeps):
-            poke3(u_next, here, 0.5 * (u + v))
+            poke3(u_next, here, 0.5 * (u + v))  # u + G / 2, the second-order velocity of the water
 
-    @wp.kernel(module=module)
-    def predict(
-        s: Params,
-        origin: wp.array(dtype=int),
-        box: wp.array(dtype=int),
-        f: wp.array(dtype=number),
-        u: wp.array3d(dtype=wp.vec3),
-        rho: wp.array3d(dtype=float),
-    ):
-        i, j, k = wp.tid()
-        wx, wy, wz = box[0] + i, box[1] + j, box[2] + k
-        if wx >= box[3] or wy >= box[4] or wz >= box[5]:
-            return
-        x, y, z = folded(wx, s.nx), folded(wy, s.ny), folded(wz, s.nz)
-        q = pull(f, s, wx - origin[0], wy - origin[1], wz - origin[2], x, y, z)
-        drho = density(q)
-        rho[x, y, z] = 1.0 + drho
-        u[x, y, z] = (momentum(q) + (1.0 + drho) * s.drive) / (1.0 + drho)
-
-    return Kernels(advance, predict)
+    return stream_collide
 
 
 def box_array(box) -> np.ndarray:

@@ -1,1 +1,16 @@
-"""The fish in the fluid: markers, the immersed boundary, the water inside the hull, and the coupled solve with its links."""
+"""The fish in the fluid: markers, the immersed boundary, the water inside the hull, and the coupled solve with its links.
+
+`coupling.FluidStructure.step` is the method; it solves   (M + dt D + K) v+ = (M + dt D) v + dt f - b0 + I.
+
+Where the interior water enters. The immersed boundary accelerates the lattice's water inside the hull too, which a real hull does
+not hold, so the links must be given back the momentum that this water gains:
+
+    I = sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g),      h_l = (m_l u_l, I_l w_l)       m_l: displaced mass of link l
+
+    interior.py:measure, mean       s_l: how fast the water moves along each link; across it, it moves with the link
+    link_dynamics.py:move           h_l from pose, velocity and s_l
+    link_dynamics.py:add_interior   I, called by `assemble`, which writes the right-hand side
+    coupling.py:take_wrench         the same gain, added to the force that the markers exchanged
+
+Without I a fish is heavier by the water it displaces: virtual mass 1.89 instead of 0.89 m_f of a sphere, and momentum drifts.
+"""

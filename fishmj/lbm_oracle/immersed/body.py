@@ -1,10 +1,10 @@
 """The solid side: a MuJoCo model that yields the joint-space equation of one step, and takes the velocity found for it.
 
-    (M + dt D + K) v+ = (M + dt D) v + dt (passive + actuators - bias) - b0 + I            K, b0: the water (immersed.py)
+    (M + dt D + K) v+ = (M + dt D) v + dt (passive + actuators - bias) - b0 + I            K, b0: the water (kernels.py)
     I = sum_l J_l^T (h_l^n - h_l^n-1) - dt sum_l J_l^T m_l g,   h_l = (m_l u_l, I_l w_l)      the water inside the hull
 
 D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator takes implicitly. h_l is the momentum that the
-displaced water of link l has when it moves with the link across it, and along it as is measured (inside.py), m_l its mass, u_l
+displaced water of link l has when it moves with the link across it, and along it as is measured (interior.py), m_l its mass, u_l
 the velocity of its centre: the immersed boundary accelerates that water too, which a real hull does not contain. Taken as a
 difference in the world frame it holds the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that
 momentum is conserved. I lags by one step, along the links by two: the implicit solve stays stable with it down to a density
@@ -72,21 +72,21 @@ class ImmersedBody:
         self.applied = np.zeros(n)  # a push from outside, generalised, N or N m
         self.pose = np.zeros(13 * count + 6 * n)  # frames, hinge angles, axes and anchors: what the markers follow
         self.turn = self.data.xmat[1:].reshape(-1, 3, 3)  # a view
-        self.centre, self.twist = np.zeros((count, 3)), np.zeros((count, 6))  # of the inside water, in the world
+        self.centre, self.twist = np.zeros((count, 3)), np.zeros((count, 6))  # of the interior water, in the world
         self.system, self._right = np.zeros((n, n)), np.zeros(n)
         self.smooth, self.gain = np.zeros(n), np.zeros((count, 6))
-        self.slide = np.full(count, np.nan)  # m/s, of the inside water along each link; nan: it moves with the link
+        self.interior_speed = np.full(count, np.nan)  # m/s, of the interior water along each link; nan: it moves with the link
         self._now, self._last, self._weight = (np.zeros((count, 6)) for _ in range(3))
-        self._inside, self._found, self._dt, self._judged = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
+        self._impulse, self._target, self._dt, self._check = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
         self._moving, self._move = self._follow(water, centre=self.centre, twist=self.twist, now=self._now)
         plain, whole = self._equations(0), self._equations(1)  # without and with the water's gain
         self._balance, self._gain = [
-            [link_dynamics.Recorded(kernel, e) for e in (plain, whole)] for kernel in (link_dynamics.balance, link_dynamics.gain)
+            [link_dynamics.Recorded(kernel, e) for e in (plain, whole)] for kernel in (link_dynamics.assemble, link_dynamics.gain)
         ]
-        self._hand_back, self._compare = (
-            link_dynamics.Recorded(kernel, whole) for kernel in (link_dynamics.hand_back, link_dynamics.compare)
+        self._inverse_force, self._compare = (
+            link_dynamics.Recorded(kernel, whole) for kernel in (link_dynamics.inverse_force, link_dynamics.compare)
         )
-        self._seen: tuple | None = None
+        self._boxes: tuple | None = None
         self.set_step(dt)
         self.forward()
         self._last[:] = self._now
@@ -102,40 +102,41 @@ class ImmersedBody:
         self.dt = self.model.opt.timestep = self._dt[0] = float(dt)
         self._weigh()
 
-    def place(self, qpos, qvel=None, slide=np.nan) -> None:
-        """Put the body into a state; its water moves with it, or along the links at `slide` (L,) m/s: nothing speeds up."""
+    def place(self, qpos, qvel=None, interior_speed=np.nan) -> None:
+        """Put the body into a state; its water moves with it, along the links at `interior_speed` (L,) m/s, and gains nothing."""
         self.data.qpos[:] = qpos
         self.data.qvel[:] = 0.0 if qvel is None else qvel
-        self.slide[:] = slide
+        self.interior_speed[:] = interior_speed
         self._weigh()
         self.forward()
         self._last[:] = self._now
 
     @property
     def momentum(self) -> np.ndarray:
-        """(L, 6) of the inside water at the end of the step before; to be set, or read before the next step."""
+        """(L, 6) of the interior water at the end of the step before; to be set, or read before the next step."""
         return self._last
 
     @momentum.setter
     def momentum(self, value: np.ndarray) -> None:
         self._last[:] = value
 
-    def hear(self, slide: np.ndarray) -> None:
-        """How fast the inside water moves along the links, (L,) m/s; from the second time on it counts what it gains."""
-        if np.isnan(self.slide[0]):
+    def set_interior_speed(self, speed: np.ndarray) -> None:
+        """How fast the interior water moves along the links, (L,) m/s; from the second time on its gain counts."""
+        if np.isnan(self.interior_speed[0]):
+            # the first figure is a state, not a change: without this the water would seem to have sped up within one step
             axis = self.turn[:, :, 0]
-            self._last[:, :3] += (self.water.mass * slide - np.sum(axis * self._last[:, :3], 1))[:, None] * axis
-        self.slide[:] = slide
+            self._last[:, :3] += (self.water.mass * speed - np.sum(axis * self._last[:, :3], 1))[:, None] * axis
+        self.interior_speed[:] = speed
 
     def _weigh(self) -> None:
         """Impulse (L, 6) of the displaced water's weight over a step."""
         self._weight[:, :3] = self.dt * self.water.mass[:, None] * self.model.opt.gravity
 
     def forward(self) -> None:
-        """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the inside water."""
+        """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the interior water."""
         mujoco.mj_step1(self.model, self.data)
         self._move.launch()
-        self._seen = None
+        self._boxes = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
@@ -147,7 +148,7 @@ class ImmersedBody:
     def interior_impulse(self, interior: bool = True) -> np.ndarray:
         """I, (n,): what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
         self._gain[interior].launch()
-        return self._inside.copy()
+        return self._impulse.copy()
 
     def water_momentum(self) -> np.ndarray:
         """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
@@ -184,7 +185,7 @@ class ImmersedBody:
         s.hinge = share(np.array([_hinge_address(m, i + 1) for i in range(self.links)], np.int32), int)
         s.arm, s.mass, s.inertia = (share(np.array(a, float)) for a in (mass.centre, mass.mass, mass.inertia))
         s.pose, s.jacobian = share(self.pose), share(np.zeros((6 * self.links, n)))
-        s.slide = share(self.slide if mass is self.water else np.full(self.links, np.nan))
+        s.interior_speed = share(self.interior_speed if mass is self.water else np.full(self.links, np.nan))
         s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
         return s, link_dynamics.Recorded(link_dynamics.move, s)
 
@@ -194,9 +195,9 @@ class ImmersedBody:
         e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
         e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)
-        e.weight, e.last, e.gain, e.inside = (share(a) for a in (self._weight, self._last, self.gain, self._inside))
+        e.weight, e.last, e.gain, e.impulse = (share(a) for a in (self._weight, self._last, self.gain, self._impulse))
         e.smooth, e.system, e.right = share(self.smooth), share(self.system), share(self._right)
-        e.found, e.push, e.judged = share(self._found), share(d.qfrc_applied), share(self._judged)
+        e.target, e.applied_force, e.check = share(self._target), share(d.qfrc_applied), share(self._check)
         return e
 
     def advance(self, velocity: np.ndarray) -> None:
@@ -205,40 +206,40 @@ class ImmersedBody:
         Raises:
             SimDiverged: the velocity is not finite or runs away (the state is then the last good one), or MuJoCo disagrees.
         """
-        d, judged = self.data, self._judged
-        self._found[:] = velocity
-        self._hand_back.launch()
-        if not judged[0] < RUNAWAY:  # nan is never less
+        d, check = self.data, self._check
+        self._target[:] = velocity
+        self._inverse_force.launch()
+        if not check[0] < RUNAWAY:  # nan is never less
             at = int(np.argmax(np.nan_to_num(np.abs(velocity), nan=np.inf)))
             joint = self.model.joint(self.model.dof_jntid[at]).name
             message = f"oracle: velocity of joint {joint!r} is {velocity[at]:.3g} at t = {d.time:.4g} s (limit {RUNAWAY:g})"
             raise SimDiverged(message, time=float(d.time), term="coupling", link=joint)
         mujoco.mj_step2(self.model, d)
         self._compare.launch()
-        if not judged[1] < EXACT:
-            off = judged[1] * (1 + judged[0])
+        if not check[1] < EXACT:
+            off = check[1] * (1 + check[0])
             message = f"oracle: mj_step is {off:.3g} off the velocity found at t = {d.time:.4g} s"
             raise SimDiverged(message, time=float(d.time), term="mj_step")
         self.forward()
 
     def bounds(self, corners: Corners) -> tuple[np.ndarray, np.ndarray]:
         """Low and high corner (3,) m of the upright box round `corners`."""
-        low_high = self._look(corners)
+        low_high = self.corner_box(corners)
         return low_high[:3].copy(), low_high[3:6].copy()
 
     def fastest(self, corners: Corners) -> float:
         """Greatest speed of the corners, m/s: no marker inside the boxes that they span is faster."""
-        return float(self._look(corners)[9])
+        return float(self.corner_box(corners)[9])
 
     def first_cell(self, corners: Corners) -> np.ndarray:
         """(3,) of the box of cells round them (`Corners.set_grid`); to be read before the body moves."""
-        return self._look(corners)[6:9]
+        return self.corner_box(corners)[6:9]
 
-    def _look(self, corners: Corners) -> np.ndarray:
-        """All of it, (10,); kept until the body moves."""
-        if self._seen is None or self._seen[0] is not corners:
-            self._seen = corners, corners.look(self.pose, self.twist)
-        return self._seen[1]
+    def corner_box(self, corners: Corners) -> np.ndarray:
+        """All that `Corners.look` finds, (10,); kept until the body moves."""
+        if self._boxes is None or self._boxes[0] is not corners:
+            self._boxes = corners, corners.look(self.pose, self.twist)
+        return self._boxes[1]
 
     def largest_extent(self, corners: Corners) -> np.ndarray:
         """Size (3,) m that such a box cannot exceed, whatever the pose: the stretched chain from end to end."""

@@ -1,12 +1,13 @@
 """The immersed boundary of one body on one device: its arrays, and the order in which the kernels of a step run.
 
-    listen   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
-    decide   (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
-             F = F0 + sum v_j F_j -> link wrenches       v and wrenches are written into the host's memory
-    answer   F -> G                                      the force field of this step
+    assemble_response   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
+    solve               (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
+                        F = F0 + sum v_j F_j -> link wrenches       v and wrenches are written into the host's memory
+    spread_force        F -> G                                      the force field of this step
 
-All three are queues of launches without a look at the host; a GPU captures each as a graph. `listen` needs the body's place only,
-and the host makes up its equation meanwhile. What the host sends is free to be written again once the velocity has come back.
+All three are queues of launches without a look at the host; a GPU captures each as a graph. `assemble_response` needs the body's
+place only, and the host makes up its equation meanwhile. What the host sends is free to be written again once the velocity has
+come back.
 """
 
 from contextlib import nullcontext
@@ -15,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import C
 from fishmj.lbm_oracle.fluid.lattice_units import Lattice
@@ -52,8 +54,9 @@ class Boundary:
         self.width, self.passes, self.slip = check_width(width), int(passes), slip_here(slip, lattice)
         if self.passes < 1:
             raise ConfigError(f"immersed boundary: passes = {passes}; expected 1 or more, 2 by default")
-        self.drive = fluid.numbers.drive
-        self.wraps = wp.vec3i(*(int(axis.low == "periodic") for axis in fluid.boundaries.axes))
+        self.body_acceleration = fluid.params.body_acceleration
+        wraps = [FACES[axis.low].wraps for axis in fluid.boundaries.axes]
+        self.wraps, self._bounded = wp.vec3i(*map(int, wraps)), [a for a in range(3) if not wraps[a]]
         n, self.dofs, self.links = len(markers), body.dofs, body.links
         if n == 0:
             raise ConfigError("immersed boundary: no markers")
@@ -77,53 +80,70 @@ class Boundary:
         self.host = empty(self.layout.size, wp.float64)
         self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
         self.inbox = wp.zeros(self.dofs + 7 * self.links, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        self.outbox = self.inbox[: self.dofs]  # the velocity on the host
         self.world, self.cell, self.normal = empty(n, wp.vec3d), empty(n, wp.vec3), empty(n, wp.vec3)
         self.store, self.jacobian = empty(n, wp.vec3i), empty((n, self.dofs), wp.vec3)
         self.box_u, self.box_rho = empty(self.box_shape, wp.vec3), empty(self.box_shape, wp.float32)
         self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
-        self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)
+        self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)  # all v_j and the rest state at once: one set of launches
         self.final = empty(n, wp.vec3)
         chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
         self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
-        sent, told = (_reached(array, device) for array in (self.staging, self.inbox))
+        sent, returned = (_reached(array, device) for array in (self.staging, self.inbox))
         first = self.layout.system  # the place of the body goes ahead of its equation
         self._sent = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
         velocity, impulse = self.dofs, self.dofs + 6 * self.links
-        self._told = told[:velocity], told[velocity:impulse].reshape((self.links, 6)), told[impulse:]
+        self._velocity, self._interior_speed = returned[:velocity], returned[impulse:]
+        self._returned_wrench = returned[velocity:impulse].reshape((self.links, 6))
         self.wrench_part = empty((chunks, self.links, 6), wp.float64)
         self._holds = False  # velocities were prescribed in the last step
         self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
-        self._heard = True  # `inbox` holds what is in `_wrench`
-        heard = self.inbox.numpy()
-        self.found, self.slide = heard[:velocity], heard[impulse:]  # views
-        self._impulse = heard[velocity:impulse].reshape(self.links, 6)
-        self.inside, self._beside = body.water.points, wp.Stream(device) if device.is_cuda else None
-        if self.inside is not None:
-            self._inside = make(self.inside.place, wp.vec3d), make(self.inside.link.astype(np.int32), wp.int32)
-            self._along, self._shares = empty(len(self.inside.link), wp.float32), make(self.inside.share, wp.float32)
+        self._current = True  # `inbox` holds what is in `_wrench`
+        on_host = self.inbox.numpy()
+        self.velocity, self.interior_speed = on_host[:velocity], on_host[impulse:]  # views: v+ (n,), s (L,) m/s
+        self._impulse = on_host[velocity:impulse].reshape(self.links, 6)
+        self.interior, self._branch = body.water.points, wp.Stream(device) if device.is_cuda else None
+        if self.interior is not None:
+            self._points = make(self.interior.place, wp.vec3d), make(self.interior.link.astype(np.int32), wp.int32)
+            self._along, self._shares = empty(len(self.interior.link), wp.float32), make(self.interior.share, wp.float32)
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
         self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
 
-    def place(self, body) -> None:
-        """Write where the body is into the staging block."""
-        self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
+    def place_markers(self, body, origin: np.ndarray) -> None:
+        """Write where the body is into the staging block; `origin` (3,) is the fluid's low corner, a world node.
 
-    def fill(self, system, right, velocity, fixed=None, value=None) -> None:
-        """Write the body's equation into it; `fixed` (n,) marks velocities that are prescribed by `value`."""
+        Raises:
+            ConfigError: a marker is nearer to a face than half a kernel: it would read, and push, water of the other side.
+        """
+        self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
+        if not self._bounded:
+            return
+        found, first, dx = body.corner_box(self.corners).tolist(), origin.tolist(), self.lattice.dx
+        for a in self._bounded:  # plain numbers: a handful is faster so than in NumPy
+            corner = self.lattice.corner[a] + first[a] * dx
+            room = min((found[a] - corner) / dx, self.shape[a] - 1 - (found[3 + a] - corner) / dx)
+            if room < self.width / 2:
+                raise ConfigError(
+                    f"immersed boundary: a marker is {room:.2f} cells from the outermost nodes of axis {'xyz'[a]}, and its kernel"
+                    f" reaches {self.width / 2:g}, across to the other side; keep the body further in, or enlarge the box"
+                )
+
+    def set_equation(self, system, right, velocity, fixed=None, value=None) -> None:
+        """Write the body's equation into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
         view = self.view
         view["system"][:], view["momentum"][:], view["before"][:] = system, right, velocity
         if fixed is not None or self._holds:
             view["fixed"][:] = 0.0 if fixed is None else fixed
             view["value"][:] = 0.0 if value is None else value
             self._holds = fixed is not None
-        view["fresh"][:], self._taken, self._heard = self._taken, False, True
+        view["fresh"][:] = self._taken
+        self._taken = False
+        self._current = True
 
-    def listen(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
-        """Queue everything up to K and b0, and how the inside water slides, after `place`.
+    def assemble_response(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
+        """Queue everything up to K and b0, and how the interior water slides, after `place_markers`.
 
         Args:
             f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
@@ -131,56 +151,58 @@ class Boundary:
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
         self._fetch(*self._sent[0])
-        with nullcontext() if self._beside is None else wp.ScopedStream(self._beside):  # a branch of its own
-            self._look_inside(f, shape)
+        with nullcontext() if self._branch is None else wp.ScopedStream(self._branch):  # a branch of its own
+            self._measure_interior(f, shape)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
         pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
         self._launch(kernels.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
-        read_in = [f, self.directions, self.drive, self.cell, self.store, w, shape]
+        read_in = [f, self.directions, self.body_acceleration, self.cell, self.store, w, shape]
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
-        aim_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
-        self._launch(kernels.aim, (n, self.rhs), aim_in, [self.wanted, self.force])
+        target_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
+        self._launch(kernels.set_target, (n, self.rhs), target_in, [self.wanted, self.force])
         for _ in range(self.passes - 1):
             self.scratch.zero_()
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
+        # float32 forces, float64 sums: K joins masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
-        self._launch(fsi_solve.weigh, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
-        self._launch(fsi_solve.gather, self.water.shape, [self.part, scale * lat.velocity], [self.water])
-        if self._beside is not None:
-            wp.get_stream(self.device).wait_stream(self._beside)
+        self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
+        self._launch(fsi_solve.response_total, self.water.shape, [self.part, scale * lat.velocity], [self.water])
+        if self._branch is not None:
+            wp.get_stream(self.device).wait_stream(self._branch)
 
-    def _look_inside(self, f: wp.array, shape: wp.vec3i) -> None:
-        """Queue how the inside water slides along the links."""
-        if self.inside is None:
+    def _measure_interior(self, f: wp.array, shape: wp.vec3i) -> None:
+        """Queue how fast the interior water moves along the links."""
+        if self.interior is None:
             return
-        args = [self.host, self.layout, *self._inside, f, self.directions, self.drive, wp.float64(self.lattice.dx), shape]
-        self._launch(interior.look, len(self._along), args, [self._along])
-        args = [self._along, self._inside[1], self._shares, self.lattice.velocity]
-        self._launch(interior.mean, self.links, args, [self._told[2]])
+        args = [self.host, self.layout, *self._points, f, self.directions, self.body_acceleration]
+        args += [wp.float64(self.lattice.dx), shape]
+        self._launch(interior.measure, len(self._along), args, [self._along])
+        args = [self._along, self._points[1], self._shares, self.lattice.velocity]
+        self._launch(interior.mean, self.links, args, [self._interior_speed])
 
-    def decide(self, implicit: bool = True) -> None:
-        """Queue the solve and the wrench on every link, which write into the host's memory, after `fill`."""
+    def solve(self, implicit: bool = True) -> None:
+        """Queue the solve and the wrench on every link, which write into the host's memory, after `set_equation`."""
         lat = self.lattice
         self._fetch(*self._sent[1])
         args = [self.host, self.layout, self.water, int(implicit)]
-        self._launch(fsi_solve.solver(self.dofs), 1, args, [self._told[0], self.target])
+        self._launch(fsi_solve.solver(self.dofs), 1, args, [self._velocity, self.target])
         self._launch(kernels.combine, self.count, [self.force, self.target], [self.final])
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(fsi_solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
         args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]
-        self._launch(fsi_solve.add_wrench, (self.links, 6), args, [self._wrench, self._told[1]])
+        self._launch(fsi_solve.add_wrench, (self.links, 6), args, [self._wrench, self._returned_wrench])
 
-    def answer(self, acceleration: wp.array) -> None:
+    def spread_force(self, acceleration: wp.array) -> None:
         """Queue the final force into the fluid's `acceleration`."""
         args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
-        self._launch(kernels.push, (self.count, self.width), args, [acceleration])
+        self._launch(kernels.spread_force, (self.count, self.width), args, [acceleration])
 
-    def clear(self, acceleration: wp.array) -> None:
-        """Queue G = 0 where the last answer pushed."""
+    def clear_force(self, acceleration: wp.array) -> None:
+        """Queue G = 0 where the last force was spread."""
         args = [self.store, self.width, wp.vec3i(*self.shape)]
-        self._launch(kernels.clear, (self.count, self.width**3), args, [acceleration])
+        self._launch(kernels.clear_force, (self.count, self.width**3), args, [acceleration])
 
     def take_wrench(self) -> np.ndarray:
         """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin.
@@ -190,7 +212,7 @@ class Boundary:
         if self._taken:
             return np.zeros((self.links, 6))
         self._taken = True
-        if self._heard:
+        if self._current:
             return self._impulse.copy()
         wp.synchronize_device(self.device)
         return self._wrench.numpy().copy()
@@ -200,11 +222,11 @@ class Boundary:
         """That impulse on the device, (L, 6), to be kept or set between two steps."""
         if self._taken:
             self._wrench.zero_()
-        self._taken = self._heard = False
+        self._taken = self._current = False
         return self._wrench
 
     @property
-    def answer_matrix(self) -> tuple[np.ndarray, np.ndarray]:
+    def response(self) -> tuple[np.ndarray, np.ndarray]:
         """K (n, n) and b0 (n,) of the last step, SI momentum units."""
         water = self.water.numpy()
         return water[:, 1:].copy(), water[:, 0].copy()

@@ -1,16 +1,19 @@
 """The coupled step: fish and water find their common velocity together.
 
-    host:    where the body is                 ->  to the device
-    device:  listen (K, b0)                        while the host makes up M, forces, interior water  ->  to the device
-             decide (v+)                       ->  v+ to the host, while the device goes on with
-             answer (force), fluid step
-    host:    mj_step to v+                     ->  the next place
+    place_markers      X_k, n_k, J_k from the body's pose                                   host -> device
+    assemble_response  K, b0: the impulse of the body on the water is K v + b0              device
+    solve              (M + dt D + K) v+ = (M + dt D) v + dt f - b0 + I                     device, the left side from the host
+    push_water         F -> G (spread_force), then the fluid's step (stream_collide)        device
+    advance            MuJoCo's own step to v+                                              host
 
-The solve is implicit in the velocity of the joints, so that a body as light as water, or a thin light tail, is stable; the
-explicit scheme diverges there (docs/methods/oracle_coupling.md). `FluidStructure.step` is the main loop.
+Strong coupling without sub-iterations: K is exact, since the direct forcing is linear in v. A body as light as water, or a thin
+light tail, is stable so; the explicit scheme takes the water's answer to the old velocity and diverges
+(docs/methods/oracle_coupling.md).
+Host and device work side by side: the device makes up K while the host makes up M, and moves the water while MuJoCo steps.
 """
 
 from contextlib import nullcontext
+from typing import Literal
 
 import numpy as np
 import warp as wp
@@ -22,6 +25,7 @@ from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
+Part = Literal["response", "solution", "water"]  # of a step: what the device does between two things that the host does
 NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
 
 
@@ -48,7 +52,7 @@ class FluidStructure:
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
         self.steps = 0
-        self.gain = np.zeros((body.links, 6))  # momentum of the inside water handed to the links since `take_wrench`
+        self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
         self._graphs = _Graphs(self) if fluid.device.is_cuda else None
 
     @property
@@ -65,65 +69,74 @@ class FluidStructure:
         Raises:
             SimDiverged: the body's velocity is not finite.
         """
-        self.ask()
-        self.tell(fixed, value)
-        velocity = self.finish()
-        self.join()
+        self.place_markers()
+        self.assemble_response()
+        self.solve(fixed, value)
+        self.push_water()
+        velocity = self.advance()
+        self.join_stream()
+        return velocity
+
+    def place_markers(self) -> None:
+        """Where the body is, into what the device reads.
+
+        Raises:
+            ConfigError: a marker is so near to a face that its kernel would read beyond it.
+        """
+        self.boundary.place_markers(self.body, self.fluid.origin_lu)
+
+    def assemble_response(self) -> None:
+        """The device begins to work out K and b0, the water's answer to any velocity of the body."""
+        self._queue("response")
+
+    def solve(self, fixed=None, value=None) -> None:
+        """The body's side of the equation, and the launch of its solution; arguments as `step`'s."""
+        body = self.body
+        system, right = body.equation(interior=self.interior)
+        self.boundary.set_equation(system, right, body.data.qvel, fixed, value)
+        self._queue("solution")
+
+    def push_water(self) -> None:
+        """Launch the force, and the fluid's step under it. Several tanks come so far before one of them waits."""
+        self._queue("water")
+        if self.interior:  # what no launch waits for comes behind them
+            self.gain += self.body.gain
+
+    def advance(self) -> np.ndarray:
+        """Wait for the velocity, (n,), and let MuJoCo take it."""
+        if self._graphs is not None:
+            self._graphs.wait()
+        velocity = self.boundary.velocity.copy()  # the device writes there again in the next step
+        if self.boundary.interior is not None:
+            self.body.set_interior_speed(self.boundary.interior_speed)
+        self.body.advance(velocity)
+        self.steps += 1
         return velocity
 
     def scope(self):
         """The stream of this tank: whatever else looks at its arrays or moves them does so inside."""
         return nullcontext() if self._graphs is None else wp.ScopedStream(self._graphs.stream)
 
-    def join(self) -> None:
+    def join_stream(self) -> None:
         """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""
         if self._graphs is not None:
-            self._graphs.join()
+            self._graphs.join_stream()
 
-    def ask(self) -> None:
-        """Where the body is; the water begins to work out what it would answer to any velocity."""
-        self.boundary.place(self.body)
-        self._queue("listen")
+    def launch(self, part: Part) -> None:
+        """The kernels of one part of a step, in their order; no look at the host, so that a graph can hold them."""
+        if part == "response":
+            self.boundary.assemble_response(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
+        elif part == "solution":
+            self.boundary.solve(self.scheme == "implicit")
+        else:
+            self.boundary.spread_force(self.fluid.force)
+            self.fluid.stream_collide()
+            self.boundary.clear_force(self.fluid.force)
 
-    def tell(self, fixed=None, value=None) -> None:
-        """The body's equation, and the launches of the rest of the step. Several tanks come so far before one finishes."""
-        body = self.body
-        system, right = body.equation(interior=self.interior)
-        self.boundary.fill(system, right, body.data.qvel, fixed, value)
-        self._queue("decide")
-        self._queue("answer")
-        if self.interior:  # what no launch waits for comes behind them
-            self.gain += body.gain
-
-    def finish(self) -> np.ndarray:
-        """Wait for the velocity, (n,), and let MuJoCo take it."""
-        if self._graphs is not None:
-            self._graphs.wait()
-        velocity = self.boundary.found.copy()  # the device writes there again in the next step
-        if self.boundary.inside is not None:
-            self.body.hear(self.boundary.slide)
-        self.body.advance(velocity)
-        self.steps += 1
-        return velocity
-
-    def listen(self) -> None:
-        """Launch what the water would answer to any velocity."""
-        self.boundary.listen(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
-
-    def decide(self) -> None:
-        """Launch the search for the velocity, up to its way to the host."""
-        self.boundary.decide(self.scheme == "implicit")
-
-    def answer(self) -> None:
-        """Launch the force, and the fluid's step under it."""
-        self.boundary.answer(self.fluid.force)
-        self.fluid.advance()
-        self.boundary.clear(self.fluid.force)
-
-    def _queue(self, part: str) -> None:
-        """Launch one of these three, from a graph where there are graphs."""
+    def _queue(self, part: Part) -> None:
+        """Launch a part, from a graph where there are graphs."""
         if self._graphs is None:
-            getattr(self, part)()
+            self.launch(part)
         else:
             self._graphs.launch(part)
 
@@ -131,7 +144,7 @@ class FluidStructure:
         """Mean wrench of the water on every link over the last `seconds` (since the last call), each (L, 6).
 
         World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
-        momentum of the inside water added: the force of the real water on a hull that holds none.
+        momentum of the interior water added: the force of the real water on a hull that holds none.
         """
         raw = self.boundary.take_wrench() / seconds
         gain, self.gain = self.gain / seconds, np.zeros(self.gain.shape)
@@ -145,14 +158,14 @@ class _Graphs:
 
     def __init__(self, coupled: FluidStructure):
         self.coupled, self.device = coupled, coupled.fluid.device
-        self.stream, self.decided = wp.Stream(self.device), wp.Event(self.device)
+        self.stream, self.solved = wp.Stream(self.device), wp.Event(self.device)
         self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
-        self.warm: set[tuple[str, int]] = set()
-        self.graphs: dict[tuple[str, int], wp.Graph] = {}
+        self.warm: set[tuple[Part, int]] = set()
+        self.graphs: dict[tuple[Part, int], wp.Graph] = {}
         self.flow, self.joined = coupled.fluid.flow, True
         wp.synchronize_device(self.device)  # the arrays were made on another stream
 
-    def launch(self, part: str) -> None:
+    def launch(self, part: Part) -> None:
         """Queue it: launch by launch the first time, which loads the modules, and from a graph ever after."""
         fluid = self.coupled.fluid
         if fluid.flow is not self.flow:  # a new background flow has new launches
@@ -166,28 +179,28 @@ class _Graphs:
                 if key in self.warm:
                     self.graphs[key] = self._capture(part)
                 else:
-                    getattr(self.coupled, part)()
+                    self.coupled.launch(part)
         if key in self.graphs:
             with self.here:
                 wp.capture_launch(self.graphs[key], self.stream)
-            if part == "answer":  # has moved the fluid on
+            if part == "water":  # has moved the fluid on
                 fluid.parity, fluid.steps = 1 - fluid.parity, fluid.steps + 1
         self.warm.add(key)
-        if part == "decide":
-            self.stream.record_event(self.decided)
+        if part == "solution":
+            self.stream.record_event(self.solved)
 
-    def join(self) -> None:
+    def join_stream(self) -> None:
         self.device.stream.wait_stream(self.stream)
         self.joined = True
 
     def wait(self) -> None:
         """Until the velocity is on the host."""
-        wp.synchronize_event(self.decided)
+        wp.synchronize_event(self.solved)
 
-    def _capture(self, part: str) -> wp.Graph:
+    def _capture(self, part: Part) -> wp.Graph:
         fluid = self.coupled.fluid
         parity, steps = fluid.parity, fluid.steps
         with wp.ScopedCapture(self.device, stream=self.stream) as captured:
-            getattr(self.coupled, part)()
+            self.coupled.launch(part)
         fluid.parity, fluid.steps = parity, steps
         return captured.graph

@@ -46,15 +46,6 @@ def weight(x: wp.vec3, i: int, j: int, k: int, width: int) -> float:
     return phi(x[0] - float(i), width) * phi(x[1] - float(j), width) * phi(x[2] - float(k), width)
 
 
-@wp.func
-def wrap(i: int, n: int) -> int:
-    """i modulo n in 0 .. n - 1, for negative i too."""
-    m = i % n
-    if m < 0:
-        m += n
-    return m
-
-
 def check_width(width: int) -> int:
     """`width` if there is such a kernel."""
     if width not in WIDTHS:

@@ -22,7 +22,7 @@ def fetch(sent: wp.array(dtype=wp.float64), host: wp.array(dtype=wp.float64)):
 
 
 @wp.kernel
-def weigh(
+def response_part(
     jacobian: wp.array2d(dtype=wp.vec3),
     volume: wp.array(dtype=float),
     force: wp.array2d(dtype=wp.vec3),
@@ -39,7 +39,7 @@ def weigh(
 
 
 @wp.kernel
-def gather(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total: wp.array2d(dtype=wp.float64)):
+def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total: wp.array2d(dtype=wp.float64)):
     """total[i, r] = scale sum_c part[c, i, r]."""
     i, r = wp.tid()
     s = wp.float64(0.0)
@@ -74,14 +74,15 @@ def solver(n: int) -> wp.Kernel:
             free = host[at.fixed + i] < wp.float64(0.5)
             right = host[at.momentum + i] - water[i, 0]
             for j in range(wp.static(n)):
-                answer = water[i, j + 1]
-                entry = host[at.system + n * i + j]
+                response = water[i, j + 1]
+                entry = host[at.system + n * i + j]  # the host's side, which came while K was made up
                 if implicit == 1:
-                    entry += answer
+                    entry += response
                 else:
-                    right -= answer * host[at.before + j]
+                    right -= response * host[at.before + j]
                 a[i, j] = wp.where(free, entry, wp.where(wp.static(i == j), wp.float64(1.0), wp.float64(0.0)))
             a[i, wp.static(n)] = wp.where(free, right, host[at.value + i])
+        # pivots, though M is symmetric: K is so only without slip, and a row that a tether replaced is not
         for p in range(wp.static(n)):
             for i in range(wp.static(n)):
                 if wp.static(i > p):
@@ -105,6 +106,7 @@ def solver(n: int) -> wp.Kernel:
         for i in range(wp.static(n)):
             v[i] = x[i]
             old = implicit == 0 and host[at.fixed + i] < wp.float64(0.5)
+            # the explicit scheme pushes the water by the old velocity, which is what makes it explicit
             target[i] = wp.where(old, host[at.before + i], x[i])
 
     return solve
@@ -131,7 +133,7 @@ def wrench(
     origin = point3(host, at.frame + 12 * l)
     k = c
     while k < volume.shape[0]:
-        w = wp.float64(0.0)
+        w = wp.float64(0.0)  # a thread sums for one link: atomics over links would add in another order every time
         if before[k] == l:
             w += wp.float64(1.0) - share[k]
         if after[k] == l:
@@ -153,13 +155,13 @@ def add_wrench(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     total: wp.array2d(dtype=wp.float64),
-    heard: wp.array2d(dtype=wp.float64),
+    on_host: wp.array2d(dtype=wp.float64),
 ):
-    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `heard` is the host's copy."""
+    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `on_host` is the host's copy."""
     l, i = wp.tid()
     s = wp.float64(0.0)
     for c in range(part.shape[0]):
         s += part[c, l, i]
     before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
     total[l, i] = before + scale * s
-    heard[l, i] = before + scale * s
+    on_host[l, i] = before + scale * s

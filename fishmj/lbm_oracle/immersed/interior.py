@@ -32,7 +32,7 @@ class Points(NamedTuple):
         ds = ((g.span[:, 1] - g.span[:, 0]) / g.strip_x.shape[1])[:, None]
         width, height = g.strip_w / ds, g.strip_h / ds
         area = width * height / (width * height).sum(1, keepdims=True)
-        place = [
+        place = [  # two by two, not one on the axis: what turns with the link must not look like what slides along it
             np.stack([g.strip_x, side * width / 4, up * height / 4], -1).reshape(-1, 3) for side in (-1, 1) for up in (-1, 1)
         ]
         link = np.repeat(np.arange(g.n_links), g.strip_x.shape[1])
@@ -40,14 +40,14 @@ class Points(NamedTuple):
 
 
 @wp.kernel
-def look(
+def measure(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     place: wp.array(dtype=wp.vec3d),
     link: wp.array(dtype=int),
     f: wp.array(dtype=Any),
     directions: wp.array(dtype=wp.vec3i),
-    drive: wp.vec3,
+    body_acceleration: wp.vec3,
     dx: wp.float64,
     shape: wp.vec3i,
     along: wp.array(dtype=float),
@@ -60,12 +60,13 @@ def look(
     axis = wp.vec3(float(rotation[0, 0]), float(rotation[1, 0]), float(rotation[2, 0]))
     low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
     part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
+    # trilinear: the markers' kernel reaches 1.5 cells, out of a hull that is three cells wide
     total = wp.float32(0.0)
     for o in range(8):
         i, j, k = o // 4, (o // 2) % 2, o % 2
         weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
         rho, m = pulled(f, directions, low[0] + i, low[1] + j, low[2] + k, shape)
-        total += weight * wp.dot(axis, m / rho + drive)
+        total += weight * wp.dot(axis, m / rho + body_acceleration)
     along[p] = total
 
 
@@ -75,16 +76,16 @@ def mean(
     link: wp.array(dtype=int),
     share: wp.array(dtype=float),
     scale: wp.float64,
-    told: wp.array(dtype=wp.float64),
+    speed: wp.array(dtype=wp.float64),
 ):
     """s_l, m/s."""
-    l = wp.tid()
+    l = wp.tid()  # one thread a link in a fixed order of points: atomics would cost the repetition to the bit
     total = wp.float32(0.0)
     for p in range(along.shape[0]):
         if link[p] == l:
             total += share[p] * along[p]
-    told[l] = scale * wp.float64(total)
+    speed[l] = scale * wp.float64(total)
 
 
 for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
-    wp.overload(look, {"f": wp.array(dtype=_storage)})
+    wp.overload(measure, {"f": wp.array(dtype=_storage)})

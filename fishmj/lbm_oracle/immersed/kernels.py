@@ -20,9 +20,9 @@ from typing import Any
 
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.lattice import Q
+from fishmj.lbm_oracle.fluid.lattice import Q, wrap
 from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, peek, point3
-from fishmj.lbm_oracle.immersed.delta import first, phi, weight, wrap
+from fishmj.lbm_oracle.immersed.delta import first, phi, weight
 
 wp.set_module_options({"enable_backward": False, "max_unroll": Q})
 
@@ -89,6 +89,7 @@ def pose(
     out = rotation * wp.vec3d(c * m[0] - sn * m[1], sn * m[0] + c * m[1], m[2])
     world[k] = x
     normal[k] = wp.vec3(float(out[0]), float(out[1]), float(out[2]))
+    # in float64 up to here and relative to the box from here on: single precision would lose the fraction of a far cell
     grid = (x - point3(host, at.origin)) / dx
     low = point3(host, at.box)
     inner = grid - low
@@ -108,7 +109,10 @@ def pose(
 
 @wp.func
 def pulled(f: wp.array(dtype=Any), directions: wp.array(dtype=wp.vec3i), x: int, y: int, z: int, shape: wp.vec3i):
-    """rho and rho u* of a cell, from the populations that its next step pulls."""
+    """rho and rho u* of a cell, from the populations that its next step pulls.
+
+    It wraps round on every axis and knows no faces: `Boundary.place_markers` refuses a body so near to one that it mattered.
+    """
     rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
     for q in range(wp.static(Q)):  # unrolled: nineteen loads under way at once
         c = directions[q]
@@ -123,7 +127,7 @@ def pulled(f: wp.array(dtype=Any), directions: wp.array(dtype=wp.vec3i), x: int,
 def read_cells(
     f: wp.array(dtype=Any),
     directions: wp.array(dtype=wp.vec3i),
-    drive: wp.vec3,
+    body_acceleration: wp.vec3,
     cell: wp.array(dtype=wp.vec3),
     store: wp.array(dtype=wp.vec3i),
     width: int,
@@ -136,15 +140,16 @@ def read_cells(
     i, j, l = o // (width * width), (o // width) % width, o % width
     at = store[k]
     x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
+    # only where a marker touches: velocities of the whole box would cost a second pass over memory
     rho, m = pulled(f, directions, x, y, z, shape)
     p = cell[k]
     bx, by, bz = first(p[0], width) + i, first(p[1], width) + j, first(p[2], width) + l
-    box_u[bx, by, bz] = m / rho + drive
+    box_u[bx, by, bz] = m / rho + body_acceleration
     box_rho[bx, by, bz] = rho
 
 
 @wp.kernel
-def aim(
+def set_target(
     cell: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     jacobian: wp.array2d(dtype=wp.vec3),
@@ -158,6 +163,7 @@ def aim(
     k, r = wp.tid()
     n, s = normal[k], slip[k]
     change = wp.vec3(0.0, 0.0, 0.0)
+    # frozen here for all passes: a target that followed u* would make the friction depend on their number
     if r == 0:
         p, u = cell[k], wp.vec3(0.0, 0.0, 0.0)
         x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
@@ -191,6 +197,7 @@ def spread(
         wy = wx * phi(p[1] - float(y + j), width)
         for l in range(width):
             w = wy * phi(p[2] - float(z + l), width)
+            # over the local density, so that sum rho G = sum V F: over 1, the water would gain rho times what the markers give
             wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
 
 
@@ -226,7 +233,7 @@ def combine(force: wp.array2d(dtype=wp.vec3), v: wp.array(dtype=wp.float64), fin
 
 
 @wp.kernel
-def push(
+def spread_force(
     cell: wp.array(dtype=wp.vec3),
     store: wp.array(dtype=wp.vec3i),
     volume: wp.array(dtype=float),
@@ -248,7 +255,7 @@ def push(
 
 
 @wp.kernel
-def clear(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, acceleration: wp.array3d(dtype=wp.vec3)):
+def clear_force(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, acceleration: wp.array3d(dtype=wp.vec3)):
     """G = 0 in the cells that the markers touched in the last step."""
     k, o = wp.tid()
     at = store[k]

@@ -7,7 +7,7 @@
     right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
 
 A few hundred multiplications take about as long as one call of NumPy does; so each kernel is one call, and one thread. The
-arrays are MuJoCo's own or the `Body`'s: nothing is copied.
+arrays are MuJoCo's own or the `ImmersedBody`'s: nothing is copied.
 """
 
 import ctypes
@@ -43,7 +43,7 @@ class LinkArrays:
     arm: wp.array(dtype=wp.float64)  # 3 L, r
     mass: wp.array(dtype=wp.float64)  # L
     inertia: wp.array(dtype=wp.float64)  # 9 L
-    slide: wp.array(dtype=wp.float64)  # L, s; nan where it moves as the link does
+    interior_speed: wp.array(dtype=wp.float64)  # L, s; nan where it moves as the link does
     pose: wp.array(dtype=wp.float64)  # 12 L + L + 3 n + 3 n: frames, angles, axes a, anchors o
     centre: wp.array(dtype=wp.float64)  # 3 L, c
     jacobian: wp.array(dtype=wp.float64)  # 6 L n, J
@@ -53,7 +53,7 @@ class LinkArrays:
 
 @wp.struct
 class LinkDynamics:
-    """What the equation of a step adds to them; `interior`: whether the inside water's gain counts."""
+    """What the equation of a step adds to them; `interior`: whether the interior water's gain counts."""
 
     body: LinkArrays
     interior: int
@@ -66,13 +66,13 @@ class LinkDynamics:
     weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
     last: wp.array(dtype=wp.float64)  # 6 L, h of the step before
     gain: wp.array(dtype=wp.float64)  # 6 L
-    inside: wp.array(dtype=wp.float64)  # n, I
+    impulse: wp.array(dtype=wp.float64)  # n, I
     smooth: wp.array(dtype=wp.float64)  # n, f
     system: wp.array(dtype=wp.float64)  # n n, M on entry, then M + dt D
     right: wp.array(dtype=wp.float64)  # n
-    found: wp.array(dtype=wp.float64)  # n, the velocity that the step shall end with
-    push: wp.array(dtype=wp.float64)  # n, MuJoCo's qfrc_applied
-    judged: wp.array(dtype=wp.float64)  # greatest |found|, and what |v - found| is off, over 1 + greatest |found|
+    target: wp.array(dtype=wp.float64)  # n, the velocity that the step shall end with
+    applied_force: wp.array(dtype=wp.float64)  # n, MuJoCo's qfrc_applied
+    check: wp.array(dtype=wp.float64)  # greatest |target|, and what |v - target| is off, over 1 + greatest |target|
 
 
 @wp.func
@@ -118,59 +118,63 @@ def move(s: LinkArrays):
             w += s.qvel[d] * spin
         put(s.twist, 6 * l, u)
         put(s.twist, 6 * l + 3, w)
-        if s.slide[l] == s.slide[l]:
+        if (
+            s.interior_speed[l] == s.interior_speed[l]
+        ):  # not nan: measured. Only along the link: across it the wall takes it along
             axis = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
-            u += (s.slide[l] - wp.dot(axis, u)) * axis
+            u += (s.interior_speed[l] - wp.dot(axis, u)) * axis
         put(s.now, 6 * l, s.mass[l] * u)
         put(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
 
 
 @wp.func
-def gained(e: LinkDynamics):
+def add_interior(e: LinkDynamics):
     """I: what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
     s = e.body
     for d in range(s.dofs):
-        e.inside[d] = wp.float64(0.0)
+        e.impulse[d] = wp.float64(0.0)
     for k in range(6 * s.links):
+        # a difference in the world's axes, not M_f a: it holds the Coriolis part by itself, and telescopes over the steps
         e.gain[k] = s.now[k] - e.last[k]
         e.last[k] = s.now[k]
         push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
         for d in range(s.dofs):
-            e.inside[d] += push * s.jacobian[k * s.dofs + d]
+            e.impulse[d] += push * s.jacobian[k * s.dofs + d]
 
 
 @wp.kernel
 def gain(e: LinkDynamics):
-    gained(e)
+    add_interior(e)
 
 
 @wp.kernel
-def balance(e: LinkDynamics):
+def assemble(e: LinkDynamics):
     """M + dt D and the right-hand side."""
-    gained(e)
+    add_interior(e)
     s = e.body
     n, dt = s.dofs, e.dt[0]
     for i in range(n):
-        e.system[i * n + i] += dt * e.damping[i]
+        e.system[i * n + i] += dt * e.damping[i]  # on the left, as MuJoCo's Euler takes it: else its step would not return v+
         e.smooth[i] = e.passive[i] + e.actuator[i] - e.bias[i]
-        total = dt * (e.smooth[i] + e.applied[i]) + e.inside[i]
+        total = dt * (e.smooth[i] + e.applied[i]) + e.impulse[i]
         for j in range(n):
             total += e.system[i * n + j] * s.qvel[j]
         e.right[i] = total
 
 
 @wp.kernel
-def hand_back(e: LinkDynamics):
+def inverse_force(e: LinkDynamics):
     """The force with which MuJoCo's own step ends at the velocity found: (M + dt D) (v+ - v) / dt - f."""
-    n, greatest, lost = e.body.dofs, wp.float64(0.0), wp.float64(0.0)
+    n = e.body.dofs
+    greatest, lost = wp.float64(0.0), wp.float64(0.0)  # a greatest alone would pass over nan, which compares as false
     for i in range(n):
         total = wp.float64(0.0)
         for j in range(n):
-            total += e.system[i * n + j] * (e.found[j] - e.body.qvel[j])
-        e.push[i] = total / e.dt[0] - e.smooth[i]
-        greatest = wp.max(greatest, wp.abs(e.found[i]))
-        lost += e.found[i] - e.found[i]  # 0, or nan where it is not finite
-    e.judged[0] = greatest + lost
+            total += e.system[i * n + j] * (e.target[j] - e.body.qvel[j])
+        e.applied_force[i] = total / e.dt[0] - e.smooth[i]
+        greatest = wp.max(greatest, wp.abs(e.target[i]))
+        lost += e.target[i] - e.target[i]  # 0, or nan where it is not finite
+    e.check[0] = greatest + lost
 
 
 @wp.kernel
@@ -178,10 +182,10 @@ def compare(e: LinkDynamics):
     """How far MuJoCo's step ended from it."""
     off, lost = wp.float64(0.0), wp.float64(0.0)
     for i in range(e.body.dofs):
-        gap = e.body.qvel[i] - e.found[i]
+        gap = e.body.qvel[i] - e.target[i]
         off = wp.max(off, wp.abs(gap))
         lost += gap - gap
-    e.judged[1] = (off + lost) / (wp.float64(1.0) + e.judged[0])
+    e.check[1] = (off + lost) / (wp.float64(1.0) + e.check[0])
 
 
 def shared(values: np.ndarray, dtype=wp.float64) -> wp.array:

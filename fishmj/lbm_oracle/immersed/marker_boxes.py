@@ -4,7 +4,7 @@
     first = round((middle - o) / dx - n / 2)        first of the n cells from o on whose middle lies nearest to the box's
     speed = |u_l + w_l x R_l (c - r_l)|             of corner c, from the twist (u, w) at r_l
 
-All of it is one call of a compiled function (`links.py`).
+All of it is one call of a compiled function (`link_dynamics.py`).
 """
 
 from collections.abc import Sequence

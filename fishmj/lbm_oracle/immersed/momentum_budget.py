@@ -49,7 +49,7 @@ def exchange(coupled: FluidStructure) -> tuple[np.ndarray, np.ndarray]:
     edge = coupled.boundary
     field = wp.zeros(edge.shape, dtype=wp.vec3, device=edge.device)
     inputs = [edge.cell, edge.store, edge.volume, edge.final, edge.width, wp.vec3i(*edge.shape), edge.box_rho]
-    wp.launch(kernels.push, dim=(edge.count, edge.width), inputs=inputs, outputs=[field], device=edge.device)
+    wp.launch(kernels.spread_force, dim=(edge.count, edge.width), inputs=inputs, outputs=[field], device=edge.device)
     low = edge.view["box"].astype(int)
     nodes = np.ix_(*((low[a] + np.arange(edge.box_shape[a])) % edge.shape[a] for a in range(3)))
     pushed = field.numpy().astype(float)[nodes]

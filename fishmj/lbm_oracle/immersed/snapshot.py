@@ -17,13 +17,13 @@ SCHEMA = "fishmj.oracle-state/1"
 
 
 def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
-    """Everything that the next step depends on."""
+    """Everything that the next step depends on; not M, K or the markers, which it makes up from these."""
     body, data = coupled.body, coupled.body.data
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
     state |= {
         "momentum": body.momentum.copy(),
-        "slide": body.slide.copy(),
+        "slide": body.interior_speed.copy(),
         "gain": coupled.gain.copy(),
         "steps": np.array(coupled.steps),
     }
@@ -37,15 +37,18 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
         ConfigError: it belongs to another grid or another fish.
     """
     body, data = coupled.body, coupled.body.data
-    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.slide)):
+    for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.interior_speed)):
         if state[name].shape != value.shape:
             raise ConfigError(f"oracle state: {name} has shape {state[name].shape}, this fish needs {value.shape}")
+    # the water first: `place` reads nothing of it, and a grid that does not fit must leave the body as it was
     coupled.fluid.restore({name.removeprefix("fluid."): value for name, value in state.items() if name.startswith("fluid.")})
     data.time = float(state["time"])
     data.ctrl[:], body.applied[:] = state["ctrl"], state["applied"]
     body.place(state["qpos"], state["qvel"], state["slide"])
+    # after `place`, which takes the interior water's momentum from the pose as if nothing had sped up: the gain lags by a step
     body.momentum = state["momentum"].copy()
-    coupled.gain, coupled.steps = state["gain"].copy(), int(state["steps"])
+    coupled.gain = state["gain"].copy()
+    coupled.steps = int(state["steps"])
     coupled.boundary.wrench.assign(state["wrench"])
 
 

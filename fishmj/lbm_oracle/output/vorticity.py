@@ -7,7 +7,8 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, folded
+from fishmj.lbm_oracle.fluid.lattice import wrap
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
 from fishmj.lbm_oracle.output.map_plots import outline
 from fishmj.lbm_oracle.output.slices import Slice
 
@@ -17,9 +18,9 @@ wp.set_module_options(OPTIONS)
 @wp.func
 def _at(s: Params, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: int, k: int, share: float):
     """Velocity of window node (i, j) between planes k and k + 1."""
-    x, y = folded(origin[0] + i, s.nx), folded(origin[1] + j, s.ny)
-    low = u[x, y, folded(origin[2] + k, s.nz)]
-    high = u[x, y, folded(origin[2] + wp.min(k + 1, s.nz - 1), s.nz)]
+    x, y = wrap(origin[0] + i, s.nx), wrap(origin[1] + j, s.ny)
+    low = u[x, y, wrap(origin[2] + k, s.nz)]
+    high = u[x, y, wrap(origin[2] + wp.min(k + 1, s.nz - 1), s.nz)]
     return (1.0 - share) * low + share * high
 
 
@@ -56,7 +57,7 @@ def plane_of(fluid, z: float | None = None) -> np.ndarray:
         raise ConfigError(f"slice at z = {z} m lies outside the water; expected {low:.3f} to {high:.3f} m, or mid")
     k = int(np.clip(np.floor(level), 0, nz - 1))
     out = wp.empty((nx, ny), dtype=wp.vec3, device=fluid.device)
-    inputs = [fluid.numbers, fluid.u, wp.vec3i(*map(int, fluid.origin_lu)), k, max(level - k, 0.0), out]
+    inputs = [fluid.params, fluid.u, wp.vec3i(*map(int, fluid.origin_lu)), k, max(level - k, 0.0), out]
     wp.launch(cut, dim=(nx, ny), inputs=inputs, device=fluid.device)
     return out.numpy() * np.array([lattice.velocity, lattice.velocity, 1 / lattice.dt], np.float32)
 

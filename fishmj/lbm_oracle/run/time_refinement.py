@@ -2,25 +2,29 @@
 
     dt' = r dt, r = 1/2 or 1/4:   rho' - 1 = r^2 (rho - 1),   u' = r u,   P' = r P
 
-Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay what they are; the departure P from equilibrium is a rate of strain
+Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay what they are; the non-equilibrium stress P is a rate of strain
 and scales like u where the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r.
 The finer water has the same cells, and takes its memory when it is first needed.
 """
 
+from collections.abc import Callable, Generator
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
+from fishmj.errors import OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Q, vec19
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, poke
+from fishmj.lbm_oracle.fluid.storage import peek, poke
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 
 FACTORS = (2, 4)  # finer steps in one
+
+Tick = tuple[float, np.ndarray, np.ndarray]  # servo power W, link wrenches raw and whole
+Steps = Callable[[FluidStructure, int], Generator[None, None, Tick | None]]
 
 
 @cache
@@ -68,7 +72,7 @@ class TickState(NamedTuple):
 def checkpoint(coupled: FluidStructure) -> TickState:
     """Copy what the next step depends on."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
-    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.slide.copy()
+    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.interior_speed.copy()
     with coupled.scope():
         water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
         return TickState(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
@@ -88,24 +92,45 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
     body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
 
 
-def finer(coupled: FluidStructure, factor: int) -> FluidStructure:
-    """The same body in water of the same cells with a step `factor` times finer; its arrays are new, its state is not set."""
-    old, edge = coupled.fluid, coupled.boundary
-    lattice = old.lattice
-    fine = Lattice(dx=lattice.dx, dt=lattice.dt / factor, rho=lattice.rho, nu=lattice.nu, corner=lattice.corner)
-    water = Fluid(
-        fine,
-        old.shape,
-        old.device,
-        dtype=next(name for name, kind in STORAGE.items() if kind is old.f.dtype),
-        boundaries=old.boundaries,
-        subgrid=old.subgrid,
-        flow=old.flow,
-        threads=old.threads,
-    )
-    coupled.body.set_step(fine.dt)
-    options = {"slip": coupled.slip, "width": edge.width, "passes": edge.passes}
-    return FluidStructure(water, coupled.body, edge.markers, interior=coupled.interior, **options)
+class Refinement:
+    """The finer waters of one coupled fish, and the ticks that are done again in them."""
+
+    def __init__(self, coupled: FluidStructure):
+        self.coupled = coupled
+        self._finer: dict[int, FluidStructure] = {}
+
+    def redo(self, kept: TickState, factors: tuple[int, ...], steps: Steps) -> Generator[None, None, Tick | None]:
+        """The tick from its checkpoint with the first of `factors` whose steps take it; None: a marker is too fast for all.
+
+        Raises:
+            SimDiverged, OracleUnstable: what the finest steps raised.
+        """
+        for factor in factors:
+            restore(self.coupled, kept)
+            fine = self._fine(factor)
+            hand_over(self.coupled, fine)
+            fine.take_wrench(1.0)  # what an attempt that was given up had summed
+            try:
+                done = yield from steps(fine, factor)
+            except (SimDiverged, OracleUnstable):
+                if factor == FACTORS[-1]:
+                    raise
+                continue
+            if done is not None:
+                hand_over(fine, self.coupled)
+                return done
+        return None
+
+    def _fine(self, factor: int) -> FluidStructure:
+        """The same body in finer water: made once, since its arrays are as large as the first ones; its state is not set."""
+        if factor not in self._finer:
+            old = self.coupled
+            water = old.fluid.finer(factor)
+            old.body.set_step(water.lattice.dt)
+            same = {"slip": old.slip, "width": old.boundary.width, "passes": old.boundary.passes}
+            same |= {"scheme": old.scheme, "interior": old.interior}
+            self._finer[factor] = FluidStructure(water, old.body, old.boundary.markers, **same)
+        return self._finer[factor]
 
 
 def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
@@ -122,7 +147,7 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
         wp.synchronize_device(a.device)
     body = taker.body
     now = body.water_momentum()
-    body.momentum = now - r * (now - body.momentum)  # the inside water's gain is one of the new, other step
+    body.momentum = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
     body.set_step(b.lattice.dt)
 
 

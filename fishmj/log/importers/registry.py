@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from fishmj import plugins
 from fishmj.errors import FishmjError, LogError, OwnCodeError
-from fishmj.log.importers import flat_csv, mcap, rosbag2, servo_xl330, tail_fish, tendon_fish_markers, usv_coastdown
 from fishmj.log.importers.assemble import trial_of
 from fishmj.log.trial import Trial
 from fishmj.names import is_name, nearest
@@ -15,30 +15,41 @@ from fishmj.names import is_name, nearest
 
 @dataclass(frozen=True)
 class Importer:
-    """`sniff(path)` is cheap and never raises on foreign bytes; `read(path)` gives trials by name."""
+    """A format: a module with `sniff(path) -> bool`, cheap, never raising on foreign bytes, and `read(path) -> {name: Trial}`.
+
+    A new format is one such file and one row below. topics: `read` takes a topic mapping, too.
+    """
 
     name: str
     about: str
-    sniff: Callable[[Path], bool]
-    read: Callable[..., dict[str, Trial]]
+    module: str
+    topics: bool = False
+
+    @property
+    def sniff(self) -> Callable[[Path], bool]:
+        return import_module(self.module).sniff
+
+    @property
+    def read(self) -> Callable[..., dict[str, Trial]]:
+        return import_module(self.module).read
 
 
+_HERE, _STUDIES = "fishmj.log.importers", "fishmj.studies.published_logs"
 FORMATS: dict[str, Importer] = {
-    made.name: made
-    for made in (
-        Importer("mcap", "MCAP recording, JSON or ROS 2 messages (extra: logs)", mcap.sniff, mcap.read),
-        Importer("rosbag2", "ROS 2 bag, SQLite or MCAP (extra: logs)", rosbag2.sniff, rosbag2.read),
-        Importer("servo_xl330", "XL330 servo on a pendulum, JSON of Rhoban's bam", servo_xl330.sniff, servo_xl330.read),
-        Importer("tail_fish", "tail-actuated fish of Mamakoukas et al., STATES*.txt", tail_fish.sniff, tail_fish.read),
-        Importer(
-            "tendon_fish_markers", "marker tracks of the tendon-driven fish", tendon_fish_markers.sniff, tendon_fish_markers.read
-        ),
-        Importer("usv_coastdown", "twin-hull boat, semicolon rows", usv_coastdown.sniff, usv_coastdown.read),
-        Importer("flat_csv", "our flat samples.csv on a common clock", flat_csv.sniff, flat_csv.read),
+    importer.name: importer
+    for importer in (
+        Importer("mcap", "MCAP recording, JSON or ROS 2 messages (extra: logs)", f"{_HERE}.mcap", topics=True),
+        Importer("rosbag2", "ROS 2 bag, SQLite or MCAP (extra: logs)", f"{_HERE}.rosbag2", topics=True),
+        Importer("servo_xl330", "XL330 servo on a pendulum, JSON of Rhoban's bam", f"{_STUDIES}.servo_xl330"),
+        Importer("tail_fish", "tail-actuated fish of Mamakoukas et al., STATES*.txt", f"{_STUDIES}.tail_fish"),
+        Importer("tendon_fish_markers", "marker tracks of the tendon-driven fish", f"{_STUDIES}.tendon_fish_markers"),
+        Importer("usv_coastdown", "twin-hull boat, semicolon rows", f"{_STUDIES}.usv_coastdown"),
+        Importer("flat_csv", "our flat samples.csv on a common clock", f"{_HERE}.flat_csv"),
     )
 }
-MESSAGES = ("mcap", "rosbag2")  # formats that take a topic mapping
-PUBLISHED = tuple(name for name in FORMATS if name not in (*MESSAGES, "flat_csv"))  # one laboratory's layout each
+PUBLISHED = tuple(
+    name for name, importer in FORMATS.items() if importer.module.startswith(_STUDIES)
+)  # one laboratory's layout each
 
 
 def published(path: Path) -> str:
@@ -100,11 +111,11 @@ def read(path: str | Path, format: Format = None, *, topics: str | Path | None =
     if callable(format) or (format is not None and format not in FORMATS):
         return _own(path, format, topics)
     name = format or sniff(path)
-    if topics and name not in MESSAGES:
+    if topics and not FORMATS[name].topics:
         raise LogError(f"{path}: a topic mapping is for MCAP and rosbag2 recordings only, this is {name}; leave it out")
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
-    trials = FORMATS[name].read(path, topics) if name in MESSAGES else FORMATS[name].read(path)
+    trials = FORMATS[name].read(path, topics) if FORMATS[name].topics else FORMATS[name].read(path)
     if not trials:
         raise LogError(f"{path}: nothing in format {name} ({FORMATS[name].about}) found there")
     return trials

@@ -31,7 +31,8 @@ class Chart {
       pen.beginPath(); pen.moveTo(this.left, Y(d)); pen.lineTo(w - 8, Y(d)); pen.stroke();
       pen.fillText(d.toFixed(step < 0.1 ? 2 : 1) + (this.aimed ? " m" : ""), 4, Y(d) + 4);
     }
-    const gap = [0.5, 1, 2, 5, 10, 30, 60, 300].find(s => this.duration / s <= 14) || 600;
+    const room = Math.min(14, (w - this.left) / 42);  // labels beside each other
+    const gap = [0.5, 1, 2, 5, 10, 30, 60, 300].find(s => this.duration / s <= room) || 600;
     for (let t = 0; t <= this.duration; t += gap) pen.fillText(t + " s", X(t) - 5, h - 2);
     pen.fillText(this.aimed ? "distance to the target" : "speed over ground, m/s", w - 150, 11);
     if (this.aimed) {

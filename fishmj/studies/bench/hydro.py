@@ -82,7 +82,7 @@ def _alone(quick: bool, water: str) -> Work:
     from fishmj import mjcf
     from fishmj.dynamics import planar_chain
     from fishmj.engines.extensions import Extensions
-    from fishmj.engines.single import SingleFish
+    from fishmj.engines.single import HookedWater
     from fishmj.water.injection import inject
     from fishmj.water.planar_water import PlanarWater
 
@@ -94,7 +94,7 @@ def _alone(quick: bool, water: str) -> Work:
 
     def run():
         data = mujoco.MjData(model)
-        solo = SingleFish(robot, Extensions.of(robot), swimmer) if water == "residual" else None
+        solo = HookedWater(robot, Extensions.of(robot), swimmer) if water == "residual" else None
         with inject(model, PlanarWater(robot, swimmer)) if water == "passive" else nullcontext(solo) as fish:
             for target in beat:
                 data.ctrl[:] = target

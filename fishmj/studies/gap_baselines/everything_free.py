@@ -10,7 +10,8 @@ import os
 import numpy as np
 
 from fishmj.gap.records.records import Record
-from fishmj.gap.search.effect_fitter import STEP, bounds
+from fishmj.gap.search.fit import bounds
+from fishmj.gap.thresholds import thresholds
 from fishmj.studies.gap_baselines.answer import NOTHING, Answer, values
 from fishmj.studies.gap_baselines.noise import searching
 
@@ -23,7 +24,9 @@ def answer(plant, records: list[Record]) -> Answer:
     """The fit with everything free."""
     from mujoco import minimize
 
-    search, (low, high, size) = searching(plant, records), bounds(plant)
+    search = searching(plant, records)
+    low, high, size = bounds(plant)
+    share = thresholds().fit.difference_step
     free = np.arange(len(plant.constants), len(plant.null))
     low, high, size = low[free], high[free], size[free]
 
@@ -38,7 +41,7 @@ def answer(plant, records: list[Record]) -> Answer:
 
     def jacobian(x, r) -> np.ndarray:
         x = x.reshape(-1, 1)
-        step = np.where(x[:, 0] + STEP * size <= high, STEP, -STEP) * size
+        step = np.where(x[:, 0] + share * size <= high, share, -share) * size
         return (residual(x + np.diag(step)) - r.reshape(-1, 1)) / step
 
     begin = np.clip(plant.null[free] + START * size, low, high)

@@ -5,7 +5,7 @@ import numpy as np
 from fishmj.gap.null.whitening import turned, whitening
 from fishmj.gap.records.records import Record
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.search.effect_fitter import EffectFitter
+from fishmj.gap.search.fit import EffectFitter
 
 LONGEST = 200  # averages over which an autocorrelation is summed
 

@@ -38,6 +38,8 @@ def main(argv: list[str]) -> int:
     gap_options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
     kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
     add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
+    hiding = "only cases in which one of these effects is hidden, of those dealt; the others stay as they are (default all)"
+    add("--effects", type=_effects, default=None, metavar="NAME,..", help=hiding)
     add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
@@ -50,15 +52,18 @@ def main(argv: list[str]) -> int:
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
     add("--yes", action="store_true", help="begin also what takes longer than a week")
     args = parser.parse_args(argv)
+    if args.effects and args.generator == "log":
+        raise ConfigError("gap bench: --effects goes with --generator second or lbm; from measured sets a term is deleted")
     if args.baselines and args.generator != "second":
         raise ConfigError("gap bench: --baselines are judged on --generator second only")
     index, shards = args.shard
     jobs = args.jobs or usable_cores()
     agree(args, len(range(index, args.cases, shards)), jobs)
     todo, ask = asked(args)
-    todo = todo[: args.cases][index::shards]
+    todo = hiding_any(todo[: args.cases], args.effects)[index::shards]
     if not todo:
-        raise ConfigError(f"gap bench: no case is left: {args.cases} cases of these kinds, every {shards}th from {index}")
+        dealt = f"{args.cases} cases of these kinds{' and effects' if args.effects else ''}"
+        raise ConfigError(f"gap bench: no case is left: {dealt}, every {shards}th from {index}; take more --cases")
     if args.generator != "log":
         compiled(fish() if args.generator == "second" else solver.plant(), console.say)  # once, before processes begin
     rows = judged(todo, args.out, ask, jobs)
@@ -96,6 +101,19 @@ def agree(args, many: int, jobs: int) -> None:
 def _kinds(text: str) -> dict[str, float]:
     """The `type=` of --kinds: their shares."""
     return {name: cases.KINDS[name] for name in console.Listed(console.OneOf(tuple(cases.KINDS)))(text)}
+
+
+def _effects(text: str) -> tuple[str, ...]:
+    """The `type=` of --effects: ids of the second robot."""
+    from fishmj.virtual_robot import EFFECTS
+
+    return tuple(console.Listed(console.OneOf(tuple(EFFECTS)))(text))
+
+
+def hiding_any(dealt: list, effects: tuple[str, ...] | None) -> list:
+    """The cases in which one of `effects` is hidden; all of them for None. They are chosen after they were dealt, so that a case
+    is the same with and without."""
+    return [one for one in dealt if effects is None or set(effects) & set(one.case.effects)]
 
 
 def _shard(text: str) -> tuple[int, int]:

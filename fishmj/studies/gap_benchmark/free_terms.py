@@ -14,8 +14,7 @@ from fishmj.errors import SimDiverged
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.terms.model_with_terms import termed
-from fishmj.gap.terms.select import terms_of
+from fishmj.gap.terms import model_with_terms, terms_of
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark import cases, command
 from fishmj.studies.gap_benchmark.run import true_gap
@@ -63,7 +62,7 @@ def judged(case: cases.Case) -> dict:
     """One case: the terms, and at which place the first right one stands (0 = nowhere)."""
     from fishmj.virtual_robot import generate
 
-    plant, start, family = termed(load_robot("fish")), time.monotonic(), next(iter(case.effects))
+    plant, start, family = model_with_terms(load_robot("fish")), time.monotonic(), next(iter(case.effects))
     row = {"id": case.id, "family": family, "truth": case.effects, "noise": case.noise, "logs": len(case.logs), "place": 0}
     try:
         records = [record_of(t, plant.dt) for t in generate(case.effects, case.logs, case.seed, case.noise)]

@@ -1,6 +1,6 @@
 """Cases of the flow solver: data sets that it made, some with an effect hidden in them, and null sets of its own fish.
 
-    data/gap/lbm/nulls/<name>.npz        nothing hidden            `null_sets.Sets` without the one in question
+    data/gap/lbm/nulls/<name>.npz        nothing hidden            `RecordedNull` without the one in question
     data/gap/lbm/planted/<name>.npz      an effect each
     data/gap/lbm/truth.json              {name: {"effects": {..}, "seed": ..}}, opened here only
 
@@ -20,6 +20,7 @@ from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.log import Trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json
+from fishmj.store.package_data import SOURCES
 from fishmj.studies.gap_benchmark.cases import Case
 
 WATER = "swift-base"
@@ -55,9 +56,11 @@ def draw(where: Path | None = None) -> list[Given]:
     """Every data set as a case; all of its experiments.
 
     Raises:
-        StoreError: a data set without its truth, or the truth of none.
+        StoreError: the planted sets are not here, as in an installed package; a data set without its truth, or the truth of none.
     """
     where = where or folder()
+    if not (where / "planted").is_dir():
+        raise StoreError(f"{where}: no folder `planted`: the solver's cases are not in the installed package, only {SOURCES}")
     truth = read_json(where / "truth.json")
     paths = {path.stem: path for part in ("nulls", "planted") for path in sorted((where / part).glob("*.npz"))}
     if odd := set(paths) ^ set(truth):

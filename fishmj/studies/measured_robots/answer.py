@@ -7,6 +7,7 @@ CLASS           a rival is as good, folds disagree, or a value is not believable
 NAMED           else
 """
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ def own_cost(r: Round) -> float:
 def doubts(study: Study, r: Round, effects: tuple[Named, ...]) -> list[str]:
     """What a reader should know before believing a round."""
     name = r.fitted.names[-1]
-    asked: Any = study
+    asked: Any = SimpleNamespace(model=study.plant)
     out = list(sanity(asked, r.fitted, next(e for e in effects if e.name == name)))
     agree = r.best.count(name)
     if agree < len(r.best):

@@ -16,7 +16,8 @@ import numpy as np
 from fishmj.gap.null.whitening import Whitening
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.effect_fitter import Candidate, EffectFitter
+from fishmj.gap.search.fit import Candidate, EffectFitter
+from fishmj.gap.thresholds import thresholds
 from fishmj.studies.measured_robots.floor import Scatter
 
 FIT, POLISH = 16, 6  # iterations
@@ -203,7 +204,7 @@ def one_round(study: Study, current: Candidate, useful: float, sure: float) -> R
     groups = sorted(before)
     start, cost = np.array([before[g] for g in groups]), np.stack([after[g] for g in groups], 1)
     winner = names[int(np.argmin(cost.sum(1)))]
-    weights = np.random.default_rng(0).dirichlet(np.ones(len(groups)), likelihood.DRAWS)
+    weights = np.random.default_rng(0).dirichlet(np.ones(len(groups)), thresholds().likelihood.bootstrap_draws)
     gains = weights @ (start - cost[names.index(winner)]) > useful * (weights @ start)
     share = dict(zip(names, map(float, likelihood.p_best(cost)), strict=True))
     everything = Fold(study, study.learn, current)

@@ -15,7 +15,7 @@ from fishmj import effects
 from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
-from fishmj.gap.search.likelihood import DRAWS
+from fishmj.gap.thresholds import thresholds
 from fishmj.log import Trial
 from fishmj.studies.measured_robots.folder import trials
 
@@ -110,7 +110,7 @@ def compared(runs: list[Coast], short: list[str], say=lambda text: None) -> tupl
         rms[law] = float(np.sqrt(total[:, best].sum() / count.sum()))
         say(f"{law}: c = {value[law]:.3g}, held-out log likelihood {likely[law].sum():.2f}")
     ahead = likely["quadratic"] - likely["linear"]
-    weights = np.random.default_rng(0).dirichlet(np.ones(len(runs)), DRAWS)
+    weights = np.random.default_rng(0).dirichlet(np.ones(len(runs)), thresholds().likelihood.bootstrap_draws)
     sure = float(np.mean(weights @ ahead > 0))
     better = "quadratic" if ahead.sum() > 0 else "linear"
     p = sure if better == "quadratic" else 1.0 - sure

@@ -43,12 +43,12 @@ class Variant(pipeline.FitPipeline):
         self.about["code"] = code
         self.scores: dict[str, float] = {}
 
-    def enter(self, stage: str) -> None:
+    def begin_stage(self, stage: str) -> None:
         self.key = self._key(stage)
 
     def solve(self) -> HydroModel:
         """All stages but the last; the model with the residual in it, if there is one."""
-        state = self.through(NEEDS, time.process_time)
+        state = self.run_stages(NEEDS, time.process_time)
         learnt = unpacked(state)
         self.scores = {"base": self.score(state["alone"], None), "whole": self.score(state["water"], learnt)}
         return HydroModel(

@@ -1,11 +1,12 @@
-"""Every effect's best value on a set of records: probes of finite size, then Gauss-Newton on the whitened residual.
+"""Every effect's best value on a set of records: probes of finite size, then damped Gauss-Newton on the whitened residual.
 
-    screen   z at a few magnitudes of each parameter; the best secant combination in closed form. Finite probes, not derivatives:
-             a dead band or a speed limit has none at its null
-    scan     hundreds of values on one record, where only the right one explains anything: the step that commands are counted in
-    refine   theta' = theta + (J^T J + m)^-1 J^T z,  J by finite differences about theta, all candidates in one batch of rollouts
+    screen        z at a few magnitudes of each parameter; the best secant combination in closed form
+    grid_search   hundreds of values on one record, where only the right one explains anything: the step that commands are
+                  counted in
+    refine        theta' = theta - (J^T J + P + m diag)^-1 (J^T z + P theta),  J by finite differences about theta, P the prior
 
-The cost is |z|^2 with z from null.py, plus a weak prior: constants of the fish need no fit, they are integrated out.
+The cost is |z|^2 with z from null/whitening.py, plus a weak Gaussian prior. Constants of the fish need no fit: the covariance
+of the null runs integrates them out.
 """
 
 from dataclasses import dataclass, replace
@@ -13,12 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fishmj.effects import Effect
-
-MAGNITUDES = (0.15, 0.5, 1.0, 2.0)  # of the typical size
-FINE, AGAIN, KEPT = 300, 5, 6  # values where only the right one explains anything, more on either side of the best, those kept
-STEP = 0.02  # of the typical size, for derivatives
-PRIOR = 1.5  # typical sizes, standard deviation of an effect's parameters about their null: what records leave open stays small
-ITERATIONS = 6
+from fishmj.gap.thresholds import thresholds
 
 
 @dataclass(frozen=True)
@@ -40,21 +36,25 @@ class EffectFitter:
     """Candidates on one set of records.
 
     Args:
-        plant: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
+        model: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
     """
 
-    def __init__(self, plant, records, layout, whiten):
-        self.plant, self.records, self.layout, self.whiten = plant, records, layout, whiten
+    def __init__(self, model, records, layout, whiten):
+        self.model = model
+        self.records = records
+        self.layout = layout
+        self.whiten = whiten
 
     def z(self, rows) -> np.ndarray:
         """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""
-        residuals = self.layout.residuals(self.plant.predict(self.records, rows))
+        residuals = self.layout.residuals(self.model.predict(self.records, rows))
         return np.nan_to_num(self.whiten(residuals), nan=1e6, posinf=1e6, neginf=-1e6)
 
     def prior(self, rows) -> np.ndarray:
         """(R,) what the prior adds to |z|^2 of parameter rows (R, P)."""
-        size = bounds(self.plant)[2]
-        return np.sum(((np.asarray(rows) - self.plant.null) / (PRIOR * size))[:, len(self.plant.constants) :] ** 2, 1)
+        size = bounds(self.model)[2]
+        scaled = (np.asarray(rows) - self.model.null) / (thresholds().fit.prior_sd * size)
+        return np.sum(scaled[:, len(self.model.constants) :] ** 2, 1)
 
     def costs(self, rows, z) -> np.ndarray:
         """(R,) |z|^2 of rows (R, P) whose z (R, m) are known, and the prior's share."""
@@ -71,35 +71,42 @@ class EffectFitter:
 
     def base(self, row=None) -> Candidate:
         """The model as it is."""
-        return self.at(self.plant.null if row is None else row)
+        return self.at(self.model.null if row is None else row)
 
-    def scan(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
+    def grid_search(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
         """{effect: its best few values} for those of which only a value right to a fraction of a per cent explains anything.
 
         A command counted in steps jumps where c / step does: values lie evenly in 1 / step, and again around the best.
         """
+        limits = thresholds().fit
         found = {}
         for effect, p in [(x, p) for x in effects for p in x.parameters if p.fine]:
-            place = self.plant.index(effect.name, p.name)
-            inverse, step = np.linspace(0.5 / _size(p), 1.0 / min(abs(t - p.null) for t in p.typical), FINE, retstep=True)
+            place = self.model.index(effect.name, p.name)
+            # Even in 1 / step, not in step: the phase of the jumps is c / step, and a grid even in step would be far too coarse
+            # for small steps and waste most of its values on large ones.
+            last = 1.0 / min(abs(t - p.null) for t in p.typical)
+            inverse, spacing = np.linspace(0.5 / _size(p), last, limits.grid_values, retstep=True)
+            beside = spacing * np.arange(-limits.grid_neighbours, limits.grid_neighbours + 1) / (limits.grid_neighbours + 1)
             for _ in range(2):
                 rows = np.tile(base.row, (len(inverse), 1))
                 rows[:, place] = p.null + 1.0 / inverse
-                best = inverse[np.argsort(self.costs(rows, self.z(rows)))[:KEPT]]
-                inverse = (best[:, None] + step * np.arange(-AGAIN, AGAIN + 1) / (AGAIN + 1)).ravel()
+                best = inverse[np.argsort(self.costs(rows, self.z(rows)))[: limits.grid_kept]]
+                inverse = (best[:, None] + beside).ravel()
             found[effect.name] = tuple(p.null + 1.0 / best)
         return found
 
     def screen(self, base: Candidate, effects, fine: dict[str, tuple[float, ...]] | None = None) -> list[Candidate]:
-        """`base` plus each of `effects`, at the best probe or secant combination; best first. fine: more values, from `scan`."""
+        """`base` plus each of `effects`, at the best probe or secant combination; best first. fine: more values, from
+        `grid_search`."""
+        # Probes of finite size instead of a gradient at the null: a dead band, play or a speed limit has no derivative there.
         rows, owners = [], []
         for effect in effects:
             for k, value in probes(effect, (fine or {}).get(effect.name, ())):
                 row = base.row.copy()
-                row[self.plant.index(effect.name, effect.parameters[k].name)] = value
+                row[self.model.index(effect.name, effect.parameters[k].name)] = value
                 rows.append(row)
                 owners.append((effect, k, value))
-            for row in shaped(self.plant, base.row, effect):
+            for row in shape_probes(self.model, base.row, effect):
                 rows.append(row)
                 owners.append((effect, -1, 0.0))
         tried = np.array(rows)
@@ -109,7 +116,7 @@ class EffectFitter:
         for effect in effects:
             mine = [i for i, owner in enumerate(owners) if owner[0] is effect]
             best = min(mine, key=lambda i: cost[i])
-            choices = [tried[best]] + secants(self.plant, base, effect, [(owners[i], z[i]) for i in mine])
+            choices = [tried[best]] + secants(self.model, base, effect, [(owners[i], z[i]) for i in mine])
             found.append((effect, choices))
         flat = np.array([row for _, choices in found for row in choices])
         z = self.z(flat)
@@ -118,37 +125,39 @@ class EffectFitter:
         for effect, choices in found:
             i = at + int(np.argmin(cost[at : at + len(choices)]))
             at += len(choices)
-            places = tuple(self.plant.index(effect.name, p.name) for p in effect.parameters)
+            places = tuple(self.model.index(effect.name, p.name) for p in effect.parameters)
             out.append(Candidate((*base.names, effect.name), (*base.places, *places), flat[i], float(cost[i]), z[i]))
         return sorted(out, key=lambda c: c.cost)
 
-    def refine(self, candidates: list[Candidate], iterations: int = ITERATIONS) -> list[Candidate]:
-        """Polish all parameters of each candidate together; best first."""
-        low, high, size = bounds(self.plant)
+    def refine(self, candidates: list[Candidate], iterations: int | None = None) -> list[Candidate]:
+        """Damped Gauss-Newton on all parameters of each candidate together (Levenberg 1944, Marquardt 1963); best first."""
+        low, high, size = bounds(self.model)
+        prior = thresholds().fit.prior_sd
         best = list(candidates)
         damping = [1e-2] * len(best)
-        for _ in range(iterations):
-            rows, spans = [], []
-            for c in best:
-                first = len(rows)
-                for place in c.places:
-                    row = c.row.copy()
-                    step = STEP * size[place]
-                    row[place] += step if row[place] + step <= high[place] else -step
-                    rows.append(row)
-                spans.append((first, len(rows)))
-            z = self.z(np.array(rows))
-            trials, owner = [], []
-            for i, c in enumerate(best):
-                a, b = spans[i]
-                moved = np.array([rows[a + j][p] - c.row[p] for j, p in enumerate(c.places)])
-                jac = (z[a:b] - c.z) / moved[:, None] * size[list(c.places)][:, None]  # per typical size
-                away = (c.row - self.plant.null)[list(c.places)] / size[list(c.places)]
-                normal, slope = jac @ jac.T + np.eye(len(away)) / PRIOR**2, jac @ c.z + away / PRIOR**2
+        for _ in range(thresholds().fit.iterations if iterations is None else iterations):
+            # All candidates share each call of `z`, since the compiled rollouts are vectorised over rows. The optimisers of
+            # SciPy know no batch of problems: each candidate would roll out alone.
+            steps = [difference_rows(self.model, c) for c in best]
+            z = self.z(np.concatenate(steps))
+            trials: list[np.ndarray] = []
+            owner: list[int] = []
+            first = 0
+            for i, (c, rows) in enumerate(zip(best, steps, strict=True)):
+                places = list(c.places)
+                moved = rows[np.arange(len(places)), places] - c.row[places]
+                # Per typical size: effects have units from rad to N s2/m2, and both the damping and the prior need one scale.
+                jac = (z[first : first + len(rows)] - c.z) / moved[:, None] * size[places][:, None]
+                first += len(rows)
+                away = (c.row - self.model.null)[places] / size[places]
+                # The prior stands in the normal matrix, not only in the cost: a parameter that these records leave open has
+                # no slope, and without it the step along it would be arbitrary.
+                normal = jac @ jac.T + np.eye(len(away)) / prior**2
+                slope = jac @ c.z + away / prior**2
+                # Two dampings at once instead of one and a retry: rows of a batch are cheap, further batches are not.
                 for m in (damping[i], damping[i] * 30):
                     change = -np.linalg.solve(normal + m * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(slope)), slope)
                     row = c.row.copy()
-                    places = list(c.places)
                     row[places] = np.clip(row[places] + change * size[places], low[places], high[places])
                     trials.append(row)
                     owner.append(i)
@@ -157,12 +166,43 @@ class EffectFitter:
             for i, c in enumerate(best):
                 mine = [j for j, o in enumerate(owner) if o == i]
                 j = min(mine, key=lambda k: cost[k])
+                # A step is taken only if the true cost falls: the residual is not differentiable where a joint sticks, so the
+                # linear prediction of the fall is no test.
                 if cost[j] < c.cost:
                     best[i] = replace(c, row=trials[j], cost=float(cost[j]), z=z[j])
                     damping[i] = max(1e-4, damping[i] * (0.3 if j == mine[0] else 3))
                 else:
                     damping[i] = min(1e4, damping[i] * 100)
         return sorted(best, key=lambda c: c.cost)
+
+
+def refine(search: EffectFitter, c: Candidate) -> Candidate:
+    """The candidate with its parameters at their best on the fitter's records."""
+    return search.refine([on_records(search, c)], 3)[0] if c.places else on_records(search, c)
+
+
+def on_records(search: EffectFitter, c: Candidate) -> Candidate:
+    """The same effects and parameters on another part of the records."""
+    return search.at(c.row, c.names, c.places)
+
+
+def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:
+    """The candidate with one effect at its null."""
+    effect = next(x for x in search.model.active.effects if x.name == name)
+    gone = {search.model.index(name, p.name) for p in effect.parameters}
+    row = c.row.copy()
+    row[list(gone)] = search.model.null[list(gone)]
+    return search.at(row, tuple(n for n in c.names if n != name), tuple(p for p in c.places if p not in gone))
+
+
+def difference_rows(model, c: Candidate) -> np.ndarray:
+    """(K, P) the candidate's row with one parameter moved in each, for finite differences: up, or down at the upper bound."""
+    _, high, size = bounds(model)
+    rows = np.tile(c.row, (len(c.places), 1))
+    for row, place in zip(rows, c.places, strict=True):
+        step = thresholds().fit.difference_step * size[place]
+        row[place] += step if row[place] + step <= high[place] else -step
+    return rows
 
 
 def probes(effect: Effect, fine: tuple[float, ...] = ()) -> list[tuple[int, float]]:
@@ -173,14 +213,14 @@ def probes(effect: Effect, fine: tuple[float, ...] = ()) -> list[tuple[int, floa
         if p.shape:
             continue
         signs = (1.0, -1.0) if p.signed else ((1.0,) if p.high > p.null else (-1.0,))
-        sizes = [*(m * _size(p) for m in MAGNITUDES), min(abs(t - p.null) for t in p.typical)]
+        sizes = [*(m * _size(p) for m in thresholds().fit.probe_sizes), min(abs(t - p.null) for t in p.typical)]
         values = {float(np.clip(p.null + s * size, p.low, p.high)) for s in signs for size in sizes}
         values |= set(fine) if p.fine else set()
         out += [(k, v) for v in sorted(values - {p.null})]
     return out
 
 
-def shaped(plant, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
+def shape_probes(model, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
     """Rows with the effect at its usual size and each shaping parameter on either side of its null."""
     out = []
     shapes = [p for p in effect.parameters if p.shape]
@@ -189,18 +229,18 @@ def shaped(plant, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
             row = base.copy()
             for p in effect.parameters:
                 if not p.shape:
-                    row[plant.index(effect.name, p.name)] = np.clip(
+                    row[model.index(effect.name, p.name)] = np.clip(
                         p.null + (1 if p.high > p.null else -1) * _size(p), p.low, p.high
                     )
-            row[plant.index(effect.name, shape.name)] = value
+            row[model.index(effect.name, shape.name)] = value
             out.append(row)
     return out
 
 
-def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
+def secants(model, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
     """Rows from the linear combination of each parameter's probes that lowers |z| most, one row a magnitude."""
     out = []
-    for m in MAGNITUDES:
+    for m in thresholds().fit.probe_sizes:
         columns, places, sizes = [], [], []
         for k, p in enumerate(effect.parameters):
             if p.shape:
@@ -208,7 +248,7 @@ def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
             near = [(value, z) for (_, j, value), z in tried if j == k]
             value, z = min(near, key=lambda v: abs(abs(v[0] - p.null) - m * _size(p)))
             columns.append((z - base.z) / (value - p.null))
-            places.append(plant.index(effect.name, p.name))
+            places.append(model.index(effect.name, p.name))
             sizes.append(_size(p))
         jac = np.array(columns) * np.array(sizes)[:, None]
         normal = jac @ jac.T
@@ -222,10 +262,10 @@ def secants(plant, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
     return out
 
 
-def bounds(plant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bounds(model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(low, high, typical size) of every entry of a parameter row."""
-    n = len(plant.constants)
-    entries = [p for e in plant.active.effects for p in e.parameters]
+    n = len(model.constants)
+    entries = [p for e in model.active.effects for p in e.parameters]
     low = np.array([0.1] * n + [p.low for p in entries])
     high = np.array([10.0] * n + [p.high for p in entries])
     return low, high, np.array([1.0] * n + [_size(p) for p in entries])

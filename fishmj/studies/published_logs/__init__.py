@@ -1,0 +1,1 @@
+"""Readers of four published data sets: rows of `fishmj.log.importers.registry` name them, `log import` opens them."""

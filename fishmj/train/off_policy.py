@@ -1,0 +1,179 @@
+"""What algorithms that learn from a replay buffer share: buffer, loop, settings, metrics. SAC is in sac.py, its kin are alike.
+
+    class TD3(OffPolicy):
+        name = "td3"
+        def init_agent(self, k_actor, k_critics): ..    -> a NamedTuple of networks, with `actor`
+        def explore(self, agent, obs, key): ..          -> actions (B, J) in [-1, 1] for scaled observations
+        def update(self, replay, agent, key): ..        -> (agent after one gradient step, loss)
+
+One environment step brings `utd` gradient steps a fish, after `warmup` control steps of random actions.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from fishmj.train.learner import PolicyLayers
+from fishmj.train.networks import check_config, forward, input_scale
+from fishmj.train.rollout import metrics_of, record_of
+from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyConfig:
+    """Hyperparameters of the loop and of two critics with targets."""
+
+    envs: int = 64
+    utd: float = 1.0  # gradient steps for each control step of one fish
+    block: int = 16  # environment steps between two reports
+    batch: int = 256
+    buffer: int = 1_000_000
+    warmup: int = 5_000  # control steps of random actions
+    learning_rate: float = 3e-4
+    gamma: float = 0.99
+    tau: float = 0.005
+    hidden: tuple[int, ...] = (256, 256)
+    activation: str = "relu"
+    reward_scale: float = 1.0
+
+    algo: ClassVar[str] = "off-policy"  # in messages
+
+    def __post_init__(self):
+        check_config(self.algo, self, positive=("envs", "utd", "block", "batch", "buffer", "learning_rate", "tau"))
+
+    def operations(self, width) -> float:
+        """Of `utd` gradient steps: both critics and their targets, the actor twice, the gradients of all."""
+        actor, critic = self._networks(width)
+        return self.utd * self.batch * (8 * actor + 2 * (2 + 6 + 6) * critic)
+
+    def bytes(self, width, steps: float) -> float:
+        """Of buffer, environment and networks; `width` of training_cost.widths."""
+        _, inputs, joints = width
+        replay = max(self.envs, min(self.buffer, steps)) * (2 * inputs + joints + 2)
+        actor, critic = self._networks(width)
+        return FLOAT * (replay + self.envs * (2 * inputs + STATE) + ADAM * actor + (2 * ADAM + 2) * critic)
+
+    def _networks(self, width) -> tuple[int, int]:
+        _, inputs, joints = width
+        return weights(inputs, *self.hidden, 2 * joints), weights(inputs + joints, *self.hidden, 1)
+
+
+class Transition(NamedTuple):
+    """One control step of each of B fish; observations scaled."""
+
+    obs: Any
+    action: Any
+    reward: Any
+    next_obs: Any  # before a restart
+    terminated: Any  # 1 where the fish left the tank; 0 where only its time was up
+
+
+class ReplayBuffer(NamedTuple):
+    """Ring buffer of transitions, (capacity, ...) each."""
+
+    data: Transition
+    size: Any
+    head: Any
+
+    @classmethod
+    def empty(cls, capacity: int, n_obs: int, n_act: int) -> "ReplayBuffer":
+        """Room for `capacity` transitions."""
+        shapes = Transition((capacity, n_obs), (capacity, n_act), capacity, (capacity, n_obs), capacity)
+        return cls(Transition(*map(jnp.zeros, shapes)), jnp.int32(0), jnp.int32(0))
+
+    def add(self, transition: Transition) -> "ReplayBuffer":
+        """With B more transitions, in place of the oldest; the capacity is a multiple of B."""
+        put = lambda array, rows: jax.lax.dynamic_update_slice_in_dim(array, rows, self.head, 0)
+        n, capacity = len(transition.reward), len(self.data.reward)
+        data = jax.tree.map(put, self.data, transition)
+        return ReplayBuffer(data, jnp.minimum(self.size + n, capacity), (self.head + n) % capacity)
+
+    def sample(self, key, n: int) -> Transition:
+        """n transitions, each drawn from all that are there."""
+        rows = jax.random.randint(key, (n,), 0, self.size)
+        return jax.tree.map(lambda array: array[rows], self.data)
+
+
+class OffPolicyTrainState(NamedTuple):
+    """Everything that a run needs to go on."""
+
+    agent: Any  # the algorithm's own: networks and the state of their optimisers
+    replay: ReplayBuffer
+    env_state: Any
+    key: Any
+    env_steps: Any
+
+    @property
+    def actor(self):
+        """What is judged and written."""
+        return self.agent.actor
+
+
+class OffPolicy:
+    """The loop of a `learner.Learner` with a replay buffer: `block` environment steps an iteration, learning after each."""
+
+    name: str
+    init_agent: Callable[..., Any]  # the three that an algorithm writes
+    explore: Callable[..., Any]
+    update: Callable[..., Any]
+
+    def __init__(self, env, config: OffPolicyConfig, steps: int):
+        self.env, self.config = env, config
+        self.steps_per_iteration = config.envs * config.block
+        self.updates_per_step = max(1, round(config.utd * config.envs))
+        self.capacity = max(config.envs, min(config.buffer, steps) // config.envs * config.envs)
+        self.optimiser = optax.adam(config.learning_rate)
+        self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
+
+    def diagnostics(self, agent) -> dict:
+        """Metrics of the algorithm's own."""
+        return {}
+
+    @partial(jax.jit, static_argnums=0)
+    def init(self, key) -> OffPolicyTrainState:
+        k_actor, k_critics, k_env, key, _ = jax.random.split(key, 5)
+        agent = self.init_agent(k_actor, k_critics)
+        replay = ReplayBuffer.empty(self.capacity, self.env.n_input, self.env.n_act)
+        return OffPolicyTrainState(agent, replay, self.env.reset(k_env, self.config.envs, True), key, jnp.int32(0))
+
+    def act(self, actor, obs):
+        """Deterministic action for raw observations."""
+        layers, activation = self.policy_layers(actor)
+        return jnp.tanh(forward(layers, obs / self.obs_scale, activation))
+
+    def policy_layers(self, actor) -> PolicyLayers:
+        """All of the actor, where it gives one number a joint."""
+        return PolicyLayers(actor, self.config.activation)
+
+    @partial(jax.jit, static_argnums=0, donate_argnums=1)
+    def iterate(self, state: OffPolicyTrainState):
+        """`block` environment steps, learning after each. Returns (train state, metrics as scalars)."""
+        state, (record, loss) = jax.lax.scan(self._step, state, None, self.config.block)
+        return state, {**metrics_of(jnp, record), **self.diagnostics(state.agent), "loss": loss.mean()}
+
+    def _step(self, state: OffPolicyTrainState, _):
+        c = self.config
+        # keys follow from the count of steps alone: a resumed run draws what the uninterrupted one would have drawn
+        k_explore, k_random, k_update = jax.random.split(jax.random.fold_in(state.key, state.env_steps), 3)
+        obs = state.env_state.obs / self.obs_scale
+        warming_up = state.replay.size < min(c.warmup, self.capacity)
+        random = jax.random.uniform(k_random, (c.envs, self.env.n_act), minval=-1.0)
+        action = jnp.where(warming_up, random, self.explore(state.agent, obs, k_explore))
+        after = self.env.step(state.env_state, action)
+        # a step that the physics lost is not stored: a sound fish's transition takes its place, so that B rows are written always
+        rows = jnp.where(after.diverged, jnp.argmin(after.diverged), jnp.arange(c.envs))
+        terminated = after.terminated.astype(jnp.float32)  # a time limit is no end: it bootstraps (arXiv 1712.00378)
+        transition = Transition(obs, action, after.reward, after.final_obs / self.obs_scale, terminated)
+        replay = state.replay.add(jax.tree.map(lambda a: a[rows], transition))
+        keys = jax.random.split(k_update, self.updates_per_step)
+        # the buffer is closed over, not carried: a branch of `cond` would copy all of it at every step
+        learn = lambda agent: jax.lax.scan(partial(self.update, replay), agent, keys)
+        wait = lambda agent: (agent, jnp.zeros(self.updates_per_step))
+        agent, loss = jax.lax.cond(warming_up, wait, learn, state.agent)
+        state = OffPolicyTrainState(agent, replay, after, state.key, state.env_steps + 1)
+        return state, (record_of(after, self.env.limit), loss.mean())

@@ -1,0 +1,194 @@
+"""Every algorithm of the register, one of a reader's own among them: it trains, resumes to the bit, exports what it does."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from training import SAC, StopAt, calm_run, figures_of, sac_run
+
+from fishmj import console
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.policy import Policy
+from fishmj.store import write_json
+from fishmj.train.__main__ import main, options, settings_from
+from fishmj.train.build import algorithm, config_of
+from fishmj.train.learner import METRICS
+from fishmj.train.settings import ALGORITHMS, Registered, Settings, as_dict, change, preset
+from fishmj.train.training_run import FORMER, arrays_of, learner_of, stored_name, tree_of
+
+TD3 = Registered("td3:TD3Config", "td3:TD3", budget=1_000_000)  # the line that its file needs
+
+
+@pytest.fixture(autouse=True)
+def with_td3(monkeypatch):
+    """Registered as a reader would, by a line."""
+    monkeypatch.setitem(ALGORITHMS, "td3", TD3)
+
+
+def asked_for(*argv) -> Settings:
+    return settings_from(options().parse_args(["--preset", "quick", *argv]))
+
+
+def small(algo: str) -> Settings:
+    """Two iterations on the fish and an assessment after each."""
+    if algo == "ppo":
+        run = calm_run(algorithm={"envs": 16, "horizon": 8, "minibatches": 2, "epochs": 1, "hidden": (8,)})
+        return change(run, steps=256, assess_every=128, assess_episodes=2)
+    own = {**SAC, "warmup": 64, "hidden": (8,)}
+    return change(sac_run(steps=256, assess_every=128, assess_episodes=2), algo=algo, algorithm=own)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", [*ALGORITHMS, "td3"])
+def test_a_registered_algorithm_trains_resumes_to_the_bit_and_exports_what_it_does(algo, tmp_path):
+    settings = small(algo)
+    if ALGORITHMS[algo].train:
+        pytest.skip(f"{algo} keeps no replay buffer and brings its own environment: test_train_sb3.py")
+    trio = learner_of(settings)
+    env, learner, _ = trio
+    whole = StopAt(settings, tmp_path / "whole", 10**9, learner=trio)
+    whole.go()
+    assert whole.done == 2 * learner.steps_per_iteration and learner.name == algo
+    first = figures_of(whole)[0]
+    assert tuple(first)[1 : 1 + len(METRICS)] == METRICS and all(np.isfinite(v) for v in first.values())
+    StopAt(settings, tmp_path / "parts", learner.steps_per_iteration, learner=trio).go()
+    second = StopAt(settings, tmp_path / "parts", 10**9, learner=trio, resume=True)
+    assert second.done == learner.steps_per_iteration
+    second.go()
+    mine, theirs = (arrays_of(run.training) for run in (second, whole))
+    assert mine.keys() == theirs.keys()
+    for name, value in mine.items():
+        np.testing.assert_array_equal(value, theirs[name], err_msg=name)
+    assert figures_of(second) == figures_of(whole)
+    policy = Policy.load(second.folder / "last.safetensors")
+    assert policy.meta["algorithm"] == algo
+    obs = np.random.default_rng(0).normal(size=(5, env.n_obs)).astype(np.float32)
+    np.testing.assert_allclose(policy(obs), learner.act(second.training.actor, jnp.asarray(obs)), atol=2e-6)
+
+
+def test_a_name_without_a_line_is_refused_and_trains_nothing():
+    wrong = Settings(algo="tdd3")  # not through `change`, which refuses it, too
+    for call in (config_of, lambda s: algorithm(s, None)):
+        with pytest.raises(UnknownName, match="unknown algorithm 'tdd3'. Did you mean 'td3'?"):
+            call(wrong)
+    with pytest.raises(UnknownName, match="tdd3"):
+        change(preset("quick"), algo="tdd3")
+
+
+def test_a_line_is_all_that_the_command_line_needs():
+    settings = asked_for("--algo", "td3", "--envs", "32")
+    config = config_of(settings)
+    assert (type(config).__name__, config.envs, config.hidden) == ("TD3Config", 32, (64, 64))
+    with pytest.raises(ConfigError, match="td3: tau = 0; it must be positive"):
+        config_of(change(settings, algorithm={"tau": 0}))
+
+
+@pytest.mark.parametrize(
+    ("line", "steps", "assess_every"),
+    [
+        ("", 13_000_000, 1_000_000),
+        ("--algo ppo", 13_000_000, 1_000_000),
+        ("--algo sac", 1_000_000, 100_000),
+        ("--algo sb3-sac", 1_000_000, 100_000),
+        ("--algo sac --steps 300000", 300_000, 75_000),
+        ("--preset paper-sac", 1_000_000, 100_000),
+        ("--preset paper-sac --algo ppo", 1_000_000, 100_000),
+    ],
+)
+def test_an_off_policy_algorithm_has_a_budget_of_its_own(line, steps, assess_every):
+    words = line.split()
+    settings = settings_from(options().parse_args(words if "--preset" in words else ["--preset", "quick", *words]))
+    assert (settings.steps, settings.assess_every) == (steps, assess_every)
+
+
+# ---- what a run's folder answers ----
+
+
+def test_the_folders_that_help_names_are_those_that_a_run_makes(monkeypatch, tmp_path, capsys):
+    """Of the examples: `--resume --out runs/quick-ppo-0`."""
+    from fishmj.train.__main__ import EXAMPLES, folders_of
+
+    monkeypatch.chdir(tmp_path)
+    made = folders_of(options().parse_args([]), preset("quick"), [0])[0]
+    assert str(made) in EXAMPLES and "runs/<preset>-<algo>-<seed>" in options().format_help().replace("\n", "")
+
+
+def test_a_folder_of_several_seeds_says_how_they_go_on(tmp_path, capsys):
+    for seed in (0, 3):
+        (tmp_path / f"seed-{seed}" / "checkpoints").mkdir(parents=True)
+        write_json(tmp_path / f"seed-{seed}" / "settings.json", as_dict(change(preset("quick"), seed=seed)))
+    assert console.run(main, ["--resume", "--out", str(tmp_path)]) == console.BAD_INPUT
+    assert "nothing to resume; there are the runs seed-0, seed-3: add --seeds 0,3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("algo", ["sb3-sac", "examples/own_code.py:Evolution"])
+def test_together_refuses_what_brings_its_own_loop(algo, tmp_path, capsys):
+    assert console.run(main, ["--algo", algo, "--together", "--out", str(tmp_path / "run")]) == console.BAD_INPUT
+    assert "--together trains fishmj's own algorithms only" in capsys.readouterr().err
+
+
+def test_seeds_stopped_together_name_no_command_that_would_not_work(monkeypatch, tmp_path, capsys):
+    from fishmj.train import multi_seed
+    from fishmj.train.training_run import summary_of
+
+    def stopped(settings, seeds, folder):
+        return [summary_of(change(settings, seed=seed), folder / f"seed-{seed}", 5, 1.0, None, True) for seed in seeds]
+
+    monkeypatch.setattr(multi_seed, "train_together", stopped)
+    words = ["--preset", "quick", "--together", "--seeds", "0,1", "--out", str(tmp_path / "run")]
+    assert console.run(main, words) == console.INTERRUPTED
+    out, err = capsys.readouterr()
+    assert "--together cannot go on" in err and "--resume" not in err
+    assert "not yet judged on the tuning flows" in out and "nan" not in out
+
+
+# ---- checkpoints of versions that called things otherwise ----
+
+
+def test_names_of_older_checkpoints_are_found():
+    for now, then in (
+        (".agent.actor[0][0]", ".actor[0][0]"),
+        (".agent.target_critics[1][0]", ".targets[1][0]"),
+        (".agent.opt_states[0][0].mu", ".optimisers[0][0].mu"),
+        (".replay.data.next_obs", ".memory.ahead"),
+        (".replay.data.obs", ".memory.obs"),
+        (".replay.size", ".memory.size"),
+        (".opt_state[1][0].count", ".optimiser[1][0].count"),
+        (".env_state.fish.q", ".env.fish.q"),
+    ):
+        assert stored_name(now, {then: 0}) == then and stored_name(now, {now: 0, then: 0}) == now
+    assert stored_name(".tensors['log_alpha']", {}) == ".tensors['log_alpha']"
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_a_checkpoint_under_the_former_names_is_read_to_the_bit(algo):
+    from training import Point
+
+    from fishmj.train.build import referred
+
+    config = {"hidden": (8,), "envs": 8} | ({"horizon": 4, "minibatches": 2} if algo == "ppo" else {"batch": 8})
+    learner = referred(ALGORITHMS[algo].learner)(Point(), referred(ALGORITHMS[algo].config)(**config), 800)
+    state = learner.init(jax.random.key(1))
+    arrays = arrays_of(state)
+    former = {stored_name(name, {}): value for name, value in arrays.items()}
+    assert len(former) == len(arrays) and not any(name.startswith(tuple(FORMER)) for name in former)
+    again = arrays_of(tree_of(former, learner.init(jax.random.key(2))))
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(again[name], value, err_msg=name)
+
+
+def test_what_is_exported_is_what_acts():
+    """SAC's actor has a second half, log sigma, that no policy holds."""
+    from training import Point
+
+    from fishmj.train.sac import SAC as Learner
+    from fishmj.train.sac import SACConfig
+
+    learner = Learner(Point(), SACConfig(hidden=(8,), envs=8), 800)
+    actor = learner.init(jax.random.key(0)).actor
+    network = learner.policy_layers(actor)
+    assert actor[-1][0].shape == (8, 2) and network.layers[-1][0].shape == (8, 1) and network.activation == "relu"
+    x = Point().see(jnp.linspace(-1, 1, 5))
+    hidden = np.maximum(np.asarray(x) / learner.obs_scale @ actor[0][0] + actor[0][1], 0)
+    mean = (hidden @ actor[1][0] + actor[1][1])[:, :1]
+    np.testing.assert_allclose(learner.act(actor, x), np.tanh(mean), atol=1e-6)
