@@ -299,11 +299,6 @@ def test_the_documented_tables_are_the_catalogue(columns):
     assert table in DOCS.read_text(encoding="utf-8"), f"write this there:\n{table}"
 
 
-def test_the_page_of_the_search_states_the_size_of_the_catalogue():
-    page = DOCS.parent.parent / "guide" / "gap.md"
-    assert f"[catalogue of {len(CATALOGUE)}]" in page.read_text(encoding="utf-8")
-
-
 def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
     run = lambda *args: subprocess.run(
         [sys.executable, "-m", "fishmj.effects", *args], capture_output=True, text=True, check=False
