@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from fishmj.train.run import Run
 
 import fishmj
 from fishmj.train.settings import change, preset
