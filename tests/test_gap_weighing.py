@@ -145,6 +145,6 @@ def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp
     given = {}
     monkeypatch.setattr(find, "investigate", lambda *_, **options: given.update(options))
     asked = {"model": "fish", "null": None, "null_runs": 64, "noise": 1.0, "seed": 0, "most": None, "anyway": False}
-    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.taken(tmp_path / "data"))
+    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.readable_trials(tmp_path / "data"))
     assert given["page"] == datasets.page_in(tmp_path / "data")
     assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "set.npz") == {}
