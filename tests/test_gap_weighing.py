@@ -18,7 +18,8 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.search.likelihood import investigate, likelihood_of
+from fishmj.gap.search.likelihood import likelihood_of
+from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import plant as robot
 from fishmj.virtual_robot.hidden_dataset import write_hidden
