@@ -101,7 +101,7 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
             raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
     null = null_of(context["null"])
     doors.null_fits(null, robot, context["model"])
-    given = (trials_named(data, context["trials_named"]), null, context.get("water", STRUCTURED))
+    given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
     measure = lambda versions: [g for g, _ in compare_models.gaps(versions, *given)]
     return settle(verdict, context, measure, out, folder, force)
 
@@ -120,7 +120,7 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
     effects = model_version.found(verdict, provenance, context["data_sha256"])
     with tempfile.TemporaryDirectory() as scratch:
         table = {"effects": [e.name for e in effects], "answer": answer} | {
-            k: context[k] for k in ("data", "data_sha256", "trials_named")
+            k: context[k] for k in ("data", "data_sha256", "judged")
         }
         table |= {"null": context["null"], "water": context.get("water", STRUCTURED)}
         table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}

@@ -60,7 +60,7 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
     robot, null = load_robot(model), null_of(stated["null"])
     doors.searchable(robot, model)
     doors.null_fits(null, robot, model)
-    trials = trials_named(data, stated["trials_named"]) if same else trials_in(data)
+    trials = trials_named(data, stated["judged"]) if same else trials_in(data)
     notes = doors.of_this_robot(trials, robot, model, agreed)
     given = (trials, null, stated.get("water", STRUCTURED))
     (before, _), (after, channels) = compare_models.gaps([load_robot(parent), robot], *given)

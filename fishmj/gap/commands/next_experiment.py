@@ -136,7 +136,7 @@ def _usual(model) -> Record:
 
 def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:
     """Ids of the experiments to consider."""
-    if text == "hinted_experiments":
+    if text == "hinted":
         return hinted_experiments(sides)
     listed = excitation.names() if text == "all" else tuple(name.strip() for name in text.split(","))
     for name in listed:
