@@ -19,7 +19,7 @@ from fishmj.gap import watch
 from fishmj.gap.commands import doors, find, model_version, unlike
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull, repeated
+from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
@@ -61,7 +61,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
     monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
     record = record_of(trial, robot.timing.physics_dt)
-    SimulatedNull(runs=12)._run(robot, repeated(record), record)
+    SimulatedNull(runs=12)._run(robot, as_excitation(record), record)
     assert len(gains) == 12
     assert abs(np.mean(gains) / robot.servo.kp - 1) < 0.01  # drawn within 2 % of the model's own, not of the shipped fish's
 
@@ -69,7 +69,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
 def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
     record = record_of(generate({}, ["idle"], 0)[0], questioned.dt)
     other = SwimmingFish(stiffer(1.06), questioned.active.effects)
-    assert SMALL._key(questioned, record, repeated(record)) != SMALL._key(other, record, repeated(record))
+    assert SMALL._key(questioned, record, as_excitation(record)) != SMALL._key(other, record, as_excitation(record))
 
 
 def test_effects_that_a_model_lists_do_not_change_its_null_runs():
@@ -130,7 +130,7 @@ def forbidden(*_, **__):
 
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fishmj.gap.records.datasets.taken", forbidden)
+    monkeypatch.setattr("fishmj.gap.records.datasets.readable_trials", forbidden)
     monkeypatch.setattr("fishmj.gap.null.simulated_null.SimulatedNull.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
@@ -266,7 +266,7 @@ def test_a_broken_trial_leaves_the_others(copied, signed, capsys, monkeypatch):
     if not signed:
         (copied / "manifest.json").unlink()
     (copied / "1_02_gait_fast" / "meta.toml").write_text("schema = ")
-    taken = datasets.taken(copied, 0.004)
+    taken = datasets.readable_trials(copied, 0.004)
     assert list(taken.broken) == ["1_02_gait_fast"] and len(taken.trials) == 2
     monkeypatch.setattr(find, "missing", lambda *_: InsufficientData("reached", (), ()))
     assert run("find", copied, "--json") == console.CANNOT_TELL

@@ -128,8 +128,8 @@ def test_gain_is_on_records_that_the_coefficient_did_not_see():
     """A coefficient that two records contradict gains nothing, one that they share gains what it takes away."""
     g, onto = np.ones((1, 40)), np.kron(np.eye(2), np.ones((20, 1)))
     shared, opposed = np.ones(40), np.repeat([1.0, -1.0], 20)
-    assert select.held_out(shared, g, onto)[0] == pytest.approx(40.0)
-    assert select.held_out(opposed, g, onto)[0] < -100
+    assert select.held_out_gains(shared, g, onto)[0] == pytest.approx(40.0)
+    assert select.held_out_gains(opposed, g, onto)[0] < -100
 
 
 def test_discoveries_among_decoys_are_rare():

@@ -14,14 +14,14 @@ from fishmj.gap.experiment import advice
 from fishmj.gap.experiment.discrimination import (
     ExperimentScore,
     Hypothesis,
+    experiment_score,
     experiment_scores,
-    hinted,
-    normalised,
-    planned,
-    prospect,
+    hinted_experiments,
+    normalise_weights,
+    planned_record,
 )
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull, repeated
+from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 
 NULL = SimulatedNull(runs=16)
@@ -54,35 +54,41 @@ def test_a_planned_experiment_is_the_one_that_will_be_done(plant, like, name):
     """To the byte of its commands, so that its null runs are those of the standard experiment."""
     from fishmj.virtual_robot import generate
 
-    done, plan = (repeated(r) for r in (record_of(generate({}, [name], 3)[0], plant.dt), planned(excitation.get(name), like)))
+    done, plan = (
+        as_excitation(r) for r in (record_of(generate({}, [name], 3)[0], plant.dt), planned_record(excitation.get(name), like))
+    )
     assert plan.commands.tobytes() == done.commands.tobytes()
     assert (plan.id, plan.start, plan.push) == (done.id, done.start, done.push)
 
 
 def test_alike_explanations_stay_together(plant, like):
     same = [side(plant, "coulomb_friction", 0.1), side(plant, "coulomb_friction", 0.1)]
-    assert prospect(plant, same, planned(excitation.get("steps"), like), NULL, 0.1).sigma == pytest.approx(0.0, abs=1e-9)
+    assert experiment_score(plant, same, planned_record(excitation.get("steps"), like), NULL, 0.1).sigma == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 def test_what_moves_the_fish_sets_apart_what_a_resting_fish_does_not(plant, like):
-    sides = normalised([side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)])
+    sides = normalise_weights([side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)])
     found = experiment_scores(plant, sides, like, ("drift_north", "gait_fast"), NULL)
     assert [p.excitation for p in found] == ["gait_fast", "drift_north"]
     assert found[0].sigma > 5 > found[1].sigma
 
 
 def test_a_parameter_that_the_data_leave_open_separates_less(plant, like):
-    record = planned(excitation.get("drift_north"), like)
+    record = planned_record(excitation.get("drift_north"), like)
     known = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
     unknown = [side(plant, "steady_current", 0.03, spread=0.03), known[1]]
-    assert prospect(plant, unknown, record, NULL, 0.1).sigma < 0.5 * prospect(plant, known, record, NULL, 0.1).sigma
+    assert (
+        experiment_score(plant, unknown, record, NULL, 0.1).sigma < 0.5 * experiment_score(plant, known, record, NULL, 0.1).sigma
+    )
 
 
 def test_hints_begin_with_what_the_catalogue_says(plant):
     sides = [side(plant, "command_latency", 0.03), side(plant, "joint_sensor_delay", 0.03)]
     said = [r for c in effects.get("command_latency").confusions if c.other == "joint_sensor_delay" for r in c.excitations]
-    assert said and hinted(sides)[: len(said)] == tuple(said)
-    assert len(hinted(sides)) >= 6
+    assert said and hinted_experiments(sides)[: len(said)] == tuple(said)
+    assert len(hinted_experiments(sides)) >= 6
 
 
 def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
@@ -94,7 +100,7 @@ def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
 
 def test_sides_survive_the_report(plant):
     there = side(plant, "coulomb_friction", 0.1, spread=0.01)
-    back = advice.read(plant, advice.written(plant, there), 1.0)
+    back = advice.from_plain(plant, advice.to_plain(plant, there), 1.0)
     assert np.allclose(back.row, there.row) and np.allclose(back.moves, there.moves)
 
 

@@ -10,7 +10,7 @@ import pytest
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import simulated_null, source_digest
 from fishmj.gap.null.recorded_null import FEWEST, RecordedNull
-from fishmj.gap.null.simulated_null import SimulatedNull, repeated
+from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
@@ -50,7 +50,7 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
     for i in range(FEWEST):
         np.savez(tmp_path / f"{i}.npz", a=i)
     plant, nulls = SwimmingFish("fish"), (SimulatedNull(runs=8), RecordedNull(folder=tmp_path))
-    keys = lambda: [null._key(plant, record, repeated(record)) for null in nulls]
+    keys = lambda: [null._key(plant, record, as_excitation(record)) for null in nulls]
     before = keys()
     assert keys() == before
     (code / file).write_text((code / file).read_text() + "\n# another formula\n")
@@ -69,7 +69,7 @@ def test_what_decides_the_runs_is_found_by_its_imports():
 
 
 def test_the_key_also_hangs_on_the_robot_the_draws_and_the_experiment(record):
-    plant, what = SwimmingFish("fish"), repeated(record)
+    plant, what = SwimmingFish("fish"), as_excitation(record)
     links = tuple(replace(link, mass=1.01 * link.mass) for link in plant.robot.links)
     other = SimpleNamespace(robot=replace(plant.robot, links=links), fingerprint=plant.fingerprint)
     keys = [

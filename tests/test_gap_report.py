@@ -20,8 +20,9 @@ from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts
 from fishmj.gap.report.sections import html
 from fishmj.gap.report.words import CONTRACT, gates, headline
-from fishmj.gap.search.likelihood import investigate, likelihood_of
+from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.wording import quantity
+from fishmj.gap.workflow import investigate
 from fishmj.virtual_robot import generate
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both

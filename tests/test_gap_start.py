@@ -10,7 +10,7 @@ from test_gap import NULL, evidence_on, hidden, row_of
 from fishmj import effects
 from fishmj.gap.decide.secondary_effects import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.through_sensors import sensed
+from fishmj.gap.null.through_sensors import changes_sensing
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.verdict import Named, Value
@@ -60,7 +60,7 @@ def test_null_runs_are_turned_with_the_camera(turning):
     np.testing.assert_allclose(there.factors[: e.runs, y], e.factors[:, x], atol=1e-12)
     np.testing.assert_allclose(there.factors[: e.runs, yaw], e.factors[:, yaw], atol=1e-12)
     drag = row_of(turning, "yaw_drag", coefficient=0.01)
-    assert not sensed(turning, drag) and e.linearised_at(drag).factors[: e.runs] is not None
+    assert not changes_sensing(turning, drag) and e.linearised_at(drag).factors[: e.runs] is not None
     np.testing.assert_array_equal(e.linearised_at(drag).factors[: e.runs], e.factors)
 
 

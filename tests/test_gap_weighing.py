@@ -18,7 +18,8 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.search.likelihood import investigate, likelihood_of
+from fishmj.gap.search.likelihood import likelihood_of
+from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
 from fishmj.virtual_robot import plant as robot
 from fishmj.virtual_robot.hidden_dataset import write_hidden
@@ -145,6 +146,6 @@ def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp
     given = {}
     monkeypatch.setattr(find, "investigate", lambda *_, **options: given.update(options))
     asked = {"model": "fish", "null": None, "null_runs": 64, "noise": 1.0, "seed": 0, "most": None, "anyway": False}
-    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.taken(tmp_path / "data"))
+    find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.readable_trials(tmp_path / "data"))
     assert given["page"] == datasets.page_in(tmp_path / "data")
     assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "set.npz") == {}

@@ -29,7 +29,7 @@ from fishmj.log.replicates import RATIO, groups
 class Inquiry:
     """Everything that one search leaves behind, for the report.
 
-    unseen: (L,) bool over `records`, those that took no part in any decision; `apart` is their evidence. held: bool over the
+    unseen: (L,) bool over `records`, those that took no part in any decision; `apart` is their likelihood. held: bool over the
     others, which are those of `evidence`: the first fold, for the report's pictures. synthetic: a trial says that it was
     simulated.
     """
@@ -64,7 +64,7 @@ def investigate(
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
         further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
-        bars: progress of a stage (watch.py). admit: sees the evidence before the search, may raise. notes: kept for the report.
+        bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
     Raises:
         LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
     """

@@ -20,7 +20,7 @@ from fishmj.errors import ConfigError
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version
 from fishmj.gap.commands.check import check
 from fishmj.gap.null.recorded_null import null_of
-from fishmj.gap.records.datasets import digest, judged
+from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, title
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import write_text
@@ -101,7 +101,7 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
             raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
     null = null_of(context["null"])
     doors.null_fits(null, robot, context["model"])
-    given = (judged(data, context["judged"]), null, context.get("water", STRUCTURED))
+    given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
     measure = lambda versions: [g for g, _ in compare_models.gaps(versions, *given)]
     return settle(verdict, context, measure, out, folder, force)
 

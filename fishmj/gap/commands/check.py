@@ -14,7 +14,7 @@ from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version
 from fishmj.gap.null.recorded_null import null_of
-from fishmj.gap.records.datasets import digest, judged, trials_in
+from fishmj.gap.records.datasets import digest, trials_in, trials_named
 from fishmj.gap.wording import level
 from fishmj.mjcf.description import load_robot
 
@@ -60,7 +60,7 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
     robot, null = load_robot(model), null_of(stated["null"])
     doors.searchable(robot, model)
     doors.null_fits(null, robot, model)
-    trials = judged(data, stated["judged"]) if same else trials_in(data)
+    trials = trials_named(data, stated["judged"]) if same else trials_in(data)
     notes = doors.of_this_robot(trials, robot, model, agreed)
     given = (trials, null, stated.get("water", STRUCTURED))
     (before, _), (after, channels) = compare_models.gaps([load_robot(parent), robot], *given)

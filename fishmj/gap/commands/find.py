@@ -95,7 +95,7 @@ def admitted(args, robot: Robot) -> tuple[Taken, tuple[str, ...]]:
     Raises:
         LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
     """
-    given = datasets.taken(args.data, robot.timing.physics_dt)
+    given = datasets.readable_trials(args.data, robot.timing.physics_dt)
     whose = doors.of_this_robot(given.trials.values(), robot, args.model, args.same_robot)
     left_out = tuple(f"{name} left out: {why}" for name, why in given.broken.items())
     return given, (*given.notes, *left_out, *whose)

@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
     if args.model != "fish" and args.generator != "independent":
         raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
     doors.searchable(load_robot(args.model), args.model)
-    given = datasets.taken(args.source) if args.generator == "log" else None
+    given = datasets.readable_trials(args.source) if args.generator == "log" else None
     names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)

@@ -12,10 +12,10 @@ from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, gap_options, model_version, unlike
-from fishmj.gap.experiment.advice import LEFT, OPEN, advice, read, sides_of
-from fishmj.gap.experiment.discrimination import Hypothesis, experiment_scores, hinted, normalised
+from fishmj.gap.experiment.advice import LEFT, OPEN, advice, from_plain, hypotheses_of
+from fishmj.gap.experiment.discrimination import Hypothesis, experiment_scores, hinted_experiments, normalise_weights
 from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.records.datasets import BUNDLE, page_in, taken
+from fishmj.gap.records.datasets import BUNDLE, page_in, readable_trials
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.workflow import compiled, investigate
 from fishmj.mjcf.description import load_robot
@@ -70,10 +70,10 @@ def _opened(args, null: SimulatedNull):
         verdict = reported.verdict(report, context=False)
         context = verdict.get("context", {})
         model = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
-        return verdict["answer"], model, normalised(_reported(model, verdict)), _usual(model)
+        return verdict["answer"], model, normalise_weights(_reported(model, verdict)), _usual(model)
     name = args.model or "fish"
     model = _questioned(name, STRUCTURED)
-    given = taken(args.source, model.dt)
+    given = readable_trials(args.source, model.dt)
     whose = doors.of_this_robot(given.trials.values(), model.robot, name, args.same_robot)
     for note in (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose):
         console.warn(note)
@@ -90,7 +90,7 @@ def _opened(args, null: SimulatedNull):
     found = inquiry.verdict
     if found.answer not in OPEN:
         return found.answer, model, [], inquiry.records[0]
-    return found.answer, model, normalised(sides_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
+    return found.answer, model, normalise_weights(hypotheses_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
 
 
 def _model_of(context: dict) -> str:
@@ -124,7 +124,7 @@ def _reported(model, verdict: dict) -> list[Hypothesis]:
     if not rivals:
         raise LogError("gap next: the report lists no rival with values; give the data set itself: gap next DATA")
     best = min([1.0, *(e["p_best"] for e in verdict["effects"])])
-    return [read(model, ours, best), *(read(model, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
+    return [from_plain(model, ours, best), *(from_plain(model, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
 
 
 def _usual(model) -> Record:
@@ -137,7 +137,7 @@ def _usual(model) -> Record:
 def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:
     """Ids of the experiments to consider."""
     if text == "hinted":
-        return hinted(sides)
+        return hinted_experiments(sides)
     listed = excitation.names() if text == "all" else tuple(name.strip() for name in text.split(","))
     for name in listed:
         if name not in excitation.names():

@@ -1,7 +1,7 @@
-"""Which experiment would decide between the explanations that are left, in words; and the explanations themselves, as sides.
+"""Which experiment would decide between the explanations that are left, in words; and those explanations, as hypotheses.
 
-A side is one explanation with its fitted row and how far each parameter may be off. `written` and `read` carry it through a
-report, so that a longer look later needs no data.
+A hypothesis is one explanation with its fitted row and how far each parameter may be off. `to_plain` and `from_plain` carry it
+through a report, so that a longer look later needs no data.
 """
 
 from dataclasses import replace
@@ -10,7 +10,13 @@ import numpy as np
 
 from fishmj.gap.decide.intervals import estimate
 from fishmj.gap.decide.rivals import swap_effect
-from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis, experiment_scores, hinted, normalised
+from fishmj.gap.experiment.discrimination import (
+    ExperimentScore,
+    Hypothesis,
+    experiment_scores,
+    hinted_experiments,
+    normalise_weights,
+)
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.fit import Candidate
@@ -29,11 +35,11 @@ OPEN = ("CLASS", "UNEXPLAINED")
 
 def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent) -> Verdict:
     """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
-    sides = normalised(sides_of(e, found, verdict))
+    sides = normalise_weights(hypotheses_of(e, found, verdict))
     if verdict.answer not in OPEN or len(sides) < 2:
         return verdict
-    quick = experiment_scores(e.model, sides, e.records[0], hinted(sides), null, bars=bars)
-    known = {s.names: written(e.model, s) for s in sides[1:]}
+    quick = experiment_scores(e.model, sides, e.records[0], hinted_experiments(sides), null, bars=bars)
+    known = {s.names: to_plain(e.model, s) for s in sides[1:]}
     listed = {names[-1]: values for names, values in known.items()}
     rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
     return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.model, quick, sides))
@@ -57,7 +63,7 @@ def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
 
 
-def sides_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothesis]:
+def hypotheses_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothesis]:
     """What is left: the best, then each listed rival in its place; where none is listed, the next of the last round."""
     if not found.steps:
         return []
@@ -74,10 +80,10 @@ def sides_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothes
         sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]
     fitted = {c.names: c for c in whole.refine(sets, 3)}
     weights = [min([1.0, *(n.p_best for n in verdict.effects)])] + [float(r["p_best"]) for r in verdict.rivals] + [0.0] * LEFT
-    return [side(near, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
+    return [hypothesis(near, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
 
 
-def side(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
+def hypothesis(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
     """A candidate with how far its parameters may be off."""
     moves = np.repeat(c.row[None], len(c.places), 0)
     for k, (place, spread) in enumerate(zip(c.places, estimate(e, c)[1], strict=True)):
@@ -85,7 +91,7 @@ def side(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
     return Hypothesis(c.names, c.row, moves, weight)
 
 
-def written(model, s: Hypothesis) -> dict:
+def to_plain(model, s: Hypothesis) -> dict:
     """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
     out: dict = {}
     quantile = thresholds().intervals.quantile
@@ -98,8 +104,8 @@ def written(model, s: Hypothesis) -> dict:
     return out
 
 
-def read(model, values: dict, weight: float) -> Hypothesis:
-    """The side that `written` wrote."""
+def from_plain(model, values: dict, weight: float) -> Hypothesis:
+    """The side that `to_plain` wrote."""
     row = model.null.copy()
     moves = []
     quantile = thresholds().intervals.quantile

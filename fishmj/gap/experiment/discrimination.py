@@ -62,17 +62,17 @@ def experiment_scores(
     model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, form: float = 0.1, bars: Bars = silent
 ) -> list[ExperimentScore]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
-    plans = [planned(excitation.get(name), like) for name in filter(null.holds, runs)]
+    plans = [planned_record(excitation.get(name), like) for name in filter(null.holds, runs)]
     null.prepare(model, plans, bars)
     out = []
     with bars(len(plans), "experiments", "") as bar:
         for plan in plans:
-            out.append(prospect(model, sides, plan, null, form))
+            out.append(experiment_score(model, sides, plan, null, form))
             bar.update(len(out))
     return sorted(out, key=lambda p: -p.worth)
 
 
-def prospect(model, sides: list[Hypothesis], record: Record, null: SimulatedNull, form: float) -> ExperimentScore:
+def experiment_score(model, sides: list[Hypothesis], record: Record, null: SimulatedNull, form: float) -> ExperimentScore:
     """One experiment."""
     layout = ResidualLayout([record])
     e = Likelihood(model, [record], null.residuals(model, [record], layout), form)
@@ -94,7 +94,7 @@ def prospect(model, sides: list[Hypothesis], record: Record, null: SimulatedNull
     return ExperimentScore(record.excitation, record.seconds, *best, worth / record.seconds)
 
 
-def planned(run: Excitation, like: Record) -> Record:
+def planned_record(run: Excitation, like: Record) -> Record:
     """The record that an experiment will give, all zeros where there will be measurements."""
     steps = round(excitation.PERIOD / like.dt)
 
@@ -122,7 +122,7 @@ def planned(run: Excitation, like: Record) -> Record:
     )
 
 
-def hinted(sides: list[Hypothesis], most: int = HINTS) -> tuple[str, ...]:
+def hinted_experiments(sides: list[Hypothesis], most: int = HINTS) -> tuple[str, ...]:
     """A handful of experiments worth a look: what the catalogue says separates the sides, then those of the standard session."""
     from fishmj import effects
 
@@ -136,7 +136,7 @@ def hinted(sides: list[Hypothesis], most: int = HINTS) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*first, *excitation.DESIGNED]))[: max(most, len(first))]
 
 
-def normalised(sides: list[Hypothesis]) -> list[Hypothesis]:
+def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
     """The same with weights that add up to 1, none below a twentieth before: a rival that is listed is possible."""
     weights = np.maximum([s.weight for s in sides], 0.05)
     return [s._replace(weight=float(w)) for s, w in zip(sides, weights / weights.sum(), strict=True)]

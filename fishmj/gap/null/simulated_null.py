@@ -67,7 +67,7 @@ class SimulatedNull:
 
     def prepare(self, model, records: list[Record], bars: Bars) -> None:
         """Make what is not on disk, all of it under one bar; experiments that are the same are run once."""
-        whats = {self._key(model, record, what): record for record in records for what in (repeated(record),)}
+        whats = {self._key(model, record, what): record for record in records for what in (as_excitation(record),)}
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
             return
@@ -81,7 +81,7 @@ class SimulatedNull:
 
     def experiment(self, model, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
         """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: runs made so far."""
-        what = repeated(record)
+        what = as_excitation(record)
         path = kept_at(self._key(model, record, what))
         try:
             return read_npz(path)
@@ -150,7 +150,7 @@ def model_digest(model) -> str:
     return source_digest.digest(type(model).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
 
 
-def repeated(record: Record) -> Excitation:
+def as_excitation(record: Record) -> Excitation:
     """What was commanded, as an experiment that can be done again."""
     stride, (x, y, yaw), (u, w, r) = round(0.02 / record.dt), record.place, record.push
     return Excitation(

@@ -12,7 +12,7 @@ from fishmj.effects.sites import Measured
 SENSORS = ("pose", "placed")
 
 
-def through(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+def as_sensed(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     """(n, m) residuals of null runs as the sensors of a parameter row show them. shown: (m,) what the row predicts."""
     values = row[len(model.constants) :]
     out = residuals.copy()
@@ -22,19 +22,19 @@ def through(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.nda
             if where:
                 pose = np.stack([shown[w] for w in where])
                 run = pose[:, None] + np.stack([residuals[:, w] for w in where])
-                moved = look(model.active, values, run) - look(model.active, values, pose[:, None])
+                moved = camera_view(model.active, values, run) - camera_view(model.active, values, pose[:, None])
                 for w, change in zip(where, moved, strict=True):
                     out[:, w] = change
     return out
 
 
-def sensed(model, row: np.ndarray) -> bool:
+def changes_sensing(model, row: np.ndarray) -> bool:
     """Whether a parameter row has an effect on what the sensors make of the fish."""
     measuring = [x for x in model.active.effects if x.measure]
     return any(row[model.index(x.name, p.name)] != p.null for x in measuring for p in x.parameters if not p.shape)
 
 
-def look(active, values, pose: np.ndarray) -> np.ndarray:
+def camera_view(active, values, pose: np.ndarray) -> np.ndarray:
     """(3, n, k) what a camera makes of poses (3, n, k)."""
     none = np.zeros((1, 1))
     seen = Measured(t=none, x=pose[0], y=pose[1], yaw=pose[2], joint=np.zeros((1, 1, active.joints)), power=none)

@@ -51,7 +51,7 @@ def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
     return Whitening(d, u, 1.0 / np.sqrt(1.0 + square[keep]))
 
 
-def turned(model, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
+def residual_and_tangents(model, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
     """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the model does to it."""
     sigma = np.array([constant.sigma for constant in model.constants])
     rows = np.tile(row, (1 + len(sigma), 1))

@@ -20,10 +20,10 @@ def trials_in(data: Path) -> list[Trial]:
     Raises:
         LogError, StoreError: nothing there that can be read.
     """
-    return list(taken(data).trials.values())
+    return list(readable_trials(data).trials.values())
 
 
-def taken(data: Path, dt: float | None = None) -> Taken:
+def readable_trials(data: Path, dt: float | None = None) -> Taken:
     """What can be read of a data set. dt: also leave out trials that cannot be compared at this step [s] of a model.
 
     Raises:
@@ -44,13 +44,13 @@ def taken(data: Path, dt: float | None = None) -> Taken:
     return found._replace(trials=trials, broken=broken)
 
 
-def judged(data: Path, names: list) -> list[Trial]:
+def trials_named(data: Path, names: list) -> list[Trial]:
     """The trials of those names, all of them.
 
     Raises:
         LogError: one is not there, or cannot be read.
     """
-    found = taken(data)
+    found = readable_trials(data)
     for name in names:
         if name not in found.trials:
             why = found.broken.get(str(name), "no such trial")

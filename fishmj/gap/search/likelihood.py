@@ -18,7 +18,7 @@ from copy import copy
 
 import numpy as np
 
-from fishmj.gap.null.through_sensors import sensed, through
+from fishmj.gap.null.through_sensors import as_sensed, changes_sensing
 from fishmj.gap.null.whitening import leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
@@ -102,10 +102,10 @@ class Likelihood:
         """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
         null = self.origin.factors
         root = np.sqrt(self.runs)
-        if not sensed(self.model, row):
+        if not changes_sensing(self.model, row):
             return null
         shown = self.layout.measured - self._residuals(row[None])[0]
-        return through(self.model, self.layout, row, shown, null * root) / root
+        return as_sensed(self.model, self.layout, row, shown, null * root) / root
 
     def with_model_error(self, form: float) -> "Likelihood":
         """The same effects, right to within another relative error."""

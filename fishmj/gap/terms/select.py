@@ -73,7 +73,7 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     base = whole.base()
     g, probed = signatures(whole, terms)
     onto = groups(e.layout, 1 if len(records) >= LIMITS.whole_records else LIMITS.pieces)
-    gains = held_out(base.z, g, onto)
+    gains = held_out_gains(base.z, g, onto)
     # The best of ninety terms gains something on any fish: what the luckiest reaches on null runs is subtracted from all.
     floor = null_gains(e, null, g, onto)
     sided = np.where([one_sided(t) for t in terms], LIMITS.one_sided_weight, 1.0)
@@ -87,7 +87,7 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     # its path is no straight line in a coefficient.
     order = shortlist(net, probed)
     polished = {c.names[-1]: c for c in whole.refine(whole.screen(base, [terms[k] for k in order]), 3)}
-    for k, gain in zip(order, crossed_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
+    for k, gain in zip(order, held_out_gain_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
         net[k] = (gain - floor[k]) * sided[k]
     ranked = sorted(order, key=lambda k: -net[k])[: LIMITS.listed]
     return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, model) for k in ranked)
@@ -98,7 +98,7 @@ def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
     return list(dict.fromkeys([*np.argsort(-net)[: LIMITS.finalists], *np.argsort(probed)[: LIMITS.finalists]]))
 
 
-def crossed_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
+def held_out_gain_at(whole: EffectFitter, base: Candidate, fitted: list[Candidate], onto: np.ndarray) -> np.ndarray:
     """(F,) gain of fitted terms on records left out: about each optimum c, c(-l) = c - sum_k g_k z_k / sum_k g_k^2, k not l."""
     _, _, size = bounds(whole.model)
     rows, steps = [], []
@@ -167,12 +167,12 @@ def sums(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np
     return (g * z) @ onto, (g * g) @ onto
 
 
-def held_out(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
+def held_out_gains(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """(K,) gain of each term on groups it was not fitted to, one at a time."""
-    return crossed(*sums(z, g, onto))
+    return held_out_gain(*sums(z, g, onto))
 
 
-def crossed(b: np.ndarray, a: np.ndarray) -> np.ndarray:
+def held_out_gain(b: np.ndarray, a: np.ndarray) -> np.ndarray:
     """The same from the sums by record: c(-l) = b(-l)/a(-l), gain 2 c b_l - c^2 a_l."""
     c = (b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
     return np.sum(2 * c * b - c * c * a, 1)
@@ -191,7 +191,7 @@ def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray)
         mine = null[other]
         w = whitening(mine / np.sqrt(len(mine)), leftover(mine, e.layout))
         for z in w(null[part::2]):
-            found.append(held_out(z, g, onto))
+            found.append(held_out_gains(z, g, onto))
     each = np.maximum(np.percentile(np.array(found), 95, axis=0), LIMITS.free_gain)
     luckiest = np.max(np.array(found) / each, 1)
     return each * max(1.0, float(np.percentile(luckiest, 95)))
@@ -208,7 +208,7 @@ def decoy_gains(
         for b in layout.blocks:
             n = b.where.stop - b.where.start
             moved[:, b.where] = np.roll(g[:, b.where], int(shift[b.record] * n), axis=1)
-        out.append(held_out(z, moved, onto))
+        out.append(held_out_gains(z, moved, onto))
     return np.concatenate(out)
 
 

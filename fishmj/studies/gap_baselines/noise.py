@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fishmj.gap.null.whitening import turned, whitening
+from fishmj.gap.null.whitening import residual_and_tangents, whitening
 from fishmj.gap.records.records import Record
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.search.fit import EffectFitter
@@ -13,7 +13,7 @@ LONGEST = 200  # averages over which an autocorrelation is summed
 def searching(plant, records: list[Record]) -> EffectFitter:
     """A search whose z is residual over noise, with the constants' tolerance integrated out."""
     layout = ResidualLayout(records)
-    residual, tangents = turned(plant, records, layout, plant.null)
+    residual, tangents = residual_and_tangents(plant, records, layout, plant.null)
     return EffectFitter(plant, records, layout, whitening(tangents, sigma_of(layout, residual)))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.errors import SimDiverged
 from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.null.whitening import turned
+from fishmj.gap.null.whitening import residual_and_tangents
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.gap.thresholds import Gates
@@ -97,7 +97,7 @@ def beyond_gap(plant, case: Case, hidden: dict) -> float:
     with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (hidden, {}))
     noisy = ResidualLayout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
     layout = ResidualLayout(without)
-    _, tangents = turned(plant, without, layout, plant.null)
+    _, tangents = residual_and_tangents(plant, without, layout, plant.null)
     means = [ResidualLayout(r).measured for r in (with_, without)]
     noise = layout.aligned(noisy, noisy.noise())
     known = np.isfinite(noise)
