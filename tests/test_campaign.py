@@ -184,7 +184,7 @@ def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
 
 
 def test_hours_on_a_cpu_are_not_begun_unasked(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(collect_command.cost, "accelerator", lambda need: False)
+    monkeypatch.setattr(collect_command.solver_cost, "accelerator", lambda need: False)
     monkeypatch.setattr(collect_command, "device_of", lambda name: "cpu")
     assert console.run(main, ["--out", str(tmp_path / "no")]) == console.BAD_INPUT
     assert "s of water in boxes of up to 1.97 M cells" in capsys.readouterr().err and not (tmp_path / "no").exists()
