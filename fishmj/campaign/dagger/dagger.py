@@ -2,10 +2,10 @@
 
     roll out in the surrogate -> the flow solver swims the same states -> do the returns agree? else aggregate, refit, ...
 
-A water fitted once is right where the campaign's movements were, and a policy soon leaves them. So in each
-round the policy acts in the present surrogate, the solver, as the expert, says what the water does there, the new segments join
-all earlier ones, and the next model is fitted to the lot (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics
-Ross, Bagnell 2012, arXiv 1203.1007). The policy itself is not trained here.
+A water fitted once is right where the campaign's movements were, and a policy soon leaves them. So in each round the policy
+acts in the present surrogate; the solver, as the expert, says what the water does there; the new segments join all earlier ones,
+and the next model is fitted to the lot (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell 2012,
+arXiv 1203.1007). The policy itself is not trained here.
 
     found = correct("paper", robot, model, folder, setup, refit=refit)       until the returns differ by less than `AGREED`
 

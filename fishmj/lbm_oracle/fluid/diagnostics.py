@@ -28,17 +28,17 @@ class Surveyor:
         self.dim = (-(-shape[0] // self.planes), *shape[1:])
         kinds = (wp.float32, wp.float32, wp.float32, wp.float64, wp.int32)  # least, greatest drho, greatest u^2, sum, lost
         self.found = [wp.zeros(shape[1], dtype=kind, device=device) for kind in kinds]
-        self.heard = [wp.zeros(shape[1], dtype=kind, device="cpu", pinned=device.is_cuda) for kind in kinds]
+        self.on_host = [wp.zeros(shape[1], dtype=kind, device="cpu", pinned=device.is_cuda) for kind in kinds]
 
-    def start(self, numbers, f: wp.array, u: wp.array) -> None:
+    def start(self, params, f: wp.array, u: wp.array) -> None:
         """Queue one survey, and the copies of what it finds, on the present stream."""
         for column in self.found:
             column.zero_()
-        wp.launch(fields.survey, dim=self.dim, inputs=[numbers, f, u, self.planes, *self.found], device=self.device)
-        for near, far in zip(self.heard, self.found, strict=True):
+        wp.launch(fields.survey, dim=self.dim, inputs=[params, f, u, self.planes, *self.found], device=self.device)
+        for near, far in zip(self.on_host, self.found, strict=True):
             wp.copy(near, far)
 
     def result(self) -> Survey:
         """Of the last one, once the device is through with it."""
-        low, high, fast, mass, lost = (column.numpy() for column in self.heard)
+        low, high, fast, mass, lost = (column.numpy() for column in self.on_host)
         return Survey(1 + float(low.min()), 1 + float(high.max()), float(np.sqrt(fast.max())), float(mass.sum()), int(lost.sum()))

@@ -113,21 +113,25 @@ class Moving(Face):
         return Source(opposite(i), (True, True, True), _dragged)
 
 
+@wp.func
+def _characteristic(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
+    """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
+    away = u - target
+    normal = wp.dot(away, n)
+    # the incoming wave is set to zero, not extrapolated: that returns a tenth of a pulse (docs/methods/oracle.md)
+    leaving = 0.5 * (_CS * drho + normal)
+    if wp.dot(target, n) < 0.0:
+        return leaving / _CS, target + leaving * n
+    return leaving / _CS, u + (leaving - normal) * n
+
+
 class Open(Face):
+    complete = _characteristic
+
     @staticmethod
     def check(boundaries, axis):
         if axis == "z":
             raise ConfigError("boundaries: an open face at the top or bottom; z takes slip, wall or periodic")
-
-    @wp.func
-    def complete(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
-        """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
-        away = u - target
-        normal = wp.dot(away, n)
-        leaving = 0.5 * (_CS * drho + normal)
-        if wp.dot(target, n) < 0.0:
-            return leaving / _CS, target + leaving * n
-        return leaving / _CS, u + (leaving - normal) * n
 
 
 FACES: dict[str, type[Face]] = {"periodic": Periodic, "slip": Slip, "wall": Wall, "moving": Moving, "open": Open}

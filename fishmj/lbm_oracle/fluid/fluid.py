@@ -90,7 +90,7 @@ class Fluid:
         self.flow = flow or Flow()
         self._kernel = stream_collide(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
         self._keeps = keep_velocity
-        self._options = {
+        self._options: dict[str, Any] = {
             "cw": cw,
             "omega_bulk": omega_bulk,
             "blend": blend,

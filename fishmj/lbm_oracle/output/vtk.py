@@ -65,9 +65,9 @@ def write_series(path: str | Path, frames: list[tuple[float, list[str]]]) -> Pat
 
 def turning(velocity: np.ndarray, dx: float) -> tuple[np.ndarray, np.ndarray]:
     """omega_z [1/s] and Q [1/s2] of (nx, ny, nz, 3) m/s."""
-    slopes = [np.gradient(velocity[..., i], dx) for i in range(3)]  # slopes[i][j] = du_i/dx_j
-    q = -0.5 * sum(slopes[i][j] * slopes[j][i] for i in range(3) for j in range(3))
-    return slopes[1][0] - slopes[0][1], q
+    gradient = [np.gradient(velocity[..., i], dx) for i in range(3)]  # gradient[i][j] = du_i/dx_j
+    q = -0.5 * sum(gradient[i][j] * gradient[j][i] for i in range(3) for j in range(3))
+    return gradient[1][0] - gradient[0][1], q
 
 
 def _rounded(field: np.ndarray) -> np.ndarray:

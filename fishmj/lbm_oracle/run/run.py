@@ -118,9 +118,10 @@ class Run:
 
     def ticking(self, command=None) -> Iterator[None]:
         """The same, pausing whenever the device has work and the host could look after another tank (`concurrent_runs`)."""
-        sent, began, kept, done = self._send(command), self.time, None, None
-        if self.fastest > CAUTION * self.limit or self.ticks < self.alert:
-            kept = checkpoint(self.coupled)
+        sent = self._send(command)
+        began, done = self.time, None
+        careful = self.fastest > CAUTION * self.limit or self.ticks < self.alert
+        kept = checkpoint(self.coupled) if careful else None  # 176 bytes a cell: too much to copy before every tick
         try:
             if self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
                 done = yield from self._steps(self.coupled, 1, give_up=kept is not None)
