@@ -58,9 +58,9 @@ class OwnAlgorithm:
         self._check(training)
         return training
 
-    def iterate(self, training):
-        """(training, figures)."""
-        answer = plugins.call(f"{self.what}: iterate", self.mine.iterate, training)
+    def iterate(self, state):
+        """(train state, metrics)."""
+        answer = plugins.call(f"{self.what}: iterate", self.mine.iterate, state)
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Mapping)):
             raise OwnCodeError(f"{self.what}: iterate gave {type(answer).__name__}; expected (training, figures as a dict)")
         if lacking := [name for name in NEEDED if name not in answer[1]]:
