@@ -105,7 +105,7 @@ def hidden_record(hidden, kind):
     }
     meta |= {"start": {"q": [0.0] * 6, "v": v[0].tolist()}, "prescribed": {"joints": not free, "root": not free}}
     zero = np.zeros((400, N, 3))
-    return hidden.record.Record(meta, q, v, np.zeros((400, 3)), zero, zero, np.zeros((400, N, 2)), np.full(400, 1.6))
+    return hidden.record.SegmentRecord(meta, q, v, np.zeros((400, 3)), zero, zero, np.zeros((400, N, 2)), np.full(400, 1.6))
 
 
 def prior(names):

@@ -228,6 +228,6 @@ def test_impossible_numbers_are_one_clear_error(wrong, tmp_path):
 
 
 def test_hours_on_a_cpu_that_nobody_asked_for_are_not_begun(tmp_path, solver, monkeypatch, capsys):
-    monkeypatch.setattr(rank_command.cost, "accelerator", lambda need: False)
+    monkeypatch.setattr(rank_command.solver_cost, "accelerator", lambda need: False)
     assert console.run(main, ["rank", "--device", "auto", "--model", "swift-base", "--out", str(tmp_path)]) == 2
     assert solver.asked == 0 and "nothing was begun" in capsys.readouterr().err

@@ -230,7 +230,7 @@ def test_the_flow_is_never_in_what_the_policy_sees_and_always_in_what_the_critic
     state = env.reset(jax.random.key(0), 6)
     other = state._replace(current=state.current._replace(mean=state.current.mean + 0.5, rms=3 * state.current.rms))
     recent, key = jnp.zeros((6, env.sensors.behind + 1, 2 * env.n_act)), jax.random.key(1)
-    np.testing.assert_array_equal(env._look(state, recent, key), env._look(other, recent, key))
+    np.testing.assert_array_equal(env._observe(state, recent, key), env._observe(other, recent, key))
     seen = [env._privileged(s, state.obs) for s in (state, other)]
     differs = np.abs(np.asarray(seen[0] - seen[1])).max(0) > 0.1
     np.testing.assert_array_equal(np.flatnonzero(differs), [11, 12])  # the stream, and nothing else

@@ -9,7 +9,7 @@ pytest.importorskip("numba")
 
 from fishmj import excitation
 from fishmj.errors import ConfigError, SimDiverged
-from fishmj.virtual_robot import Live, generate, plant
+from fishmj.virtual_robot import ClosedLoopRobot, generate, plant
 from fishmj.virtual_robot.chain import assemble
 from fishmj.virtual_robot.figures import coast, steady
 from fishmj.virtual_robot.servo import stick_slip
@@ -245,7 +245,7 @@ def test_in_air_there_is_no_water_and_no_camera():
 
 def test_live_and_recorded_are_the_same_robot():
     run_ = excitation.get("ramps")
-    fish, seen, joints = Live(seed=3, noise=0.0), [], []
+    fish, seen, joints = ClosedLoopRobot(seed=3, noise=0.0), [], []
     for command in run_.commands[:200]:
         fish.send(command)
         tables = fish.advance(excitation.PERIOD)

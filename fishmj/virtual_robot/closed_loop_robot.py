@@ -1,6 +1,6 @@
 """The same robot step by step, for a loop that is closed from outside: a radio that loops back, a controller under test.
 
-    fish = Live({"command_latency": {"delay": 0.02}}, seed=3)
+    fish = ClosedLoopRobot({"command_latency": {"delay": 0.02}}, seed=3)
     fish.send((0.3, 0.2, 0.1))                  # leaves now, arrives after the radio's latency, or never
     packets = fish.advance(0.02)                # {"joint": {...}, "power": {...}, "pose": {...}} that became readable
 

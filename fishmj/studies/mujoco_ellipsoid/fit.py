@@ -51,7 +51,7 @@ class Match(gauss_newton.Match):
 
     swim: Swim
 
-    def pushed(self, water: np.ndarray) -> np.ndarray:
+    def thrust_errors(self, water: np.ndarray) -> np.ndarray:
         if self.held is None:
             return np.zeros(0)
         got = gauss_newton.thrusts(self.held, forces(self.swim.e, self.held, water, self.swim.inertia, self.tick))
