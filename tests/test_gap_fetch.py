@@ -153,7 +153,8 @@ def test_a_killed_process_leaves_its_bytes_for_the_next(made_up, server, tmp_pat
     path = next(p for p in server.bodies if p.endswith("log%201.csv"))
     server.cut[path], server.stall = [9000], {path}
     code = (
-        "import sys; from pathlib import Path; from fishmj.studies.measured_robots import fetch; fetch.FOLDER = Path(sys.argv[1]); "
+        "import sys; from pathlib import Path; from fishmj.studies.measured_robots import fetch; "
+        "fetch.FOLDER = Path(sys.argv[1]); "
         "fetch.fetch('made_up', sys.argv[2], sys.argv[3])"
     )
     child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "public"), str(made_up), server.base])

@@ -46,7 +46,7 @@ class OwnAlgorithm:
         self.name = plugins.name_of(text)
         for call, count in (("init(key)", 1), ("iterate(training)", 1), ("act(actor, obs)", 2)):
             plugins.takes(self.what, getattr(self.mine, call.partition("(")[0], None), call, count)
-        self.steps_per_iteration = getattr(self.mine, "steps_per_iteration", None)
+        self.steps_per_iteration: int = getattr(self.mine, "steps_per_iteration", 0)
         if not isinstance(self.steps_per_iteration, int) or self.steps_per_iteration < 1:
             raise OwnCodeError(
                 f"{self.what}: steps_per_iteration = {self.steps_per_iteration!r}; expected a whole number, 1 or more"
