@@ -20,7 +20,7 @@ from fishmj.calibrate.calibration_logs import Logs
 from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, correlation_length, fit
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
-from fishmj.gap.models.test_stand import TestStand
+from fishmj.gap.models.test_stand import ServoStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
@@ -86,7 +86,7 @@ def robot() -> tuple[dict, Logs]:
 
 @pytest.fixture(scope="module")
 def fitted(robot) -> servo_fit.ServoFit:
-    return servo_fit.calibrate(robot[1], TestStand(), alone=False)
+    return servo_fit.calibrate(robot[1], ServoStand(), alone=False)
 
 
 def test_servo_numbers_come_back_within_their_intervals(robot, fitted):
@@ -109,7 +109,7 @@ def test_latencies_come_back(robot, fitted):
 
 def test_without_bench_trials_it_says_what_to_record():
     with pytest.raises(LogError, match="at least two"):
-        servo_fit.calibrate(Logs(Path("empty"), {}), TestStand())
+        servo_fit.calibrate(Logs(Path("empty"), {}), ServoStand())
 
 
 def some_trials(folder: Path, names: str, change=lambda table, column, values: values) -> Path:
@@ -148,7 +148,7 @@ def test_a_page_of_weighings_that_is_absent_says_what_to_write(tmp_path: Path):
 
 def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
     """One plant for both media: with `wet` 1 the row of the described robot moves as the chain of `hydro_fit` does."""
-    plant, logs = TestStand(), robot[1]
+    plant, logs = ServoStand(), robot[1]
     record = logs.records(plant.dt, logs.of("water", ("square",)))[0]._replace(pose=None, power=None)
     late, n = round(plant.latency / plant.dt), 300
     q, v, attached = [*map(float, record.start), 0.0, 0.0, 0.0], [0.0] * 6, 0.5

@@ -186,7 +186,7 @@ def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records, tmp_path, m
     assert fit.score(flat(better.base), None) < 0.5 * fit.score(flat(worse.base), None)
     assert better.learnt is None and better.slip == model.slip
     same = Refit(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
-    monkeypatch.setattr(Refit, "_newton", lambda *_: pytest.fail("a stage that was finished is done again"))
+    monkeypatch.setattr(Refit, "_gauss_newton", lambda *_: pytest.fail("a stage that was finished is done again"))
     assert same.run().base == better.base
     with pytest.raises(pytest.fail.Exception):  # another model is another fit
         Refit(ROBOT, model, records["train"], (records["val"], records["test"][:4]), **given).run()

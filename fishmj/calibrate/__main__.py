@@ -92,7 +92,7 @@ def drawn(argv: list[str]) -> int:
     from fishmj.calibrate.calibration_logs import Logs
     from fishmj.calibrate.fit_check import gathered, one
     from fishmj.calibrate.partial_results import PartialResults
-    from fishmj.gap.models.test_stand import TestStand
+    from fishmj.gap.models.test_stand import ServoStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
 
@@ -104,7 +104,7 @@ def drawn(argv: list[str]) -> int:
     parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
     args = parser.parse_args(argv)
     names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
-    kept, plant, robots = PartialResults(CHECKED, {}), TestStand(), []
+    kept, plant, robots = PartialResults(CHECKED, {}), ServoStand(), []
     with interrupt.keeping(lambda: kept.words(list(names), "robots")), shown(args.robots, "robots", "robots") as bar:
         for done, (name, seed) in enumerate(names.items(), 1):
             off = kept.find(name)

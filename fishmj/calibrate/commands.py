@@ -10,7 +10,7 @@ from fishmj.calibrate.calibration_logs import Logs, read
 from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.errors import LogError
 from fishmj.gap.commands.doors import of_this_robot
-from fishmj.gap.models.test_stand import TestStand
+from fishmj.gap.models.test_stand import ServoStand
 from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown
 from fishmj.gap.workflow import compiled
@@ -55,9 +55,9 @@ def opened(args, robot: Robot) -> Logs:
     return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
 
 
-def benched(args, robot: Robot) -> tuple[Logs, TestStand]:
+def benched(args, robot: Robot) -> tuple[Logs, ServoStand]:
     """The trials and the plant that they are compared with; what is missing is said before anything is compiled."""
-    logs, plant = opened(args, robot), TestStand(robot)
+    logs, plant = opened(args, robot), ServoStand(robot)
     logs.bench()
     compiled(plant, console.say)
     return logs, plant

@@ -5,12 +5,12 @@ import numpy as np
 from fishmj.calibrate import latency, servo_fit
 from fishmj.calibrate.bias import widened
 from fishmj.calibrate.calibration_logs import Logs
-from fishmj.gap.models.test_stand import TestStand
+from fishmj.gap.models.test_stand import ServoStand
 
 Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 
 
-def one(true: dict[str, float], logs: Logs, plant: TestStand) -> Off:
+def one(true: dict[str, float], logs: Logs, plant: ServoStand) -> Off:
     """Calibrate servo and latencies of a robot whose numbers are given."""
     found = servo_fit.calibrate(logs, plant, alone=False)
     fitted = found.estimates | {"camera_latency": latency.calibrate(logs, found).estimates["camera_latency"]}

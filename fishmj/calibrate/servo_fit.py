@@ -12,7 +12,7 @@ import numpy as np
 from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, Tick, fit
 from fishmj.errors import LogError
-from fishmj.gap.models.test_stand import CONSTANTS, TestStand
+from fishmj.gap.models.test_stand import CONSTANTS, ServoStand
 from fishmj.gap.records.records import Record
 from fishmj.gap.watch import Bar, Bars, silent
 
@@ -24,7 +24,7 @@ STRAINED = 3.0  # tolerances that a constant of hull or water may be off before 
 class ServoFit(NamedTuple):
     """The fit on everything, on each medium alone, and what it was fitted to."""
 
-    plant: TestStand
+    plant: ServoStand
     records: list[Record]
     row: np.ndarray
     whole: LeastSquaresFit
@@ -47,7 +47,7 @@ class ServoFit(NamedTuple):
         return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
 
 
-def calibrate(logs: Logs, plant: TestStand, *, alone: bool = True, bars: Bars = silent) -> ServoFit:
+def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars = silent) -> ServoFit:
     """Fit kp, kd, friction and command latency to the bench trials of `logs`.
 
     Args:
@@ -72,7 +72,7 @@ def calibrate(logs: Logs, plant: TestStand, *, alone: bool = True, bars: Bars = 
     return ServoFit(plant, records, row_of(plant, whole.theta), whole, apart)
 
 
-def parameters(plant: TestStand) -> list[FreeParameter]:
+def parameters(plant: ServoStand) -> list[FreeParameter]:
     """What is free, and the hull's constants within their tolerance."""
     s, late = plant.robot.servo, plant.latency
     free = [
@@ -84,7 +84,7 @@ def parameters(plant: TestStand) -> list[FreeParameter]:
     return free + [FreeParameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in CONSTANTS[2:]]
 
 
-def open_numbers(plant: TestStand, estimates: dict[str, ParameterEstimate]) -> list[str]:
+def open_numbers(plant: ServoStand, estimates: dict[str, ParameterEstimate]) -> list[str]:
     """Of what is free, the numbers that the trials leave open: an interval as wide as the number, or one at its bound."""
     out = []
     for p in (p for p in parameters(plant) if p.name in FREE):
@@ -95,7 +95,7 @@ def open_numbers(plant: TestStand, estimates: dict[str, ParameterEstimate]) -> l
     return out
 
 
-def row_of(plant: TestStand, theta) -> np.ndarray:
+def row_of(plant: ServoStand, theta) -> np.ndarray:
     """The plant's row for fitted parameters (K,)."""
     row = plant.null.copy()
     row[[plant.place("kp"), plant.place("kd")]] = theta[:2]
@@ -110,7 +110,7 @@ def _counted(bar: Bar, before: int, share: float) -> None:
     bar.update(before + share)
 
 
-def fitted(plant: TestStand, records: list[Record], tick: Tick = lambda share: None) -> LeastSquaresFit:
+def fitted(plant: ServoStand, records: list[Record], tick: Tick = lambda share: None) -> LeastSquaresFit:
     """The fit on some records. tick: share of it that is done."""
     blocks, size = [], 0
     for record in records:

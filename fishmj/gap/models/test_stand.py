@@ -44,7 +44,7 @@ class Hung(Effects):
         rhs[2] = rhs[2] - dry * (TWIST * q[2] + TWIST_DAMPING * k.omega[0])
 
 
-class TestStand(SwimmingFish):
+class ServoStand(SwimmingFish):
     """Args: robot: description, path or name. `delays`: rows may shift the commands and the camera against the robot's own."""
 
     def __init__(self, robot: "Robot | str" = "fish"):
