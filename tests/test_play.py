@@ -136,6 +136,12 @@ def test_c_hands_the_fish_to_the_next_controller_and_r_starts_again(pond):
     assert pond.controller.name != "dob" and screen.cleared == 1 and pond.loop.count[0] == 2
 
 
+def test_the_camera_is_as_late_as_in_every_task(pond):
+    timing = pond.robot.timing
+    expected = math.ceil(timing.camera_latency / timing.bus_dt - 1e-6)  # rounded up: a frame that is on its way is not there
+    assert pond.loop.scenario.camera.tolist() == [expected] and expected * timing.bus_dt >= timing.camera_latency
+
+
 def test_an_empty_swim_is_not_saved(pond):
     with pytest.raises(ConfigError, match="nothing recorded yet"):
         pond.trial()

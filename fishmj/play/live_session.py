@@ -53,8 +53,7 @@ class LiveSession:
         self.engine_name = type(self.loop.engine).__module__.rpartition(".")[2]
         self._chain = planar_chain.chain_of(self.robot)
         params = engines.nominal_params(self.robot, 1)
-        late = float(self.loop.sensors.added.late(np, params.effects[0], "pose"))
-        camera = np.array([max(0, round((self.robot.timing.camera_latency + late) / self.robot.timing.bus_dt))])
+        camera = self.loop.sensors.ticks(np, np.array([self.robot.timing.camera_latency]), params.effects, "pose")
         self._nominal = Scenario(params, camera, self.flow.current())
         self.choose(controller)
         self.reset()
