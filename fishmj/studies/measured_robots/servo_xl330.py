@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.gap.models.servo_model import DT, OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.log import Trial
 from fishmj.studies.measured_robots.answer import solved
 from fishmj.studies.measured_robots.folder import trials
+from fishmj.studies.measured_robots.servo_model import DT, OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.studies.measured_robots.study import Study
 
 ASIDE = "sin_sin"

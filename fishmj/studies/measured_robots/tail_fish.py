@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody, acting, covered
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.gap.records.residual import ResidualLayout
@@ -16,6 +15,7 @@ from fishmj.log import Trial
 from fishmj.studies.measured_robots.answer import described, solved
 from fishmj.studies.measured_robots.decoy_terms import RIVALS
 from fishmj.studies.measured_robots.folder import trials
+from fishmj.studies.measured_robots.planar_body import Hull, MeanGait, PlanarBody, acting, covered
 from fishmj.studies.measured_robots.study import Study, investigate
 
 SPAN, WINDOW = 1.5, 1.0  # s

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import effects
-from fishmj.gap.models.planar_body import Hull, MeanGait, PlanarBody
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.gap.thresholds import thresholds
 from fishmj.log import Trial
 from fishmj.studies.measured_robots.folder import trials
+from fishmj.studies.measured_robots.planar_body import Hull, MeanGait, PlanarBody
 
 RESET = 1.0  # m/s, fall of the column at a fix
 MISSED = 3.0  # m/s; the column sometimes falls to 4 to 7 m/s, which a boat pushed by hand never had
