@@ -10,7 +10,7 @@ main = console.CommandGroup(
         "cases": Command(
             "fishmj.lbm_oracle.cases.validate",
             "known answers, each beside its reference",
-            "fishmj lbm_oracle cases poiseuille couette",
+            "fishmj lbm_oracle cases poiseuille cavity",
         ),
         "converge": Command(
             "fishmj.studies.solver_grid.converge",

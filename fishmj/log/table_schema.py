@@ -114,7 +114,7 @@ TABLES = {
         about="water force on each link in the tank frame, N, and moment about its front joint (head: reference point), N m",
         fixed=("t",),
         numbered=("f#x", "f#y", "m#"),
-        optional=("r#x", "r#y", "n#"),  # the flow solver's raw exchange, the inside water's momentum not yet added
+        optional=("r#x", "r#y", "n#"),  # the flow solver's raw exchange, the interior water's momentum not yet added
         kinds={},
     ),
 }

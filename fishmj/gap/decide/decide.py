@@ -12,7 +12,8 @@
     G9 sanity       no parameter on a bound, no size that is not believable     else CLASS with a warning
     G10 force       no free force explains more, held out (terms/stronger.py)   else UNEXPLAINED
 
-G1 and G2 stop only a search that accepted nothing (search/stepwise.py); the others are asked of what was accepted.
+G1 and G2 stop only a search that accepted nothing (search/stepwise.py), or one effect that chance explains; the others are asked
+of what was accepted.
 The form error is measured (search/model_error.py): the relative error of what the effects change that makes the
 records most likely. A right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5
 and G6 leave out the paths of as many records as G7 lets get worse, and G5 an effect that can only be right (`needs_exact_value`).

@@ -1,14 +1,14 @@
 """A sphere held in a stream, and one that is pushed through still water.
 
     drag         C_D = F / (rho U^2 pi D^2 / 8) = 24 / Re (1 + 0.1935 Re^0.6305), Re 20 to 260    Clift, Grace, Weber 1978
-    added mass   F = (1 + C_m) m_f a while the inside water moves along,  C_m = 1/2        Lamb, Hydrodynamics, art. 92
+    added mass   F = (1 + C_m) m_f a while the interior water moves along,  C_m = 1/2        Lamb, Hydrodynamics, art. 92
 
 The drag of Schiller and Naumann 1933, 24 / Re (1 + 0.15 Re^0.687), covers Re 0 to 800 in one line within 5 % and is reported
 beside it: at Re 200 it gives 0.806, where the fit of that range gives 0.775 and Roos and Willmarth measured 0.78 (1971, as noted
 in the validation scripts of the solver CubismUP_3D). Clift's fit was read in the package fluids 1.3.1 and in PetIBM's examples.
 
 The added mass is read off a frictionless sphere (slip = 1), whose flow is a potential flow: nothing of Stokes' or Basset's is
-to be taken off. The inside water adds m_f exactly; a free sphere is pushed with and without it.
+to be taken off. The interior water adds m_f exactly; a free sphere is pushed with and without it.
 """
 
 from math import pi

@@ -72,7 +72,9 @@ class Periodic(Face):
     def check(boundaries, axis):
         low, high = getattr(boundaries, axis)
         if low != high:
-            raise ConfigError(f"boundaries: axis {axis} is {low} below and {high} above; both faces are periodic or none")
+            raise ConfigError(
+                f"boundaries: axis {axis} is {low} at its low end and {high} at its high end; both faces are periodic or none"
+            )
 
 
 class Slip(Face):

@@ -5,7 +5,9 @@
 Where the interior water enters. The immersed boundary accelerates the lattice's water inside the hull too, which a real hull does
 not hold, so the links must be given back the momentum that this water gains:
 
-    I = sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g),      h_l = (m_l u_l, I_l w_l)       m_l: displaced mass of link l
+    I = sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g),      h_l = (m_l (u_l + t_l (s_l - t_l . u_l)), I_l w_l)
+
+m_l: displaced mass of link l, I_l its moment of inertia, u_l and w_l its velocities, t_l its axis.
 
     interior.py:measure, mean       s_l: how fast the water moves along each link; across it, it moves with the link
     link_dynamics.py:move           h_l from pose, velocity and s_l

@@ -2,8 +2,8 @@
 
     grid + solid - displaced = constant            in a periodic box, nothing else pushing
 
-grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l of the links; displaced = sum of the displaced
-water moving with its links: the grid has it inside the hull, a real fish does not. A coupling that loses the inside term, its
+grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l of the links; displaced = sum of the h_l of the
+interior water (`immersed/__init__.py`): the grid has it inside the hull, a real fish does not. A coupling that loses I, its
 Coriolis part or a sign drifts by the whole momentum of the fish within a few beats (docs/methods/oracle_coupling.md).
 """
 
