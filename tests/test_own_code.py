@@ -267,7 +267,7 @@ def test_a_task_without_reward_and_end_has_the_papers():
     [
         ({"launch": None}, "has no launch(xp, uniforms)"),
         ({"launch": lambda self, xp: None}, "expected launch(xp, uniforms)"),
-        ({"launch": lambda self, xp, u: u}, "launch gave ndarray; expected Launch"),
+        ({"launch": lambda self, xp, u: u}, "launch gave ndarray; expected EpisodeStart"),
         ({"launch": lambda self, xp, u: EpisodeStart(draw_start(xp, u), u)}, "launch: phase has shape (5, 7), expected (5,)"),
         ({"target": lambda self, xp, launch, t: launch.start.target[0]}, "target has shape (2,), expected (5, 2)"),
         ({"target": lambda self, xp, launch, t: launch.start.target / 0.0}, "target is not finite"),

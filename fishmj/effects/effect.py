@@ -72,14 +72,14 @@ class Effect:
     about, formula: one line each. source: where formula and magnitudes come from. shows: channels. native: how MuJoCo itself can
     hold it, "" when only a hook can. Sites (None = not there), called with p, a namespace of this effect's parameters:
 
-        servo(xp, p, Servo, memory, h) -> (Servo, memory)       one joint, before the drive
-        gear(xp, p, Gear, memory, h) -> (Gear, memory)          one joint, after the drive
-        fish(xp, p, Constants) -> Constants                     masses, coefficients
-        flow(xp, p, Place) -> Place                             water velocity at a place
-        body(xp, p, Body, memory, h) -> (Body, memory)          forces on the whole body at the reference point
-        water(xp, p, Water, memory, h) -> (Water, memory)       forces of the water on each link
-        command(xp, p, command, memory, h) -> (command, memory) one joint's command, rad, on its way to the servo
-        measure(xp, p, Seen) -> Seen                            what the sensors report, whole records
+        servo(xp, p, ServoDrive, memory, h) -> (ServoDrive, memory)     one joint, before the drive
+        gear(xp, p, Gear, memory, h) -> (Gear, memory)                  one joint, after the drive
+        fish(xp, p, Constants) -> Constants                             masses, coefficients
+        flow(xp, p, FlowAt) -> FlowAt                                   water velocity at a place
+        body(xp, p, BodyMotion, memory, h) -> (BodyMotion, memory)      forces on the whole body at the reference point
+        water(xp, p, LocalWater, memory, h) -> (LocalWater, memory)     forces of the water on each link
+        command(xp, p, command, memory, h) -> (command, memory)         one joint's command, rad, on its way to the servo
+        measure(xp, p, Measured) -> Measured                            what the sensors report, whole records
         delays {clock: parameter}                               transport delay of a clock, s
         drifts {clock: parameter}                               rate of a clock, 1 = true: the delay grows by (rate - 1) t
 
@@ -92,7 +92,7 @@ class Effect:
         unplanted   why the second robot (virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
-        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (scatter.py).
+        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stochastic.py).
     """
 
     name: str

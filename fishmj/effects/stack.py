@@ -76,7 +76,7 @@ class EffectStack:
         return total
 
     def drawn(self, parameters, stream: str) -> list:
-        """(effect, its parameters) of the stochastic effects of a stream (scatter.py)."""
+        """(effect, its parameters) of the stochastic effects of a stream (stochastic.py)."""
         return [(s.effect, _values(s, parameters)) for s in self.slots if s.effect.stream == stream]
 
     def measure(self, xp, parameters, seen):

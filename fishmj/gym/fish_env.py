@@ -22,7 +22,7 @@ class FishEnv(gymnasium.Env):
         task: station_hold, figure_eight, angle_of_attack, or one's own (docs/guide/your_own_code.md).
         engine: "batch" (MuJoCo C), "compiled" or "planar" (closed form, ten times faster), or an engine.
         render_mode: None or "rgb_array".
-        options: fields of `tasks.episode.Setting` and of the task's course.
+        options: fields of `tasks.episode.TaskOptions` and of the task's course.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}

@@ -2,7 +2,7 @@
 
     class LineFollow:
         seconds = 20.0                              length of an episode
-        def launch(self, xp, uniforms): ..          (B, 7) uniforms -> Launch(Start(pose, target, speed, direction), phase)
+        def launch(self, xp, uniforms): ..          (B, 7) uniforms -> EpisodeStart(Start(pose, target, speed, direction), phase)
         def target(self, xp, launch, t): ..         (B, 2) m at times t (B,) s
         def reward(self, xp, step): ..              (B,) from a Stride; optional, the paper's without it
         def outside(self, xp, pose): ..             (B,) bool from poses (B, 3); optional, |x|, |y| > 2 m without it
@@ -103,7 +103,8 @@ class OwnReference:
         found = plugins.call(f"{self.what}: launch", self.task.launch, xp, uniforms)
         if not isinstance(found, EpisodeStart):
             raise OwnCodeError(
-                f"{self.what}: launch gave {type(found).__name__}; expected Launch(Start(pose, target, speed, direction), phase)"
+                f"{self.what}: launch gave {type(found).__name__}; "
+                "expected EpisodeStart(Start(pose, target, speed, direction), phase)"
             )
         for value, name, shape in zip((*found.start, found.phase), (*found.start._fields, "phase"), SHAPES, strict=True):
             self._checked(value, f"launch: {name}", (n, *shape))

@@ -20,7 +20,7 @@ from fishmj.train.training_run import MAX_DIVERGED, export, is_better, learner_o
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
-    """Train one policy a seed side by side; returns the summaries that `Run.go` would give."""
+    """Train one policy a seed side by side; returns the summaries that `TrainingRun.go` would give."""
     env, learner, assess = learner_of(settings)
     start = time.monotonic()
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))

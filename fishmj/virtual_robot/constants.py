@@ -19,7 +19,7 @@ class HullConstants(NamedTuple):
 
 
 class WaterConstants(NamedTuple):
-    """Water around the links. Forces per station are precomputed in `body.Body`."""
+    """Water around the links. Forces per station are precomputed in `rigid_body.RigidBody`."""
 
     active: float  # 1 in water, 0 in air
     friction: float  # of the 1/5-power law: Cf = friction Re^-0.2

@@ -1,6 +1,6 @@
 """Forces of the water on one link, in link axes at the link's origin; u along, v across, r yaw rate, all relative to the water.
 
-    cross-flow     f_n = - sum_k d_k w_k sqrt(w_k^2 + c u^2),  w_k = v + r x_k        (`body.Body.drag`)
+    cross-flow     f_n = - sum_k d_k w_k sqrt(w_k^2 + c u^2),  w_k = v + r x_k        (`rigid_body.RigidBody.drag`)
     skin friction  f_t = - 1/2 rho S Cf Re^-0.2 V u                                   1/5-power law of a turbulent plate
     head           f_t = - C |u| u, another C backwards
     trailing edge  f_t = 1/2 m_e s w_c^2,  f_n = - m_e u+ w_c

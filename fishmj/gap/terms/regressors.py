@@ -11,7 +11,7 @@ from fishmj.gap.thresholds import thresholds
 
 
 class Factor(NamedTuple):
-    """One quantity. value: from the array namespace and a `Body`, `Gear` or `Water`. size: usual in a session, SI."""
+    """One quantity. value: from the array namespace and a `BodyMotion`, `Gear` or `LocalWater`. size: usual in a session, SI."""
 
     name: str
     value: Callable

@@ -2,7 +2,7 @@
 
     forces   min sum ((F - A c) / noise)^2 / n_c + sum ((c - c0) / c0)^2,   0 <= c <= `MOST` c0
     search   `DRAWN` waters around both starts, on `FEW` swims: the valley of MuJoCo's model need not be where forces point
-    swims    damped Gauss-Newton with the same prior and bounds from the `BEST` of them, on all swims of `recipe.Fit`
+    swims    damped Gauss-Newton with the same prior and bounds from the `BEST` of them, on all swims of `FitPipeline`
 c0 are MuJoCo's defaults. Swims that make the validation swims worse than forces did are not taken, as in the recipe.
 
 Without inertia the factor on the added mass stays 1: MuJoCo computes the mass, a user cannot set it.
@@ -59,7 +59,7 @@ class Match(gauss_newton.Match):
 
 
 class Fit(pipeline.FitPipeline):
-    """The records, windows and scores of `recipe.Fit`, in MuJoCo's fluid."""
+    """The records, windows and scores of `FitPipeline`, in MuJoCo's fluid."""
 
     def __init__(self, robot: Robot, train, val, *, dataset: dict, settings=None, inertia: bool, report=pipeline.quiet):
         super().__init__(robot, train, val, dataset=dataset, settings=settings, report=report)

@@ -18,7 +18,7 @@ from fishmj.studies.mujoco_ellipsoid.swim import Bound
 
 
 class Start(NamedTuple):
-    """What `check.Swum` asks of a model to begin a free run; the ellipsoids remember nothing and ignore it."""
+    """What `free_swims.FreeSwims` asks of a model to begin a free run; the ellipsoids remember nothing and ignore it."""
 
     base: strip_forces.Coefficients
     learnt: None = None

@@ -68,7 +68,7 @@ def rows(ch: planar_chain.Chain, k: planar_chain.Links, i: int, centre: float) -
 
 
 class Swim(rollout.SwimWindow):
-    """`rollout.Swim` in this water: `run` takes the 12 coefficients for its `water`."""
+    """`rollout.SwimWindow` in this water: `run` takes the 12 coefficients for its `water`."""
 
     def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer, e: force.Ellipsoids, inertia: bool):
         super().__init__(ch, swimmer)
@@ -76,7 +76,7 @@ class Swim(rollout.SwimWindow):
         self._key = repr((ch, swimmer[:5], e, inertia))
 
     def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
-        """As in `rollout.Swim`; a stream's own acceleration pushes nothing here, as in MuJoCo."""
+        """As in `rollout.SwimWindow`; a stream's own acceleration pushes nothing here, as in MuJoCo."""
         ch, n = self.chain, self.chain.n
         split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
         hooks = Hooks(jnp, self.e, split(water), self.inertia)

@@ -1,6 +1,6 @@
 """The recipe's fit with parts of it left out, and stages shared: fits that differ only later begin with the same files.
 
-`recipe.Fit` takes the residual only where the validation swims like it better. Here it stays in, since the question is what it is
+`FitPipeline` takes the residual only where the validation swims like it better. Here it stays in, since the question is what it is
 worth; `Variant.scores` says what the recipe would have done. Members, range checks and the error bar are left out.
 """
 
@@ -33,7 +33,7 @@ class Variant(pipeline.FitPipeline):
 
     Args:
         code: sha256 of what computes; stages of other code are done again. retune: whether the factors follow the residual.
-        The rest as for `recipe.Fit`.
+        The rest as for `FitPipeline`.
     """
 
     def __init__(self, robot, train, val, *, dataset: dict, settings: pipeline.FitSettings, folder: "Path | None", code: str,
