@@ -1,7 +1,7 @@
 """The recipe's fit with parts of it left out, and stages shared: fits that differ only later begin with the same files.
 
-`FitPipeline` takes the residual only where the validation swims like it better. Here it stays in, since the question is what it is
-worth; `Variant.scores` says what the recipe would have done. Members, range checks and the error bar are left out.
+`FitPipeline` takes the residual only where the validation swims like it better. Here it stays in: the question is what it is
+worth. `Variant.scores` says what the recipe would have done. Members, range checks and the error bar are left out.
 """
 
 import hashlib
