@@ -201,7 +201,9 @@ def test_catalogue_is_whole_and_names_what_exists():
     root = calib_folder().parent.parent
     said: dict[str, int] = {}
     for page in (root / "README.md", *(root / "docs").rglob("*.md")):
-        for match in re.finditer(r"(?:which of|from) (\d+) effects|catalogue of (\d+)", page.read_text(encoding="utf-8")):
+        for match in re.finditer(
+            r"(?:which of|one of|from) (\d+) effects|[Cc]atalogue (?:of|holds) (\d+)", page.read_text(encoding="utf-8")
+        ):
             said[f"{page.name}: {match[0]}"] = int(match[1] or match[2])
     assert len(said) > 1 and set(said.values()) == {len(EVERY)}, said  # how many there are, wherever a page says it
     runs = set(excitation.names())

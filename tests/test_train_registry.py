@@ -1,5 +1,7 @@
 """Every algorithm of the register, one of a reader's own among them: it trains, resumes to the bit, exports what it does."""
 
+from dataclasses import fields
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,8 +13,9 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.policy import Policy
 from fishmj.store import write_json
 from fishmj.train.__main__ import main, options, settings_from
-from fishmj.train.build import algorithm, config_of
+from fishmj.train.build import algorithm, config_of, referred
 from fishmj.train.learner import METRICS
+from fishmj.train.off_policy import OffPolicyConfig
 from fishmj.train.settings import ALGORITHMS, Registered, Settings, as_dict, change, preset
 from fishmj.train.training_run import FORMER, arrays_of, learner_of, stored_name, tree_of
 
@@ -31,9 +34,11 @@ def asked_for(*argv) -> Settings:
 
 def small(algo: str) -> Settings:
     """Two iterations on the fish and an assessment after each."""
-    if algo == "ppo":
-        run = calm_run(algorithm={"envs": 16, "horizon": 8, "minibatches": 2, "epochs": 1, "hidden": (8,)})
-        return change(run, steps=256, assess_every=128, assess_episodes=2)
+    config = referred(ALGORITHMS[algo].config)
+    if not issubclass(config, OffPolicyConfig):
+        few = {"envs": 16, "horizon": 8, "minibatches": 2, "epochs": 1, "hidden": (8,)}  # what it has of these
+        run = calm_run(algorithm={name: few[name] for name in few if name in {field.name for field in fields(config)}})
+        return change(run, algo=algo, steps=256, assess_every=128, assess_episodes=2)
     own = {**SAC, "warmup": 64, "hidden": (8,)}
     return change(sac_run(steps=256, assess_every=128, assess_episodes=2), algo=algo, algorithm=own)
 

@@ -160,7 +160,7 @@ def test_a_stopped_run_exports_what_sb3_predicts_keeps_tensors_only_and_goes_on_
         seen.update(tensors=again.algorithm._taken().tensors, memory=again.algorithm.model.replay_buffer.size())
         return again
 
-    monkeypatch.setattr(sb3, "Run", watch)
+    monkeypatch.setattr(sb3, "TrainingRun", watch)
     capfd.readouterr()
     assert sb3.train_sb3(run, tmp_path, resume=True)["steps"] == 2048
     assert "the replay buffer was not kept: 512 steps of the policy refill it" in capfd.readouterr().err

@@ -35,8 +35,8 @@ class Gear(NamedTuple):
 class Constants(NamedTuple):
     """Masses and coefficients of the planar chain, changed before anything is computed from them."""
 
-    chain: Any  # hydro_fit.chain.Chain
-    swimmer: Any  # hydro_fit.chain.Swimmer
+    chain: Any  # dynamics.planar_chain.Chain
+    swimmer: Any  # dynamics.planar_chain.Swimmer
 
 
 class FlowAt(NamedTuple):

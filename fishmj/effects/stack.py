@@ -1,6 +1,6 @@
 """Effects put together: what the physics of a fish calls at its sites.
 
-    active = Active((friction, latency), joints=3)
+    active = EffectStack((friction, latency), joints=3)
     session = active.begin(xp, parameters, memory)      # parameters: flat list, memory: flat list
     drive = session.servo(j, servo) ...                 # the physics calls the sites in order
     session.memory                                      # what is remembered for the next step

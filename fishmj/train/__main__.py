@@ -50,7 +50,7 @@ def options() -> console.Parser:
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    envs = f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])})"
+    envs = f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])}; with another --algo its own)"
     add("--envs", type=console.whole(1, 2**20), metavar="N", help=envs)
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
@@ -59,7 +59,8 @@ def options() -> console.Parser:
     add("--together", action="store_true", help=together)
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
-    critic = "of PPO. privileged: it sees the flow, the policy does not; plain: what the policy sees (default: privileged)"
+    critic = "of PPO, and of what has the setting `privileged`. privileged: it sees the flow, the policy does not;"
+    critic += " plain: what the policy sees (default: privileged)"
     add("--critic", choices=CRITICS, help=critic)
     widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
     hidden = f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})"

@@ -21,7 +21,11 @@ class Learner(Protocol):
     """Made by `Class(env, config, steps)`: the environment, its settings, control steps of the whole run, all fish together.
 
     A train state is a NamedTuple of arrays and holds `actor`. A checkpoint keeps its leaves, a resumed run goes on from them
-    alone: what is drawn must follow from a key in it, and nothing that learns may live in `self`.
+    alone: what is drawn must follow from a key in it, and nothing that learns may live in `self`. `--together` maps `init` and
+    `iterate` over seeds (jax.vmap). Settings named envs, learning_rate, hidden or privileged get the options of these names.
+
+    The environment (tasks/env.py) starts anew by itself: its state has `final_obs`, before the restart, beside `obs` after it;
+    `terminated` is the end of an episode, `truncated` its time limit, from which one bootstraps; `diverged` rows are left out.
     """
 
     name: str

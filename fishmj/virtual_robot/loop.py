@@ -16,7 +16,7 @@ def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, co
     """Run len(record) steps; writes `state.COLUMNS` of every step, before it moves, into record (T, LOG).
 
     arrivals (K,): times [s] at which commands (K, 3) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
-    time [m/s], every GUST s from t = 0, linear between. work: `motion.workspace`.
+    time [m/s], every GUST s from t = 0, linear between. work: `simulate.workspace`.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
     fresh = 1.0 - exp(-H / motor.inductive_time)
