@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     own_effects.option(parser)
     args = parser.parse_args(argv)
     args.null = args.null and shipped(args.null)
-    gap_options.there(args.null)
+    gap_options.there(args.data, args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     doors.searchable(robot, args.model)
