@@ -38,8 +38,8 @@ if "--steps" in sys.argv:
     sys.exit()
 hertz, bias = np.arange(0.25, 2.01, 0.25), np.array([10.0, 20.0, 30.0])
 (wave, phase), _, (watts, watts_phase) = swim(hertz, 30, [[60], [0]])
-for f, a, p, b, r in list(zip(hertz, wave, watts, phase, watts_phase, strict=True))[1::2]:
-    print(f"{f:.1f} Hz, 30 deg: lag 60 deg {a:.3f} m/s, {p:.2f} W; in phase {b:.3f} m/s, {r:.2f} W")
+for row in list(zip(hertz, wave, watts, phase, watts_phase, strict=True))[1::2]:
+    print("{:.1f} Hz, 30 deg: lag 60 deg {:.3f} m/s, {:.2f} W; in phase {:.3f} m/s, {:.2f} W".format(*row))
 around, turn, _ = swim(1.0, 30, 60, bias)
 for degrees, speed, rate in zip(bias, around, turn, strict=True):
     print(f"bias {degrees:.0f} deg, 1 Hz: {rate:.1f} deg/s at {speed:.3f} m/s, radius {speed / abs(rate * DEG):.2f} m")
@@ -55,7 +55,6 @@ assert (np.diff(np.abs(turn)) > 0).all() and (turn < 0).all(), "a bias to the le
 assert 0.05 < drag < 0.2 and 2.0 < sum(heave) < 2.4, "a slender body: little drag ahead, much water sideways"
 
 figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
-axes.plot(hertz, wave, "o-", hertz, phase, "s-")
-axes.legend(["lag 60 deg", "in phase"])
+axes.legend(axes.plot(hertz, wave, "o-", hertz, phase, "s-"), ["lag 60 deg", "in phase"])
 axes.set(xlabel="beat frequency [Hz]", ylabel="speed in still water [m/s]", title="30 deg on all joints (synthetic, prior)")
 figure.savefig(sys.argv[1] if sys.argv[1:] else "docs/figures/gait_map.png", dpi=130)

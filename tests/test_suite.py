@@ -17,6 +17,7 @@ from dm_control.rl import control
 from dm_env import test_utils
 
 from fishmj import suite
+from fishmj.engines.lbm import Engine as LbmEngine
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.suite import physics as fish_physics
 from fishmj.tasks.episode import Episodes
@@ -231,6 +232,37 @@ def test_a_free_root_swims_like_a_planar_one():
     np.testing.assert_allclose(two[:, :2], one[:, :2], atol=0.015)
     height, up = free.physics.data.qpos[2], free.physics.named.data.xmat["head", "zz"]
     assert abs(height) < 0.05 and up > 0.98  # upright, at its depth, though masses were randomised
+
+
+def test_a_learnt_water_swims_on_a_planar_root_and_is_refused_on_a_free_one():
+    strips, fitted = (stacked(swim(load(seed=7, water=water), 3)) for water in ("swift-base", "swift"))
+    assert np.abs(fitted[-1] - strips[-1]).max() > 1e-4  # the learnt force acts
+    for water in ("swift", "surrogate", "lbm"):
+        with pytest.raises(ConfigError, match="planar root"):
+            load(root="free", water=water)
+    with pytest.raises(UnknownName, match="no_such_water"):
+        load(water="no_such_water")
+
+
+@pytest.mark.slow
+def test_the_flow_solver_moves_a_fish_of_the_suite_as_it_does_a_judged_one():
+    box = {"domain": "laptop", "device": "cpu"}
+    env = load(seed=3, seconds=0.4, turbulence="gust", noise=0.0, water="lbm", solver=box)
+    env.reset()
+    rules, scenario = env.task.rules, env.task.scenario
+    flow = env.physics.engine.flows[0]
+    np.testing.assert_allclose(flow.current().mean, scenario.current.mean, rtol=1e-12)
+    episodes = Episodes(rules, LbmEngine(rules.robot, [flow], **box), 1)
+    episodes.begin(scenario)
+    for action in ([0.5, 0.2, -0.4], [-0.3, 0.6, 0.1]):
+        step, out = env.step(np.array(action)), episodes.step(np.array([action]))
+        np.testing.assert_allclose(stacked([step])[0], episodes.observation(np.zeros((1, 11)))[0], rtol=0, atol=1e-12)
+        assert step.reward == pytest.approx(out.reward[0], abs=1e-12)
+    assert step.last() and env.physics.time() == pytest.approx(0.4)
+    with pytest.raises(ConfigError, match="whole bus ticks"):
+        env.physics.step(1)
+    with pytest.raises(ConfigError, match="cannot be copied"):
+        env.physics.copy()
 
 
 def test_environments_in_threads_do_not_meet():

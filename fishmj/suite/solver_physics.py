@@ -64,6 +64,7 @@ class SolverPhysics(Physics):
         flow = DrawnFlow(speed=np.hypot(u, v), direction=np.arctan2(v, u), drawn=current, **kind)
         self.engine = Engine(self.swim.robot, [flow], **self._solver)
         self.fish = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
+        self.fish.q[:, 3:] = params.zero  # the encoders read zero
 
     def step(self, n_sub_steps: int = 1) -> None:
         """Advance by physics steps, whole bus ticks only.
