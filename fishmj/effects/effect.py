@@ -56,13 +56,13 @@ class Parameter:
         return self.typical[1]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Confusion:
     """Another effect that looks alike, and the experiment that tells them apart."""
 
-    other: str
-    separates: str
-    excitations: tuple[str, ...] = ()  # ids of fishmj.excitation
+    other: str  # its name
+    separates: str  # what tells them apart
+    excitations: tuple[str, ...] = ()  # ids of fishmj.excitation, best first
 
 
 @dataclass(frozen=True, kw_only=True)
