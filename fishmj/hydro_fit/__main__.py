@@ -7,10 +7,11 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.calib import OWN, ROOTS
 from fishmj.console import Command
-from fishmj.errors import ConfigError, StoreError, TooMuch
+from fishmj.errors import ConfigError, FishmjError, StoreError, TooMuch
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import sha256
 from fishmj.store.manifest import MANIFEST
 from fishmj.store.package_data import SOURCES
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
@@ -136,11 +137,46 @@ def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[
     return [r for k, r in enumerate(train) if k % 5 != 2], train[2::5]
 
 
+def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
+    """Write `model` to `folder`, or beside it as `rejected-<hash>` when the standing model does better on the same validation.
+
+    Args:
+        score, standing: squared error of the validation swims of the new and of the standing model; None where there is none.
+    Returns:
+        (path of the TOML, whether the model took the place).
+    """
+    if standing is None or score <= standing:
+        return model.save(folder), True
+    rejected = Path(folder) / "rejected"
+    path = model.save(rejected)
+    mark = sha256(path)[:12]
+    place = Path(folder) / f"rejected-{mark}"
+    if place.exists():
+        raise FishmjError(f"{place}: this candidate was rejected before; change data, seed or settings, or remove the folder")
+    rejected.rename(place)
+    console.warn(
+        f"the standing model is better: validation {standing:.4g} against {score:.4g}; it stays, the candidate is {place}"
+    )
+    return place / path.name, False
+
+
+def standing_model(folder: Path, name: str, robot_sha256: str) -> HydroModel | None:
+    """What stands in the place, if it is for the same robot and of the present form."""
+    path = Path(folder) / f"{name}.toml"
+    if not path.is_file():
+        return None
+    try:
+        model = HydroModel.load(path)
+    except ConfigError as error:
+        console.warn(f"what stands in the place cannot be compared and will be replaced: {error}")
+        return None
+    return model if model.robot_sha256 == robot_sha256 else None
+
+
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
     from fishmj.hydro_fit.fit.data_parallel import several
     from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
-    from fishmj.hydro_fit.fit.promote import promote, standing_model
     from fishmj.water.prior import flat
 
     several()
@@ -219,7 +255,7 @@ def held_out(robot: Robot, folder: Path, args) -> tuple[list[SegmentRecord], lis
 
 def calibrate(robot: Robot, folder: Path, args) -> dict:
     """Scale the error bar of the model in its place by the test part of a data set that nothing else is judged by."""
-    from fishmj.hydro_fit.fit.calibrate import calibrated
+    from fishmj.hydro_fit.fit.prediction_interval import calibrated
 
     data, model = open_dataset(folder, test=True), chosen(robot, args)
     swims = records_of(data, robot, "test", args.slip)

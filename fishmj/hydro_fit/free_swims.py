@@ -22,10 +22,11 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit.fit import prediction_interval, wake_warmup
+from fishmj.hydro_fit.fit import prediction_interval
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
-from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_batch_of, is_free, padded, recorded
+from fishmj.hydro_fit.fit.training_windows import warm_up
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.hydro_model import HydroModel
@@ -77,7 +78,7 @@ class FreeSwims:
         rows = rows_of(ch, chosen)
         starts = np.array([span.start for span in rows.spans()]) + skip
         attached = attachment(rows, ch.strips, model.base, tick)[starts]
-        memory = None if model.learnt is None else wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).memory[starts]
+        memory = None if model.learnt is None else warm_up(ch, rows, model.base, model.learnt, tick).memory[starts]
         whole = fish_batch_of(ch, robot, chosen, seconds=1e6)
         stop = skip + round(FREERUN / tick)
         cut = lambda a: a[:, skip:stop]
@@ -184,15 +185,19 @@ def _bias(record: SegmentRecord) -> float:
     return 0.0 if bend < 0.1 * float(np.abs(late).max() + 1e-9) else bend
 
 
+def model_force(model: HydroModel, ch: planar_chain.Chain, rows: RegressionRows, tick: float) -> np.ndarray:
+    """(3, N, M), with the force of the acceleration."""
+    force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
+    return force if model.learnt is None else force + warm_up(ch, rows, model.base, model.learnt, tick).force
+
+
 def _thrust(model: HydroModel, robot: Robot, held: Sequence[SegmentRecord]) -> float:
     """Mean error of the mean thrust of held fish, over the tow drag."""
     if not held:
         return float("nan")
     ch, tick = planar_chain.chain_of(robot), held[0].tick
     rows = rows_of(ch, held)
-    force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
-    if model.learnt is not None:
-        force = force + wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).force
+    force = model_force(model, ch, rows, tick)
     return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
 
 

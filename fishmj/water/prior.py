@@ -53,14 +53,6 @@ def unflat(values) -> strip_forces.Coefficients:
     return strip_forces.Coefficients(list(values[:links]), list(values[links : 2 * links]), *values[2 * links :])
 
 
-def replaced(c: strip_forces.Coefficients, names, values) -> strip_forces.Coefficients:
-    """`c` with some coefficients set."""
-    every, wanted = flat(c), names_of(len(c.k))
-    for name, value in zip(names, values, strict=True):
-        every[wanted.index(name)] = value
-    return unflat(every.tolist())
-
-
 def prior_of(robot: Robot) -> Prior:
     """What is believed of this robot's coefficients: its water table for the mean, the calibration file for the rest.
 
