@@ -22,7 +22,6 @@ from fishmj.virtual_robot.constants import (
 from fishmj.virtual_robot.rigid_body import RigidBody, body_of
 
 CONSTANTS = "virtual_robot"
-GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
 ROUNDED = 1e-3  # relative
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
