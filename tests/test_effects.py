@@ -14,13 +14,13 @@ from fishmj import console, effects, excitation
 from fishmj.calib import calib_folder
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import EffectStack, ambiguity, calibration, effect_text
+from fishmj.effects import EffectStack, ambiguity, calibration
+from fishmj.effects import __main__ as effect_text
 from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.randomise import draw
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
-from fishmj.effects.stochastic import arrivals, gusts, noise
+from fishmj.effects.stack import arrivals, delivered, gusts, noise
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import load_robot
 

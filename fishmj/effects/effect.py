@@ -92,7 +92,7 @@ class Effect:
         unplanted   why the second robot (virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
-        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stochastic.py).
+        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stack.py).
     """
 
     name: str

@@ -17,9 +17,9 @@ from fishmj import effects, plugins
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Effect, EffectStack
-from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import CLOCKS, Parameter
 from fishmj.effects.sites import Measured
+from fishmj.effects.stack import delivered
 from fishmj.errors import OwnCodeError
 from fishmj.mjcf.description import load_robot
 from fishmj.names import is_name
