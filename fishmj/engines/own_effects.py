@@ -124,7 +124,8 @@ def _identity(active: EffectStack, what: str) -> None:
             for field in FIELDS:
                 a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
                 if not np.array_equal(a, b):
-                    medium, null = "water" if wet else "air", ", ".join(f"{n} = {x:g}" for (_, n), x in _pairs(active))
+                    pairs = zip(active.names, active.null, strict=True)
+                    medium, null = "water" if wet else "air", ", ".join(f"{n} = {x:g}" for (_, n), x in pairs)
                     most = np.abs(a - b).max()
                     raise OwnCodeError(
                         f"{what}: at its null ({null}) it changes {field} by up to {most:.3g} in step {k + 1} in {medium};"
@@ -141,10 +142,6 @@ def _identity(active: EffectStack, what: str) -> None:
     pairs = zip((got, *read, *late), (sent, *seen, *[0.0] * len(late)), strict=True)
     if not all(np.array_equal(np.asarray(a) + 0.0 * np.asarray(b), b + 0.0 * np.asarray(a)) for a, b in pairs):
         raise OwnCodeError(f"{what}: at its null it changes commands, readings or delays; at the null it must change no bit")
-
-
-def _pairs(active: EffectStack):
-    return zip(active.names, active.null, strict=True)
 
 
 def _finite(active: EffectStack, what: str) -> None:

@@ -16,6 +16,7 @@ a nudged grid or a finer step, by the same measure.
 """
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -201,13 +202,6 @@ def _thrust(model: HydroModel, robot: Robot, held: Sequence[SegmentRecord]) -> f
     return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
 
 
-class _Pair:
-    """A repeat in the place of the model."""
-
-    def __init__(self, records, seen):
-        self.records, self.seen = records, seen
-
-
 def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRecord]]) -> dict[str, float]:
     """The same figures between the solver's own repeats: how exactly there is anything to agree with."""
     ch = planar_chain.chain_of(robot)
@@ -216,8 +210,11 @@ def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRe
     if free:
         again, first = (fish_batch_of(ch, robot, [pair[i] for pair in free], seconds=1e6) for i in (0, 1))
         settled = round(SETTLED / free[0][0].tick)
-        pair = _Pair([b for _, b in free], _from(first, recorded(first), settled))
-        figures, _ = errors(pair, _from(again, recorded(again), settled))
+        pair = SimpleNamespace(records=[b for _, b in free], seen=_from(first, recorded(first), settled))
+        figures, _ = errors(
+            pair,  # a repeat in the place of the model
+            _from(again, recorded(again), settled),
+        )
         out |= {key: value for key, value in figures.items() if np.isfinite(value)}
     held = [(a, b) for a, b in repeats if flaps(a)]
     if held:

@@ -198,12 +198,10 @@ _ROWS: list[tuple] = [
         ("gait", "station_left")),
     ("power_offset", "measurement", _one("power", "W", "meter.offset", 0.1, 0.5, signed=True), ("power",), ("idle", "gait")),
 ]  # fmt: skip
-_KEYS = ("name", "stage", "parameters", "shows", "runs")
+_DRAWN = ("latency_jitter", "packet_loss", "turbulence")
 CATALOGUE: dict[str, CatalogueEntry] = {
-    row[0]: CatalogueEntry(
-        **dict(zip(_KEYS, row, strict=True)), stochastic=row[0] in ("latency_jitter", "packet_loss", "turbulence")
-    )
-    for row in _ROWS
+    name: CatalogueEntry(name=name, stage=stage, parameters=parameters, shows=shows, runs=runs, stochastic=name in _DRAWN)
+    for name, stage, parameters, shows, runs in _ROWS
 }
 # families differ in kind: memory, coupling, asymmetry, place, time, timing, sensing
 _ODD_ROWS: list[tuple] = [

@@ -37,7 +37,7 @@ class Prior:
 
 
 def names_of(links: int) -> tuple[str, ...]:
-    """k1.. cn1.. cf ca_forward ..: the order of `engines.flat_water`."""
+    """k1.. cn1.. cf ca_forward ..: the order of `flat`."""
     each = tuple(f"{key}{i + 1}" for key in ("k", "cn") for i in range(links))
     return each + tuple(key for key in strip_forces.Coefficients._fields[2:])
 

@@ -110,12 +110,8 @@ class Match:
         """Errors of the windows of all swims."""
         view, errors = windows(track, self.fleet, self.tick), []
         speed = np.hypot(self.recorded_windows.surge, self.recorded_windows.sway)
-        for name, size, kind in (
-            ("surge", speed, "speed"),
-            ("sway", speed, "speed"),
-            ("yaw_rate", None, "yaw"),
-            ("power", None, "power"),
-        ):
+        channels = (("surge", speed, "speed"), ("sway", speed, "speed"), ("yaw_rate", None, "yaw"), ("power", None, "power"))
+        for name, size, kind in channels:
             share, floor = TOLERANCE[kind]
             modelled, measured = getattr(view, name), getattr(self.recorded_windows, name)
             tolerance = share * np.abs(measured if size is None else size) + floor

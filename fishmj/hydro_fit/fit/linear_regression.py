@@ -167,6 +167,3 @@ def _coefficients(c: strip_forces.Coefficients, theta: np.ndarray, links: int) -
     share = min(1.0, float(theta[push + 3 :].sum() / max(sum(k[1:]), 1e-6)))
     drags = {"cf": cf, "ca_forward": forward, "ca_backward": backward}
     return c._replace(k=k, cn=cn, **drags, ke=ke, lift_a=a, lift_b=b, suction=share)
-
-
-__all__ = ["LinearFit", "bounded", "fit_linear"]

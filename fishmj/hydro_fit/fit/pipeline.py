@@ -20,14 +20,7 @@ import numpy as np
 from fishmj import interrupt
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError, StoreError
-from fishmj.hydro_fit.fit import (
-    force_training,
-    gauss_newton,
-    linear_regression,
-    prediction_interval,
-    rollout,
-    training_windows,
-)
+from fishmj.hydro_fit.fit import force_training, gauss_newton, linear_regression, prediction_interval, rollout, training_windows
 from fishmj.hydro_fit.fit import rollout_training as swims
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
