@@ -82,16 +82,9 @@ def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
 
 def nominal(robot: Robot) -> Swimmer:
     """The calibrated fish without randomisation, as lists of floats."""
-    n, s = len(robot.links), robot.servo
-    j = range(n - 1)
-    return Swimmer(
-        mass=[1.0] * n,
-        kp=[s.kp for _ in j],
-        kv=[s.kv for _ in j],
-        kb=[s.kb for _ in j],
-        zero=[0.0] * (n - 1),
-        water=strip_forces.coefficients(robot.water, n),
-    )
+    links, s = len(robot.links), robot.servo
+    kp, kv, kb, zero = ([value] * (links - 1) for value in (s.kp, s.kv, s.kb, 0.0))
+    return Swimmer([1.0] * links, kp, kv, kb, zero, strip_forces.coefficients(robot.water, links))
 
 
 def kinematics(xp, ch: Chain, q, v, flow) -> Links:

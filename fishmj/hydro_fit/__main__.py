@@ -27,9 +27,11 @@ def run(verb: str, argv: list[str]) -> int | None:
     robot = load_robot(args.fish)
     code = console.OK
     if verb == "all":
+        from fishmj.campaign.data import collect_command
+
         folder = Path(args.data or DATA / robot.name)
         try:
-            missing = collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
+            missing = collect_command.main(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
         except TooMuch as error:
             missing = console.FAILED_CHECK
             console.warn(str(error))
@@ -71,11 +73,8 @@ def options(verb: str) -> console.Parser:
     made = console.parser(f"hydro_fit {verb}", COMMANDS[verb].summary[:1].upper() + COMMANDS[verb].summary[1:] + ".")
     add = made.add_argument
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
-    add(
-        "--data",
-        type=console.path,
-        help="data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one",
-    )
+    data = "data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one"
+    add("--data", type=console.path, help=data)
     add("--model", type=console.text, help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     add("--out", type=console.out_folder, help=f"folder of what is written: {WRITTEN[verb]}")
     add("--name", type=console.name, help="of the model that is fitted; default the robot's")
@@ -91,9 +90,8 @@ def options(verb: str) -> console.Parser:
         add("--seeds", type=console.Listed(console.SEED), default="0", metavar="N,..", help="of learnt rows: 0,1,2")
     if verb == "all":
         add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda")
-        add(
-            "--budget", type=console.number(0, 1e7), metavar="S", help="wall clock for collecting; by default as long as it takes"
-        )
+        budget = "wall clock for collecting; by default as long as it takes"
+        add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
         add("--ray", type=console.text, help="address of a Ray cluster that collects; by default this machine does")
     return made
 
@@ -101,13 +99,6 @@ def options(verb: str) -> console.Parser:
 def _passed_on(args) -> list[str]:
     given = (("--device", args.device), ("--budget", args.budget), ("--ray", args.ray))
     return [str(item) for key, value in given if value is not None for item in (key, value)]
-
-
-def collect(argv: list[str]) -> int:
-    """Hand over to the campaign."""
-    from fishmj.campaign.data import collect_command
-
-    return collect_command.main(argv)
 
 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
@@ -175,7 +166,7 @@ def standing_model(folder: Path, name: str, robot_sha256: str) -> HydroModel | N
 
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
-    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
     from fishmj.water.prior import flat
 
@@ -262,9 +253,8 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
     made = calibrated(model, robot, swims, {"sha256": data.sha256, "folder": folder.name})
     path = made.save(Path(args.out or FOLDERS[0]))
     factors = {name: made.band[name][0] / parts[0] for name, parts in model.band.items()}
-    console.say(
-        f"{path}: bands by {made.calibration['swims']} swims, times " + ", ".join(f"{n} {f:.3g}" for n, f in factors.items())
-    )
+    times = ", ".join(f"{name} {factor:.3g}" for name, factor in factors.items())
+    console.say(f"{path}: bands by {made.calibration['swims']} swims, times {times}")
     return {"model": str(path), "factors": factors, **made.calibration}
 
 
@@ -280,7 +270,7 @@ def check(robot: Robot, folder: Path, args) -> dict:
 
 def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitSettings
     from fishmj.studies.water_ablation import ablation_table
     from fishmj.studies.water_ablation.ablation import table

@@ -129,12 +129,8 @@ def judge(
     got["freerun_position_error"] = float(far[np.arange(len(far)), last].mean())
     n["freerun_position_error"] = len(far)
     got["guard_rate"], n["guard_rate"] = float(swum.track.outside.mean()), len(swum.fleet.q)
-    cover = prediction_interval.covered(
-        prediction_interval.means(swum.track, swum.fleet),
-        swum.members,
-        prediction_interval.means(recorded(swum.fleet), swum.fleet),
-        model.band,
-    )
+    mean, seen = (prediction_interval.means(track, swum.fleet) for track in (swum.track, recorded(swum.fleet)))
+    cover = prediction_interval.covered(mean, swum.members, seen, model.band)
     own = repeatability(robot, repeats) if repeats else {}
     tolerance = {key: max(stated, 2 * own.get(key, 0.0)) for key, stated in STATED.items()}
     ran = float(swum.cruise.mask.sum(1).min() * records[0].tick)
@@ -211,10 +207,7 @@ def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRe
         again, first = (fish_batch_of(ch, robot, [pair[i] for pair in free], seconds=1e6) for i in (0, 1))
         settled = round(SETTLED / free[0][0].tick)
         pair = SimpleNamespace(records=[b for _, b in free], seen=_from(first, recorded(first), settled))
-        figures, _ = errors(
-            pair,  # a repeat in the place of the model
-            _from(again, recorded(again), settled),
-        )
+        figures, _ = errors(pair, _from(again, recorded(again), settled))  # a repeat in the place of the model
         out |= {key: value for key, value in figures.items() if np.isfinite(value)}
     held = [(a, b) for a, b in repeats if flaps(a)]
     if held:

@@ -37,6 +37,7 @@ NAMES = {
     "oscillation": "oscillation",
     "static": "held",
 }
+RUNS = 6  # paths in the figure of free runs
 REST, HIGH, MOVING = 2.0, np.radians(60), 0.05  # s, rad, m/s
 
 
@@ -158,9 +159,9 @@ def means_figure(swum: free_swims.FreeSwims, band: dict[str, list[float]]) -> by
     return _png(figure)
 
 
-def runs_figure(swum: free_swims.FreeSwims, count: int = 6) -> bytes:
+def runs_figure(swum: free_swims.FreeSwims) -> bytes:
     """Paths of some free runs beside the recorded ones."""
-    which = np.linspace(0, len(swum.cruise.q) - 1, min(count, len(swum.cruise.q))).astype(int)
+    which = np.linspace(0, len(swum.cruise.q) - 1, min(RUNS, len(swum.cruise.q))).astype(int)
     figure, axes = _panels(2, (len(which) + 1) // 2, 5.5)
     for axis, b in zip(axes, which, strict=False):
         stop = int(swum.cruise.mask[b].sum())

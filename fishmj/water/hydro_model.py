@@ -2,7 +2,7 @@
 
     model = HydroModel.load("swift")            a shipped one, or a path to its .toml
     sw = model.swimmer(robot)                   the robot in this water
-    hooks = model.water(np, ch, memory)         for planar_chain.step; None where there is no residual
+    model.learnt                                the residual, None where there is none; `residual_hooks` puts it into a step
     model.base_only                             the strip model fitted by itself, a water of its own
 
 The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256
@@ -191,17 +191,6 @@ class HydroModel:
         if abs(robot.timing.physics_dt - self.dt) > 1e-9:
             raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
         return planar_chain.nominal(robot)._replace(water=self.base)
-
-    def water(self, xp, ch: planar_chain.Chain, memory=None, inner: Any = None):
-        """Hooks for `planar_chain.step` that add the residual, after `inner`; `inner` itself where there is none.
-
-        Args:
-            memory: flat list, inner's first; at rest when None.
-        """
-        if self.learnt is None:
-            return inner
-        memory = residual_hooks.at_rest() if memory is None else memory
-        return residual_hooks.LearnedResidual(xp, ch, self.learnt, memory, inner)
 
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""

@@ -105,10 +105,8 @@ class FitPipeline:
         self.limits = prior_of(robot)
         prior = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
         self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code()}
-        self.about |= {
-            "water": flat(planar_chain.nominal(robot).water).tolist(),
-            "records": [r.id for r in [*self.train, *self.val]],
-        }
+        self.about["water"] = flat(planar_chain.nominal(robot).water).tolist()
+        self.about["records"] = [r.id for r in [*self.train, *self.val]]
         # everything that decides the result: a stage that was kept is read again only where all of it is the same
         depends = self.about | {"settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
@@ -259,12 +257,9 @@ class FitPipeline:
     def _band(self, fleet, water, waters, learnt) -> dict[str, list[float]]:
         parts = prediction_interval.of_members(self.swim, fleet, waters, learnt)
         trained = np.array([number < sum(map(rollout.is_free, self.train)) for number, _ in fleet.source])
-        return prediction_interval.fit_band(
-            prediction_interval.means(self.swim.run(fleet, water, learnt), fleet),
-            parts,
-            prediction_interval.means(rollout.recorded(fleet), fleet),
-            trained,
-        )
+        tracks = (self.swim.run(fleet, water, learnt), rollout.recorded(fleet))
+        mean, seen = (prediction_interval.means(track, fleet) for track in tracks)
+        return prediction_interval.fit_band(mean, parts, seen, trained)
 
     # what stages share
 

@@ -26,6 +26,7 @@ from fishmj.water import residual_hooks
 from fishmj.water.prior import unflat
 
 WINDOW = 2.0  # s, over which velocities are averaged
+SHORTEST = 2.0  # s, of a piece of a swim
 START, SHARE = 2.0, 0.9  # s from rest that `from_rest` looks at; of the swims that stay below what it says
 LEAST = 128  # fish swum at once, the last one repeated: a step of them costs as much as one of ten, a compilation 5 s
 
@@ -58,10 +59,8 @@ def is_free(record: SegmentRecord) -> bool:
     return not (held["joints"] or held["root"])
 
 
-def fish_batch_of(
-    ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], *, seconds: float = 10.0, least: float = 2.0
-) -> FishBatch:
-    """Free swims cut into pieces of `seconds`; a rest shorter than `least` is left out.
+def fish_batch_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], *, seconds: float = 10.0) -> FishBatch:
+    """Free swims cut into pieces of `seconds`; a rest shorter than `SHORTEST` is left out.
 
     Raises:
         DatasetError: no record swims freely.
@@ -71,9 +70,8 @@ def fish_batch_of(
         if not is_free(record):
             continue
         size, whole = round(seconds / record.tick), len(record.q)
-        pieces += [
-            (number, a, min(a + size, whole)) for a in range(0, whole, size) if min(size, whole - a) * record.tick >= least
-        ]
+        starts = [a for a in range(0, whole, size) if min(size, whole - a) * record.tick >= SHORTEST]
+        pieces += [(number, a, min(a + size, whole)) for a in starts]
     if not pieces:
         raise DatasetError("no free swim among the records; the fit of speed and turning needs some: collect gaits")
     return cut(ch, robot, records, pieces)

@@ -23,8 +23,7 @@ import optax
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import force_training
-from fishmj.hydro_fit.fit.data_parallel import devices, quick, sharded, stacked
-from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.descent import Loop, devices, quick, sharded, stacked
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
