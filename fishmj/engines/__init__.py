@@ -31,7 +31,7 @@ class FishState(NamedTuple):
     v: Any  # (B, nv) m/s, rad/s
     attached: Any  # (B,) tail attachment, 0..1
     buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last; longer where the latency needs it (`rows_of`)
-    memory: Any  # (B, M) what effects and a learnt water remember (added.py); M = 0 without them
+    memory: Any  # (B, M) what effects and a learnt water remember (extensions.py); M = 0 without them
 
 
 class FishParams(NamedTuple):

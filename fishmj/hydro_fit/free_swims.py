@@ -85,12 +85,11 @@ class FreeSwims:
         cut = lambda a: a[:, skip:stop]
         states = (whole.q[:, skip : stop + 1], whole.v[:, skip : stop + 1])
         fleet = FishBatch._make([*states, *(cut(a) for a in whole[2:-1]), whole.source])
-        if memory is not None:
-            memory[:, -1] = 0.0
         wide = padded(fleet, self.fleet)
         more, size = len(wide.q) - len(fleet.q), fleet.mask.shape[1]
         attached = np.concatenate([attached, np.full(more, 0.5)])
         if memory is not None:
+            memory[:, -1] = 0.0
             memory = np.concatenate([memory, np.zeros((more, memory.shape[1]))])
         track = swim.run(wide, flat(model.base), model.learnt, attached, memory)
         count = len(fleet.q)

@@ -43,20 +43,12 @@ def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
     return State(
         z=np.concatenate([[x, y], theta]),
         rate=np.concatenate([[c * u - s * v, s * u + c * v], np.full(4, r)]).astype(float),
-        amps=np.zeros(3),
-        drive=np.zeros(3),
-        seen=joints.copy(),
-        goal=joints.copy(),
-        aim=joints.copy(),
         ramp=np.stack([joints, joints, np.zeros(3)], 1),
-        gap=np.zeros(3),
-        branch=np.zeros(3),
-        bouc=np.zeros(3),
-        stuck=np.zeros(3),
         wake=np.zeros(6),
         speed=np.zeros(4),
         battery=np.array([voltage, 0.0, 0.0]),
-        clock=np.zeros(3),
+        **{name: joints.copy() for name in ("seen", "goal", "aim")},
+        **{name: np.zeros(3) for name in ("amps", "drive", "gap", "branch", "bouc", "stuck", "clock")},
     )
 
 

@@ -1,6 +1,6 @@
 """The learnt residual in the physics: hooks for `planar_chain.step` that add its force and carry its memory.
 
-    hooks = Learned(np, ch, residual, memory)               memory = at_rest(), later Step.memory
+    hooks = LearnedResidual(np, ch, residual, memory)       memory = at_rest(), later Step.memory
     s = planar_chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
 What is added is gamma sigma f_i, the members' mean f_i of `residual` faded twice:

@@ -6,7 +6,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def scatter(rng, p, record):
-    """Adds white noise so that the deviation of each channel becomes factor times sigma. record = (Seen, Seen of the sigmas)."""
+    """Adds white noise so that the deviation of each channel becomes factor times sigma. record = (Measured, sigmas)."""
     seen, sigma = record
     more = np.sqrt(np.maximum(p.factor**2 - 1.0, 0.0))
     noisy = {

@@ -1,7 +1,7 @@
 """Free swims of a whole batch of recorded fish, from their recorded starts, by their recorded commands, in a model of the water.
 
-    fleet = fleet_of(ch, records, seconds=10)                       pieces of free swimming, padded to one length
-    track = Swim(ch).run(fleet, water (B, P), learnt)               what the model's fish do; JAX, one compilation a shape
+    fleet = fish_batch_of(ch, robot, records, seconds=10)           pieces of free swimming, padded to one length
+    track = SwimWindow(ch, swimmer).run(fleet, water (B, P), learnt)    what the model's fish do; JAX, one compilation a shape
     view = windows(track, fleet); rec = windows(recorded(fleet), fleet)
 
 Commands take the same path as on the robot; the undisturbed flow is what the recorded fish met, tick by tick.

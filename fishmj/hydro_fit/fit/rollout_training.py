@@ -105,13 +105,7 @@ def tethered_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: str
         return None
     rows, tick = rows_of(ch, chosen), chosen[0].tick
     m, strips = motion_of(residual_network.panels(ch), rows), base_force(rows, ch.strips, c, attachment(rows, ch.strips, c, tick))
-    longest = max(len(r.q) for r in chosen)
-
-    def wide(values):  # (.., M) -> (T, .., R)
-        parts = [values[..., span] for span in rows.spans()]
-        parts = [np.pad(v, [(0, 0)] * (v.ndim - 1) + [(0, longest - v.shape[-1])]) for v in parts]
-        return np.moveaxis(np.stack(parts, -1), -2, 0)
-
+    wide = lambda values: np.moveaxis(rows.wide(values), -2, 0)  # (.., M) -> (T, .., R)
     weight = wide(np.ones(len(rows.record)))[::EVERY]
     thrust = (thrusts(rows, force) for force in (strips, rows.force))
     motion = (wide(np.asarray(values))[::EVERY] for values in (m.x, m.speed, m.push))

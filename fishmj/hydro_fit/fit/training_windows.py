@@ -113,24 +113,19 @@ def warm_up(
     ch: planar_chain.Chain, rows: RegressionRows, c: strip_forces.Coefficients, learnt: residual_hooks.Residual, tick: float
 ) -> WarmUp:
     """The model along all records side by side, each from rest: its forces are noted and do not act on the fish."""
-    spans, n = rows.spans(), ch.n
-    longest, count = max(span.stop - span.start for span in spans), len(spans)
-    wide = np.zeros((3, n, longest, count))
-    for j, span in enumerate(spans):
-        for f, value in enumerate((rows.u, rows.w, rows.omega)):
-            wide[f, :, : span.stop - span.start, j] = value[1, :, span]
+    u, w, omega = (rows.wide(value[1]) for value in (rows.u, rows.w, rows.omega))  # (N, T, R)
+    longest, count = u.shape[1:]
     memory = [np.zeros(count) for _ in residual_hooks.at_rest()]
     kept: list[tuple] = []
     for k in range(longest):
-        motion = planar_chain.Links([], [], list(wide[2, :, k]), list(wide[0, :, k]), list(wide[1, :, k]), [])
+        motion = planar_chain.Links([], [], list(omega[:, k]), list(u[:, k]), list(w[:, k]), [])
         hooks = residual_hooks.LearnedResidual(np, ch, learnt, memory)
         force = np.array(hooks.advance(ch.strips, c, motion, tick))  # (N, 3, R)
         new = [value + np.zeros(count) for value in hooks.end(ch, None, None, None)]
         kept.append((force.transpose(1, 0, 2), np.array(memory), hooks.spread + np.zeros(count), new[-1] - memory[-1]))
         memory = new
     force, before, spread, outside = (np.stack(column, -2) for column in zip(*kept, strict=True))
-    line = lambda a: np.concatenate([a[..., : s.stop - s.start, j] for j, s in enumerate(spans)], -1)
-    return WarmUp(line(force), line(before).T, line(spread), line(outside))
+    return WarmUp(rows.line(force), rows.line(before).T, rows.line(spread), rows.line(outside))
 
 
 def features(ch: planar_chain.Chain, rows: RegressionRows) -> tuple[np.ndarray, np.ndarray]:
