@@ -26,23 +26,6 @@ def store(values, w, base, block):
             values[block + i, j] = w[(base + j) * LANES + i]
 
 
-def load_fish(w, state, swimmer, block):
-    """State and parameters of a block of fish."""
-    q, v, attached, memory = state
-    mass, kp, kv, kb, zero, water, effects = swimmer
-    load(w, Q, q, block)
-    load(w, V, v, block)
-    load(w, ATTACHED, attached, block)
-    load(w, MEMORY, memory, block)
-    load(w, MASS, mass, block)
-    load(w, KP, kp, block)
-    load(w, KV, kv, block)
-    load(w, KB, kb, block)
-    load(w, ZERO, zero, block)
-    load(w, WATER, water, block)
-    load(w, EFFECTS, effects, block)
-
-
 def load_delay(w, places, delay, block):
     """Command latency: the physics steps beyond whole bus ticks, and where in the line of commands the newest three lie.
 
@@ -183,10 +166,21 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
     places = np.empty(3 * LANES, np.int64)
     q, v, attached, memory = state
+    mass, kp, kv, kb, zero, water, effects = swimmer
     mean, rms, row, offset, turn = current
     pose, joint, rate, velocity, power = trace
     for block in range(first, stop, LANES):
-        load_fish(w, state, swimmer, block)
+        load(w, Q, q, block)
+        load(w, V, v, block)
+        load(w, ATTACHED, attached, block)
+        load(w, MEMORY, memory, block)
+        load(w, MASS, mass, block)
+        load(w, KP, kp, block)
+        load(w, KV, kv, block)
+        load(w, KB, kb, block)
+        load(w, ZERO, zero, block)
+        load(w, WATER, water, block)
+        load(w, EFFECTS, effects, block)
         load(w, MEAN, mean, block)
         load(w, RMS, rms, block)
         load(w, SLICE, row, block)
@@ -220,9 +214,21 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
 def evaluate(first, stop, state, swimmer, target, flow, ambient, out):
     """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
     w = np.zeros(ROWS * LANES, real)
+    q, v, attached, memory = state
+    mass, kp, kv, kb, zero, water, effects = swimmer
     applied, attached_new, power, memory_new = out
     for block in range(first, stop, LANES):
-        load_fish(w, state, swimmer, block)
+        load(w, Q, q, block)
+        load(w, V, v, block)
+        load(w, ATTACHED, attached, block)
+        load(w, MEMORY, memory, block)
+        load(w, MASS, mass, block)
+        load(w, KP, kp, block)
+        load(w, KV, kv, block)
+        load(w, KB, kb, block)
+        load(w, ZERO, zero, block)
+        load(w, WATER, water, block)
+        load(w, EFFECTS, effects, block)
         load(w, TARGET, target, block)
         load(w, FLOW, flow, block)
         load(w, AMBIENT, ambient, block)

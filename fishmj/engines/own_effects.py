@@ -124,8 +124,8 @@ def _identity(active: EffectStack, what: str) -> None:
             for field in FIELDS:
                 a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
                 if not np.array_equal(a, b):
-                    pairs = zip(active.names, active.null, strict=True)
-                    medium, null = "water" if wet else "air", ", ".join(f"{n} = {x:g}" for (_, n), x in pairs)
+                    medium, nulls = "water" if wet else "air", zip(active.names, active.null, strict=True)
+                    null = ", ".join(f"{name} = {x:g}" for (_, name), x in nulls)
                     most = np.abs(a - b).max()
                     raise OwnCodeError(
                         f"{what}: at its null ({null}) it changes {field} by up to {most:.3g} in step {k + 1} in {medium};"

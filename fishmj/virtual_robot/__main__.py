@@ -96,12 +96,12 @@ def stream(text: str) -> tuple[float, float]:
 def _list(json: bool) -> int:
     from fishmj.virtual_robot.trials import EFFECTS
 
-    rows = []
+    rows: list[dict] = []
     for e in EFFECTS.values():
         shown = {"stage": e.stage, "seen in": ", ".join(e.shows), "shown by": ", ".join(e.runs)}
         for p in e.parameters:
-            size = {"null": p.null, "from": p.typical[0], "to": p.typical[1]}
-            rows.append({"effect": e.name, "parameter": p.name, "unit": p.unit, **size, **shown})
+            row = {"effect": e.name, "parameter": p.name, "unit": p.unit}
+            rows.append({**row, "null": p.null, "from": p.typical[0], "to": p.typical[1], **shown})
     known = map(excitation.get, excitation.names())
     runs = [{"excitation": run.id, "seconds": round(run.seconds, 1), "about": run.about} for run in known]
     if json:

@@ -182,7 +182,7 @@ def packed(learnt: Residual) -> dict[str, np.ndarray]:
     """A residual with a range as named arrays, for a file."""
     if learnt.reach is None:
         raise ConfigError("a residual without a range is for learning only; expected one with residual_hooks.Range")
-    parts = {"net": learnt.net, "range": learnt.reach}
+    parts: dict[str, Any] = {"net": learnt.net, "range": learnt.reach}
     return {f"{part}.{key}": np.asarray(value) for part, fields in parts.items() for key, value in fields._asdict().items()}
 
 

@@ -244,5 +244,5 @@ def _body(q, v):
 
 def _tolerated(recorded, floors: float):
     """Of surge, sway and yaw rate as recorded, (.., 3)."""
-    speed, turn = of_movement(*(recorded[..., i] for i in range(3)), floors, jnp)
+    speed, turn = of_movement(recorded[..., 0], recorded[..., 1], recorded[..., 2], floors, jnp)
     return jnp.stack([speed, speed, turn], -1)
