@@ -118,19 +118,6 @@ def check_commands(commands, joints: int) -> None:
 
 
 __all__ = [
-    "BUFFER",
-    "NAMES",
-    "Extensions",
-    "Current",
-    "FishParams",
-    "FishState",
-    "Trace",
-    "at_rest",
-    "flat_water",
-    "in_water",
-    "make",
-    "nominal_params",
-    "rows_of",
-    "swimmer",
-    "with_effects",
-]
+    "BUFFER", "NAMES", "Extensions", "Current", "FishParams", "FishState", "Trace", "at_rest", "flat_water", "in_water",
+    "make", "nominal_params", "rows_of", "swimmer", "with_effects",
+]  # fmt: skip

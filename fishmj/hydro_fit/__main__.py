@@ -305,51 +305,28 @@ WRITTEN = {
     "report": "<robot>-report/ with report.html and report.json, in place of old ones; default data/water",
     "ablation": "the table; finished rows there are not done again; default runs/hydro_fit/ablation-...",
 }
+_ROWS: tuple[tuple[str, ...], ...] = (
+    # verb, summary, options of the example, module where it is not `run`
+    ("all", "collect what is missing, fit, check and report", "--fish fish"),
+    ("collect", "segments of the flow solver that a water is fitted to", "--preview --out runs/preview",
+        "fishmj.campaign.data.collect_command"),
+    ("fit", "fit the water to a data set; the model takes its place if it is not worse",
+        "--data runs/preview --out runs/water"),
+    ("calibrate", "the error bar of a model, by swims that no fit has seen", "--data runs/bar"),
+    ("check", "the model on held-out episodes; exit 1 where it misses a tolerance", "--prior"),
+    ("report", "report.html and report.json of a model", "--out runs/water"),
+    ("ablation", "what each part of the model is worth: fits without it, same held-out records",
+        "--data data/hydro/swift --seeds 0,1,2"),
+    ("hybrid", "a surrogate corrected by the solver while it swims", "--wrong tail --domain laptop --episodes 1",
+        "fishmj.campaign.hybrid.hybrid_trial"),
+    ("correct", "rounds of a policy's own states, solved and refitted",
+        "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger_command"),
+    ("rank", "controllers in the solver and in the fitted water, on the same trials",
+        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.studies.rank_waters.command"),
+)  # fmt: skip
 COMMANDS = {
-    "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
-    "collect": Command(
-        "fishmj.campaign.data.collect_command",
-        "segments of the flow solver that a water is fitted to",
-        "fishmj hydro_fit collect --preview --out runs/preview",
-    ),
-    "fit": Command(
-        partial(run, "fit"),
-        "fit the water to a data set; the model takes its place if it is not worse",
-        "fishmj hydro_fit fit --data runs/preview --out runs/water",
-    ),
-    "calibrate": Command(
-        partial(run, "calibrate"),
-        "the error bar of a model, by swims that no fit has seen",
-        "fishmj hydro_fit calibrate --data runs/bar",
-    ),
-    "check": Command(
-        partial(run, "check"),
-        "the model on held-out episodes; exit 1 where it misses a tolerance",
-        "fishmj hydro_fit check --prior",
-    ),
-    "report": Command(
-        partial(run, "report"), "report.html and report.json of a model", "fishmj hydro_fit report --out runs/water"
-    ),
-    "ablation": Command(
-        partial(run, "ablation"),
-        "what each part of the model is worth: fits without it, same held-out records",
-        "fishmj hydro_fit ablation --data data/hydro/swift --seeds 0,1,2",
-    ),
-    "hybrid": Command(
-        "fishmj.campaign.hybrid.hybrid_trial",
-        "a surrogate corrected by the solver while it swims",
-        "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
-    ),
-    "correct": Command(
-        "fishmj.campaign.dagger.dagger_command",
-        "rounds of a policy's own states, solved and refitted",
-        "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
-    ),
-    "rank": Command(
-        "fishmj.studies.rank_waters.command",
-        "controllers in the solver and in the fitted water, on the same trials",
-        "fishmj hydro_fit rank pd pi --domain laptop --device cpu --trials 6 --seconds 10",
-    ),
+    verb: Command(module[0] if module else partial(run, verb), summary, f"fishmj hydro_fit {verb} {example}")
+    for verb, summary, example, *module in _ROWS
 }
 main = console.CommandGroup("hydro_fit", __doc__ or "", COMMANDS, bare="all")
 

@@ -24,19 +24,11 @@ from fishmj.store import write_json, write_text
 from fishmj.water.hydro_model import HydroModel
 
 LABELS = {"speed": "speed along the body [m/s]", "yaw_rate": "yaw rate [rad/s]", "power": "servo power [W]"}
-NAMES = {
-    "gait": "cruise",
-    "straight": "cruise",
-    "turning": "turn",
-    "manoeuvre": "brake",
-    "policy": "on-policy",
-    "random": "random targets",
-    "uneven": "gusts and shear",
-    "chirp": "chirp",
-    "flapping": "held, flapping",
-    "oscillation": "oscillation",
-    "static": "held",
-}
+NAMES = {  # block -> regime
+    "gait": "cruise", "straight": "cruise", "turning": "turn", "manoeuvre": "brake", "policy": "on-policy",
+    "random": "random targets", "uneven": "gusts and shear", "chirp": "chirp", "oscillation": "oscillation",
+    "flapping": "held, flapping", "static": "held",
+}  # fmt: skip
 RUNS = 6  # paths in the figure of free runs
 REST, HIGH, MOVING = 2.0, np.radians(60), 0.05  # s, rad, m/s
 
