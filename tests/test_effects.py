@@ -15,7 +15,7 @@ from fishmj.calib import calib_folder
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack, ambiguity, calibration
-from fishmj.effects import __main__ as effect_text
+from fishmj.effects import __main__ as verb
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.randomise import draw
@@ -297,7 +297,7 @@ def test_a_wrong_calibration_block_is_refused_with_the_nearest_name(tmp_path, bl
 
 @pytest.mark.parametrize("columns", [("effect", "formula", "shows in"), ("effect", "stage", "parameters", "typical", "null")])
 def test_the_documented_tables_are_the_catalogue(columns):
-    table = console.table(effect_text.rows(EVERY), columns)
+    table = console.table(verb.rows(EVERY), columns)
     assert table in DOCS.read_text(encoding="utf-8"), f"write this there:\n{table}"
 
 
@@ -309,6 +309,6 @@ def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
     assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
-    assert all(e.name in effect_text.text(e) and e.formula in effect_text.text(e) for e in EVERY)
+    assert all(e.name in verb.text(e) and e.formula in verb.text(e) for e in EVERY)
     with pytest.raises(UnknownName, match="tether"):
         effects.get("teather")
