@@ -5,7 +5,7 @@
 
 JAX keeps programs that took it a second or more to compile, by everything that their machine code depends on, its own version and
 the processor included. It keeps none with a Python callback in it; programs over the engine `compiled` call that by name
-(engines/host_call.py) and are kept. All of it may be deleted at any time.
+(engines/compiled.py) and are kept. All of it may be deleted at any time.
 """
 
 import os

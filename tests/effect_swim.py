@@ -5,8 +5,8 @@ import numpy as np
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
-from fishmj.effects.command_path import delivered
 from fishmj.effects.sites import Measured
+from fishmj.effects.stack import delivered
 from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")

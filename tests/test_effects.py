@@ -14,13 +14,13 @@ from fishmj import console, effects, excitation
 from fishmj.calib import calib_folder
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
-from fishmj.effects import EffectStack, ambiguity, calibration, effect_text
+from fishmj.effects import EffectStack, ambiguity, calibration
+from fishmj.effects import __main__ as verb
 from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.randomise import draw
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
-from fishmj.effects.stochastic import arrivals, gusts, noise
+from fishmj.effects.stack import arrivals, delivered, gusts, noise
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import load_robot
 
@@ -297,7 +297,7 @@ def test_a_wrong_calibration_block_is_refused_with_the_nearest_name(tmp_path, bl
 
 @pytest.mark.parametrize("columns", [("effect", "formula", "shows in"), ("effect", "stage", "parameters", "typical", "null")])
 def test_the_documented_tables_are_the_catalogue(columns):
-    table = console.table(effect_text.rows(EVERY), columns)
+    table = console.table(verb.rows(EVERY), columns)
     assert table in DOCS.read_text(encoding="utf-8"), f"write this there:\n{table}"
 
 
@@ -309,6 +309,6 @@ def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
     assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
-    assert all(e.name in effect_text.text(e) and e.formula in effect_text.text(e) for e in EVERY)
+    assert all(e.name in verb.text(e) and e.formula in verb.text(e) for e in EVERY)
     with pytest.raises(UnknownName, match="tether"):
         effects.get("teather")

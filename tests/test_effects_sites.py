@@ -9,10 +9,9 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 from fishmj import effects
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
-from fishmj.effects.command_path import delivered
 from fishmj.effects.dry_friction import AT_REST, GIVE
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
-from fishmj.effects.stochastic import arrivals, gusts, noise
+from fishmj.effects.stack import arrivals, delivered, gusts, noise
 
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
 

@@ -10,9 +10,9 @@ from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
-from fishmj.effects.command_path import delivered
 from fishmj.effects.dry_friction import GIVE
 from fishmj.effects.sites import BodyMotion, Gear, Measured
+from fishmj.effects.stack import delivered
 
 LASTING = [e for e in effects.catalogue().values() if not e.stochastic]
 ACTIVE = EffectStack(LASTING, JOINTS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fishmj import effects
-from fishmj.effects.effect_text import enters
+from fishmj.effects.__main__ import enters
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.gap.records.residual import ResidualLayout

@@ -19,8 +19,7 @@ from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log.trial import stacked
 from fishmj.studies.hidden_lbm import command as hidden_command
 from fishmj.virtual_robot import network
-from fishmj.virtual_robot.simulate import STILL, run
-from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.simulate import STILL, at_rest, run
 from fishmj.virtual_robot.trials import plant
 
 TINY = Domain(name="tiny", shape=(56, 36, 20), dx=0.02, dt=0.004, follows=True)

@@ -6,13 +6,13 @@ import sys
 
 import jax
 
-from fishmj.hydro_fit.fit.data_parallel import quick
+from fishmj.hydro_fit.fit.descent import quick
 
 SCRIPT = """
 import json
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_num_cpu_devices", 4)
-from fishmj.hydro_fit.fit.data_parallel import devices, several, sharded, stacked
+from fishmj.hydro_fit.fit.descent import devices, several, sharded, stacked
 
 rng = np.random.default_rng(0)
 x, y = rng.normal(size=(12, 3)), rng.normal(size=12)

@@ -13,7 +13,6 @@ from fishmj.errors import DatasetError, UsageError
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import free_swims, online_correction
 from fishmj.hydro_fit.fit import (
-    calibrate,
     force_training,
     gauss_newton,
     linear_regression,
@@ -24,14 +23,12 @@ from fishmj.hydro_fit.fit import (
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.incremental import Refit
 from fishmj.hydro_fit.fit.pipeline import STAGES, FitPipeline, FitSettings
-from fishmj.hydro_fit.fit.promote import promote
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
-from fishmj.hydro_fit.fit.serialise import unpacked
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.hydro_model import HydroModel
-from fishmj.water.prior import flat, names_of, prior_of, replaced, unflat
+from fishmj.water.prior import flat, names_of, prior_of, unflat
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
 SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
@@ -58,7 +55,6 @@ def fitted(records, tmp_path_factory):
 def test_coefficients_are_one_vector_with_names():
     c = planar_chain.nominal(ROBOT).water
     assert unflat(flat(c).tolist()) == c and len(names_of(4)) == len(flat(c))
-    assert replaced(c, ["cn4", "cf"], [3.0, 0.5]).cn == [*c.cn[:3], 3.0]
 
 
 def test_forces_of_the_strips_give_their_coefficients_back():
@@ -133,7 +129,7 @@ def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path)
 def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
     """From the net that knows the forces: pieces of swims that were not trained on come closer."""
     fit, _, _ = fitted
-    before, after = (unpacked(fit._read(stage)).net for stage in ("residual", "swims"))
+    before, after = (residual_hooks.unpacked(fit._read(stage)).net for stage in ("residual", "swims"))
     water = unflat(fit._read("residual")["water"].tolist())
     seen = training_windows.training_windows_of(CHAIN, records["test"], water)
     apart = rollout_training.windows_of(CHAIN, ROBOT, records["test"], water)
@@ -200,10 +196,10 @@ def test_training_records_validate_where_no_others_do(records, tmp_path):
 
 def test_a_better_model_is_never_overwritten(fitted, tmp_path):
     _, model, _ = fitted
-    place, taken = promote(model, tmp_path, score=1.0, standing=None)
+    place, taken = verb.promote(model, tmp_path, score=1.0, standing=None)
     assert taken and HydroModel.load(place).band == model.band
     before = place.read_bytes()
-    rejected, taken = promote(replace(model, notes="worse"), tmp_path, score=2.0, standing=1.0)
+    rejected, taken = verb.promote(replace(model, notes="worse"), tmp_path, score=2.0, standing=1.0)
     assert not taken and place.read_bytes() == before
     assert rejected.parent.name.startswith("rejected-") and HydroModel.load(rejected).notes == "worse"
 
@@ -265,8 +261,8 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
 def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, monkeypatch):
     _, model, _ = fitted
     narrow = replace(model, band={name: [0.1 * part for part in parts] for name, parts in model.band.items()})
-    monkeypatch.setattr(calibrate, "LEAST", 5)
-    made = calibrate.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
+    monkeypatch.setattr(prediction_interval, "FEWEST", 5)
+    made = prediction_interval.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
     swum = free_swims.FreeSwims(made, ROBOT, records["test"])
     seen, mean = prediction_interval.means(recorded(swum.fleet), swum.fleet), prediction_interval.means(swum.track, swum.fleet)
     hair = {name: [(1 + 1e-6) * part for part in parts] for name, parts in made.band.items()}  # the last one is at the edge
@@ -277,10 +273,10 @@ def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, 
             np.divide(made.band[name], max(made.band[name])), np.divide(model.band[name], max(model.band[name]))
         )
     with pytest.raises(DatasetError, match="fitted to"):
-        calibrate.calibrated(model, ROBOT, records["test"], {"sha256": model.dataset["sha256"], "folder": "made"})
-    monkeypatch.setattr(calibrate, "LEAST", 1000)
+        prediction_interval.calibrated(model, ROBOT, records["test"], {"sha256": model.dataset["sha256"], "folder": "made"})
+    monkeypatch.setattr(prediction_interval, "FEWEST", 1000)
     with pytest.raises(DatasetError, match="expected 1000 or more"):
-        calibrate.calibrated(model, ROBOT, records["test"], {"sha256": "fresh"})
+        prediction_interval.calibrated(model, ROBOT, records["test"], {"sha256": "fresh"})
 
 
 def test_the_conformal_factor_is_right_on_average_for_few_swims():

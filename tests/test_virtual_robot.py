@@ -13,8 +13,7 @@ from fishmj.virtual_robot import ClosedLoopRobot, generate, plant
 from fishmj.virtual_robot.chain import assemble
 from fishmj.virtual_robot.figures import coast, steady
 from fishmj.virtual_robot.servo import stick_slip
-from fishmj.virtual_robot.simulate import run, workspace
-from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.simulate import at_rest, run, workspace
 from fishmj.virtual_robot.water import crossflow, trailing_edge
 
 DEG = np.pi / 180

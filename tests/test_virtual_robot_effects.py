@@ -12,8 +12,7 @@ from fishmj import effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.excitation import Excitation
 from fishmj.virtual_robot import EFFECTS, generate, plant
-from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.uncatalogued import ODDITIES
+from fishmj.virtual_robot.catalogue import CATALOGUE, ODDITIES
 
 SEED = 3
 CHANNELS = {  # table, columns, noise of one sample

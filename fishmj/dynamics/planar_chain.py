@@ -17,8 +17,6 @@ MJX and the compiled CPU evaluator, which is generated from it.
 from typing import Any, NamedTuple
 
 from fishmj.dynamics import strip_forces
-from fishmj.dynamics.ldl_solve import solve
-from fishmj.dynamics.link_kinematics import Links as Links
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
@@ -48,6 +46,23 @@ class Swimmer(NamedTuple):
     water: strip_forces.Coefficients
 
 
+class Links(NamedTuple):
+    """Kinematics of every link in head axes, one list entry a link."""
+
+    t: list  # (tx, ty)
+    n: list  # (nx, ny)
+    omega: list  # yaw rate, relative to the water where that turns along the link
+    u: list  # t.(V_i - U_i)
+    w: list  # n.(V_i - U_i), U_i at the link's origin where the water turns, elsewhere at its centre
+    bias: list  # A_i for zero generalised acceleration, (x, y)
+    rates: Any = ()  # yaw rate in the world where omega is not that
+
+    @property
+    def own(self) -> list:
+        """Yaw rate in the world."""
+        return self.rates or self.omega
+
+
 def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
     """Constants of `robot`."""
     g = geometry_of(robot) if geometry is None else geometry
@@ -67,16 +82,9 @@ def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
 
 def nominal(robot: Robot) -> Swimmer:
     """The calibrated fish without randomisation, as lists of floats."""
-    n, s = len(robot.links), robot.servo
-    j = range(n - 1)
-    return Swimmer(
-        mass=[1.0] * n,
-        kp=[s.kp for _ in j],
-        kv=[s.kv for _ in j],
-        kb=[s.kb for _ in j],
-        zero=[0.0] * (n - 1),
-        water=strip_forces.coefficients(robot.water, n),
-    )
+    links, s = len(robot.links), robot.servo
+    kp, kv, kb, zero = ([value] * (links - 1) for value in (s.kp, s.kv, s.kb, 0.0))
+    return Swimmer([1.0] * links, kp, kv, kb, zero, strip_forces.coefficients(robot.water, links))
 
 
 def kinematics(xp, ch: Chain, q, v, flow) -> Links:
@@ -299,3 +307,33 @@ def missing(xp, ch: Chain, sw: Swimmer, q, v, target, k: Links, a) -> list:
     damp_joints(ch, v, servo_drive(xp, ch, sw, q, v, target), sw.kb, rhs, m)
     size = range(ch.n + 2)
     return [sum(m[max(r, c)][min(r, c)] * a[c] for c in size) - rhs[r] for r in size]
+
+
+def solve(m, rhs):
+    """x in A x = rhs for a symmetric positive definite A given by its lower triangle (LDL^T, unrolled)."""
+    size = len(rhs)
+    # LDL^T and not Cholesky: no square root, and the reciprocal of a pivot is reckoned once for a whole column
+    low = [[None] * size for _ in range(size)]
+    inv = [None] * size
+    for j in range(size):
+        pivot = m[j][j]
+        for k in range(j):
+            pivot = pivot - low[j][k][0] * low[j][k][1]
+        inv[j] = 1.0 / pivot
+        for i in range(j + 1, size):
+            value = m[i][j]
+            for k in range(j):
+                value = value - low[i][k][1] * low[j][k][0]
+            # the product L_ij D_j is wanted twice below, so both stand in the table
+            low[i][j] = (value * inv[j], value)  # (L_ij, L_ij D_j)
+    x = list(rhs)
+    # L y = b, then D L^T x = y. No pivoting: A is a mass matrix plus damping, positive definite, and an exchange of rows would
+    # depend on values, which straight-line code for a whole batch cannot do
+    for i in range(size):
+        for k in range(i):
+            x[i] = x[i] - low[i][k][0] * x[k]
+    for i in reversed(range(size)):
+        x[i] = x[i] * inv[i]
+        for k in range(i + 1, size):
+            x[i] = x[i] - low[k][i][0] * x[k]
+    return x

@@ -1,7 +1,7 @@
 """The catalogue: every imperfection that fishmj knows by name, one small file each, by the stage at which it acts.
 
     effects.get("command_latency").formula
-    active = effects.Active([effects.get("coulomb_friction")], joints=3)
+    active = effects.EffectStack([effects.get("coulomb_friction")], joints=3)
 
 The same entries are what domain randomisation draws, what a calibration lists, and what the discrepancy workflow may name.
 """

@@ -11,10 +11,10 @@ class AmbiguityClass(NamedTuple):
 
     name: str
     effects: tuple[str, ...]
-    besides: tuple[str, ...]
     without: str  # the data that is missing
     reason: str
     splits: str  # what to do
+    besides: tuple[str, ...] = ()
     excitations: tuple[str, ...] = ()
 
 
@@ -30,7 +30,6 @@ CLASSES = (
     AmbiguityClass(
         name="mass_in_surge",
         effects=("body_mass", "surge_added_mass"),
-        besides=(),
         without="turns, or a weighing",
         reason="in straight swimming only the sum of mass and added mass acts on the speed",
         splits="weigh the fish dry and flooded; or turn fast, where m u r acts and added mass in surge does not",
@@ -66,7 +65,6 @@ CLASSES = (
     AmbiguityClass(
         name="pose_clock",
         effects=("camera_latency", "clock_offset"),
-        besides=(),
         without="an event that both clocks see",
         reason="a late camera and a late clock shift the same stamps; drift tells them apart over an hour only",
         splits="a lamp that is switched by the commands' computer in the camera's view, at the start and at the end",
@@ -75,7 +73,6 @@ CLASSES = (
     AmbiguityClass(
         name="yaw_inertia",
         effects=("yaw_inertia", "yaw_added_mass"),
-        besides=(),
         without="motion in air",
         reason="both resist the head's yaw acceleration, in the same way",
         splits="hang the fish on two threads in air and time its swing; or flap in air",
@@ -84,7 +81,6 @@ CLASSES = (
     AmbiguityClass(
         name="water_at_one_station",
         effects=("steady_current", "current_shear", "swirl"),
-        besides=(),
         without="a second station",
         reason="at one place of the tank all are a velocity of the water",
         splits="the same run at two stations",

@@ -77,14 +77,14 @@ def write(path: "str | Path", effects: "tuple[FittedEffect, ...] | list[FittedEf
 
 
 def activate(effects, joints: int) -> tuple[EffectStack, np.ndarray]:
-    """(Active, its parameter row (P,)) of a calibration, for a fish with `joints` joints."""
+    """(EffectStack, its parameter row (P,)) of a calibration, for a fish with `joints` joints."""
     active = EffectStack([get(fitted.name) for fitted in effects], joints)
     values = {fitted.name: {name: interval.value for name, interval in fitted.parameters.items()} for fitted in effects}
     return active, np.array(active.flat(values))
 
 
 def fitted(active: EffectStack, row, low=None, high=None, provenance: str = "", hash: str = "") -> tuple[FittedEffect, ...]:  # noqa: A002
-    """A calibration from an Active and rows (P,) of values and, where known, of the ends of their intervals."""
+    """A calibration from a stack and rows (P,) of values and, where known, of the ends of their intervals."""
     low, high = row if low is None else low, row if high is None else high
     intervals = {key: Interval(*map(float, x)) for key, *x in zip(active.names, row, low, high, strict=True)}
     named = lambda e: {p.name: intervals[e.name, p.name] for p in e.parameters}

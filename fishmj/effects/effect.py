@@ -56,13 +56,13 @@ class Parameter:
         return self.typical[1]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Confusion:
     """Another effect that looks alike, and the experiment that tells them apart."""
 
-    other: str
-    separates: str
-    excitations: tuple[str, ...] = ()  # ids of fishmj.excitation
+    other: str  # its name
+    separates: str  # what tells them apart
+    excitations: tuple[str, ...] = ()  # ids of fishmj.excitation, best first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ class Effect:
         unplanted   why the second robot (virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
-        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stochastic.py).
+        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stack.py).
     """
 
     name: str

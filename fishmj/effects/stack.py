@@ -7,13 +7,20 @@
 
 Parameters and memory are flat lists of scalars or arrays in the order of `active.names` and `active.memory`: easy to carry
 through a compiled loop, a scan or a log.
+
+Two things happen outside a step. Commands pass the sites `command` along time, before any physics (`delivered`). And packets
+that come late or not at all, gusts and sensor noise are drawn once a run, each with its own random numbers (`arrivals`, `gusts`,
+`noise`): they leave the mean of replicates where it is (jitter shifts it by its own mean) and widen their scatter, so no site of
+the physics holds them.
 """
 
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, Measured, ServoDrive
 
 BASE = 2  # memory that is always there: current from the supply [A], time [s]
 
@@ -76,7 +83,7 @@ class EffectStack:
         return total
 
     def drawn(self, parameters, stream: str) -> list:
-        """(effect, its parameters) of the stochastic effects of a stream (stochastic.py)."""
+        """(effect, its parameters) of the stochastic effects of a stream; see `arrivals`, `gusts`, `noise`."""
         return [(s.effect, _values(s, parameters)) for s in self.slots if s.effect.stream == stream]
 
     def measure(self, xp, parameters, seen):
@@ -164,3 +171,48 @@ class EffectStep:
 def _values(slot: Slot, parameters) -> SimpleNamespace:
     """The parameters of one effect by name."""
     return SimpleNamespace(**{p.name: parameters[slot.first + i] for i, p in enumerate(slot.effect.parameters)})
+
+
+def delivered(xp, active: EffectStack, parameters, commands, h: float):
+    """What the servos are told when `commands` are sent; without the delay of the clock "command", by which a servo looks back.
+
+    Args:
+        xp: numpy, or jax.numpy outside a compiled function.
+        active: the effects, in their order.
+        parameters: (P,) one parameter row, or (B, P) a batch of them.
+        commands: (T, J) rad, one row every `h` s: each physics step, or each event of the bus.
+    Returns:
+        (T, J) rad for one row of parameters, (B, T, J) for a batch.
+    """
+    commands, rows = xp.asarray(commands), xp.asarray(parameters)
+    given = xp.broadcast_to(commands, (*rows.shape[:-1], *commands.shape))
+    if not any(slot.effect.command for slot in active.slots):
+        return given
+    session = active.begin(xp, [rows[..., i] for i in range(rows.shape[-1])], active.memory)
+    joints = range(commands.shape[1])
+    moments = [xp.stack([session.command(j, given[..., k, j], h) for j in joints], -1) for k in range(len(commands))]
+    return xp.stack(moments, -2)
+
+
+def arrivals(active: EffectStack, parameters, t, commands, rng) -> tuple[np.ndarray, np.ndarray]:
+    """(t (T,) s, commands (T, J) rad) as they arrive, sent at the times t with one parameter row (P,)."""
+    record = np.asarray(t, float), np.asarray(commands, float)
+    for effect, p in active.drawn(parameters, "command"):
+        record = effect.scatter(rng, p, record)
+    return record
+
+
+def gusts(active: EffectStack, parameters, t, rng) -> np.ndarray:
+    """(T, 2) m/s, world frame: what turbulence adds to the water's velocity at the rising times t (T,) s."""
+    t = np.asarray(t, float)
+    total = np.zeros((len(t), 2))
+    for effect, p in active.drawn(parameters, "flow"):
+        total = total + effect.scatter(rng, p, t)
+    return total
+
+
+def noise(active: EffectStack, parameters, seen: Measured, sigma: Measured, rng) -> Measured:
+    """`seen` with the noise beyond that of the data sheets; sigma has their standard deviations, one number a channel."""
+    for effect, p in active.drawn(parameters, "seen"):
+        seen = effect.scatter(rng, p, (seen, sigma))
+    return seen

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.calib import constant
-from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.dynamics import planar_chain
 from fishmj.engines.extensions import Extensions, bus_rows, in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.prior import flat as flat_water
+from fishmj.water.prior import unflat
 
 NAMES = ("planar", "compiled", "batch", "mjx")
 BUFFER = 9  # bus commands remembered at least, newest last: latencies up to 7 ticks
@@ -29,7 +31,7 @@ class FishState(NamedTuple):
     v: Any  # (B, nv) m/s, rad/s
     attached: Any  # (B,) tail attachment, 0..1
     buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last; longer where the latency needs it (`rows_of`)
-    memory: Any  # (B, M) what effects and a learnt water remember (added.py); M = 0 without them
+    memory: Any  # (B, M) what effects and a learnt water remember (extensions.py); M = 0 without them
 
 
 class FishParams(NamedTuple):
@@ -64,11 +66,6 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
     return import_module(f"fishmj.engines.{name}").Engine(load_robot(robot), **options)
 
 
-def flat_water(c: strip_forces.Coefficients) -> np.ndarray:
-    """Coefficients as one row, in the order that `swimmer` reads."""
-    return np.array([*c.k, *c.cn, *c[2:]], float)
-
-
 def nominal_params(robot: Robot, batch: int) -> FishParams:
     """The calibrated fish, `batch` times, without randomisation (NumPy)."""
     s, added = planar_chain.nominal(robot), Extensions.of(robot)
@@ -89,11 +86,8 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
 def swimmer(params: FishParams) -> planar_chain.Swimmer:
     """Component lists for the closed form from (B, ...) arrays."""
     columns = lambda a: [a[..., i] for i in range(a.shape[-1])]
-    n = params.mass.shape[-1]
-    w = columns(params.water)
-    water = strip_forces.Coefficients(w[:n], w[n : 2 * n], *w[2 * n :])
-    mass, kp, kv, kb, zero = (columns(a) for a in params[:5])
-    return planar_chain.Swimmer(mass, kp, kv, kb, zero, water)
+    mass, kp, kv, kb, zero, water = (columns(a) for a in params[:6])
+    return planar_chain.Swimmer(mass, kp, kv, kb, zero, unflat(water))
 
 
 def at_rest(robot: Robot, pose) -> FishState:
@@ -124,19 +118,6 @@ def check_commands(commands, joints: int) -> None:
 
 
 __all__ = [
-    "BUFFER",
-    "NAMES",
-    "Extensions",
-    "Current",
-    "FishParams",
-    "FishState",
-    "Trace",
-    "at_rest",
-    "flat_water",
-    "in_water",
-    "make",
-    "nominal_params",
-    "rows_of",
-    "swimmer",
-    "with_effects",
-]
+    "BUFFER", "NAMES", "Extensions", "Current", "FishParams", "FishState", "Trace", "at_rest", "flat_water", "in_water",
+    "make", "nominal_params", "rows_of", "swimmer", "with_effects",
+]  # fmt: skip

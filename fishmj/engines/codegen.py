@@ -7,32 +7,18 @@ float32 (how it is used).
 """
 
 import math
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from fishmj.errors import ConfigError
 
 BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}"}
-CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {
-    name: name for name in ("sqrt", "sin", "cos", "exp", "atan2", "floor")
-}
+PLAIN = ("sqrt", "sin", "cos", "exp", "atan2", "floor")  # functions that have one name in all languages
+CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {name: name for name in PLAIN}
 COMPARE = {"gt": ">", "lt": "<", "ge": ">=", "le": "<="}
-FOLD: dict[str, Callable[..., float]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
-    "neg": lambda a: -a,
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "exp": math.exp,
-    "floor": math.floor,
-    "abs": abs,
-    "max": max,
-    "min": min,
-    "atan2": math.atan2,
-}
+FOLD: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in PLAIN} | {"abs": abs, "max": max, "min": min}
+FOLD |= {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg}
 COMMUTES = ("add", "mul")
 
 

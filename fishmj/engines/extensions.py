@@ -1,6 +1,6 @@
 """What a robot is given beyond its nominal swimmer, the same in every engine: the effects of its description, a learnt water.
 
-    added = Added.of(robot)
+    added = Extensions.of(robot)
     s = planar_chain.step(xp, ch, sw, q, v, attached, target, flow, ambient, added.hooks(xp, parameters, memory))
 
 `parameters` and `memory` are flat lists of scalars or arrays of one batch shape: the columns of `FishParams.effects` (B, P) and

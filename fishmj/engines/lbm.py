@@ -103,18 +103,11 @@ class Engine:
     def _tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
         """Tank i with its own fish, at rest in undisturbed flow."""
         stage = SwimSetup(
-            domain=self.domain,
-            robot=self.robot,
-            flow=self.flows[i],
-            slip=self.slip,
-            pose=(float(q[0]), float(q[1]), float(q[2])),
-            joints=tuple(float(a) for a in q[3:]),
-            device=self.device,
-        )
-        coupled, own = (
-            stage.coupled(),
-            {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")},
-        )
+            domain=self.domain, robot=self.robot, flow=self.flows[i], slip=self.slip, device=self.device,
+            pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
+        )  # fmt: skip
+        coupled = stage.coupled()
+        own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
         personalise(coupled.body.model, **own)
         coupled.body.forward()
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt

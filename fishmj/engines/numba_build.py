@@ -2,7 +2,7 @@
 
 The text holds numbers of the description and never a word of it: a name that came from a file must not become code.
 
-The text of a module holds its numbers, the elementary functions (approx.py), the physics (codegen.py, from
+The text of a module holds its numbers, the elementary functions (fast_math.py), the physics (codegen.py, from
 `planar_chain.step`) and the loops (lane_kernels.py). Its file name is the hash of that text and of the numba version, and it
 is written by renaming a complete temporary file, so several processes may start at once and a stale or torn file is never
 run. Where the cache folder (`machine_code`) cannot be written the module lives in memory and is compiled in every
@@ -24,6 +24,7 @@ from fishmj.errors import MissingExtra
 from fishmj.flow import TICK
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
+from fishmj.water.prior import unflat
 
 LANES = 16  # fish a workspace row: one 512-bit or two 256-bit vectors of float32
 NEEDS = {"advance": ("physics", "centres"), "evaluate": ("forces",)}  # entry point -> generated functions
@@ -110,11 +111,10 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
     from fishmj.dynamics.hooks import centres as centres_of
 
     ch, added = planar_chain.chain_of(robot), Extensions.of(robot)
-    n, names = ch.n, names_of(ch.n, len(added.row), len(added.memory))
+    names = names_of(ch.n, len(added.row), len(added.memory))
 
     def step(a):
-        water = strip_forces.Coefficients(a["water"][:n], a["water"][n : 2 * n], *a["water"][2 * n :])
-        sw = planar_chain.Swimmer(a["mass"], a["kp"], a["kv"], a["kb"], a["zero"], water)
+        sw = planar_chain.Swimmer(a["mass"], a["kp"], a["kv"], a["kb"], a["zero"], unflat(a["water"]))
         hooks = added.hooks(jnp, a["effects"], a["memory"])
         return planar_chain.step(jnp, ch, sw, a["q"], a["v"], a["attached"], a["target"], a["flow"], a["ambient"], hooks)
 

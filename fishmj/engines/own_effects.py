@@ -17,9 +17,9 @@ from fishmj import effects, plugins
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects import Effect, EffectStack
-from fishmj.effects.command_path import delivered
 from fishmj.effects.effect import CLOCKS, Parameter
 from fishmj.effects.sites import Measured
+from fishmj.effects.stack import delivered
 from fishmj.errors import OwnCodeError
 from fishmj.mjcf.description import load_robot
 from fishmj.names import is_name
@@ -124,7 +124,8 @@ def _identity(active: EffectStack, what: str) -> None:
             for field in FIELDS:
                 a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
                 if not np.array_equal(a, b):
-                    medium, null = "water" if wet else "air", ", ".join(f"{n} = {x:g}" for (_, n), x in _pairs(active))
+                    medium, nulls = "water" if wet else "air", zip(active.names, active.null, strict=True)
+                    null = ", ".join(f"{name} = {x:g}" for (_, name), x in nulls)
                     most = np.abs(a - b).max()
                     raise OwnCodeError(
                         f"{what}: at its null ({null}) it changes {field} by up to {most:.3g} in step {k + 1} in {medium};"
@@ -141,10 +142,6 @@ def _identity(active: EffectStack, what: str) -> None:
     pairs = zip((got, *read, *late), (sent, *seen, *[0.0] * len(late)), strict=True)
     if not all(np.array_equal(np.asarray(a) + 0.0 * np.asarray(b), b + 0.0 * np.asarray(a)) for a, b in pairs):
         raise OwnCodeError(f"{what}: at its null it changes commands, readings or delays; at the null it must change no bit")
-
-
-def _pairs(active: EffectStack):
-    return zip(active.names, active.null, strict=True)
 
 
 def _finite(active: EffectStack, what: str) -> None:

@@ -86,11 +86,9 @@ def truth(t, pose, joint, rate) -> dict:
 def meta_of(sim) -> dict:
     """Meta data of a simulated trial."""
     flow, listed = sim.flow, [fitted.name for fitted in sim.robot.effects]
-    sensors = (
-        f"joint, pose and power through the sensors of the effects {', '.join(listed)}, which may add to latency"
-        if listed
-        else "joint and pose are exact"
-    )
+    sensors = "joint and pose are exact"
+    if listed:
+        sensors = f"joint, pose and power through the sensors of the effects {', '.join(listed)}, which may add to latency"
     return {
         "schema": SCHEMA,
         "origin": "synthetic",
@@ -125,11 +123,8 @@ def rescue(sim, error: SimDiverged) -> SimDiverged:
         t, q, v, ctrl = (np.array(column) for column in zip(*sane, strict=True))
         n = sim.model.nu
         pose = np.array([_pose_at(sim, *row) for row in zip(q, v, strict=True)])
-        meta = {
-            **meta_of(sim),
-            "notes": f"the last {len(t)} physics steps before: {error}",
-            "diverged": {"term": error.term, "link": error.link},
-        }
+        meta = meta_of(sim) | {"notes": f"the last {len(t)} physics steps before: {error}"}
+        meta |= {"diverged": {"term": error.term, "link": error.link}}
         tables = {"truth": truth(t, pose, q[:, -n:] - sim.swimmer.zero, v[:, -n:]), "cmd": {"t": t, **numbered("c#", ctrl)}}
         where = f"; the last {len(t)} states are in {write_trial(folder, Trial(meta, tables), overwrite=True)}"
     return SimDiverged(f"{error}{where}", time=error.time, term=error.term, link=error.link, states=states)

@@ -7,10 +7,11 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.calib import OWN, ROOTS
 from fishmj.console import Command
-from fishmj.errors import ConfigError, StoreError, TooMuch
+from fishmj.errors import ConfigError, FishmjError, StoreError, TooMuch
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import sha256
 from fishmj.store.manifest import MANIFEST
 from fishmj.store.package_data import SOURCES
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
@@ -26,9 +27,11 @@ def run(verb: str, argv: list[str]) -> int | None:
     robot = load_robot(args.fish)
     code = console.OK
     if verb == "all":
+        from fishmj.campaign.data import collect_command
+
         folder = Path(args.data or DATA / robot.name)
         try:
-            missing = collect(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
+            missing = collect_command.main(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
         except TooMuch as error:
             missing = console.FAILED_CHECK
             console.warn(str(error))
@@ -70,11 +73,8 @@ def options(verb: str) -> console.Parser:
     made = console.parser(f"hydro_fit {verb}", COMMANDS[verb].summary[:1].upper() + COMMANDS[verb].summary[1:] + ".")
     add = made.add_argument
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
-    add(
-        "--data",
-        type=console.path,
-        help="data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one",
-    )
+    data = "data set; default data/hydro/<robot> (to judge: and <robot>-fresh beside it), else the shipped one"
+    add("--data", type=console.path, help=data)
     add("--model", type=console.text, help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     add("--out", type=console.out_folder, help=f"folder of what is written: {WRITTEN[verb]}")
     add("--name", type=console.name, help="of the model that is fitted; default the robot's")
@@ -90,9 +90,8 @@ def options(verb: str) -> console.Parser:
         add("--seeds", type=console.Listed(console.SEED), default="0", metavar="N,..", help="of learnt rows: 0,1,2")
     if verb == "all":
         add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda")
-        add(
-            "--budget", type=console.number(0, 1e7), metavar="S", help="wall clock for collecting; by default as long as it takes"
-        )
+        budget = "wall clock for collecting; by default as long as it takes"
+        add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
         add("--ray", type=console.text, help="address of a Ray cluster that collects; by default this machine does")
     return made
 
@@ -100,13 +99,6 @@ def options(verb: str) -> console.Parser:
 def _passed_on(args) -> list[str]:
     given = (("--device", args.device), ("--budget", args.budget), ("--ray", args.ray))
     return [str(item) for key, value in given if value is not None for item in (key, value)]
-
-
-def collect(argv: list[str]) -> int:
-    """Hand over to the campaign."""
-    from fishmj.campaign.data import collect_command
-
-    return collect_command.main(argv)
 
 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
@@ -136,11 +128,46 @@ def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[
     return [r for k, r in enumerate(train) if k % 5 != 2], train[2::5]
 
 
+def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
+    """Write `model` to `folder`, or beside it as `rejected-<hash>` when the standing model does better on the same validation.
+
+    Args:
+        score, standing: squared error of the validation swims of the new and of the standing model; None where there is none.
+    Returns:
+        (path of the TOML, whether the model took the place).
+    """
+    if standing is None or score <= standing:
+        return model.save(folder), True
+    rejected = Path(folder) / "rejected"
+    path = model.save(rejected)
+    mark = sha256(path)[:12]
+    place = Path(folder) / f"rejected-{mark}"
+    if place.exists():
+        raise FishmjError(f"{place}: this candidate was rejected before; change data, seed or settings, or remove the folder")
+    rejected.rename(place)
+    console.warn(
+        f"the standing model is better: validation {standing:.4g} against {score:.4g}; it stays, the candidate is {place}"
+    )
+    return place / path.name, False
+
+
+def standing_model(folder: Path, name: str, robot_sha256: str) -> HydroModel | None:
+    """What stands in the place, if it is for the same robot and of the present form."""
+    path = Path(folder) / f"{name}.toml"
+    if not path.is_file():
+        return None
+    try:
+        model = HydroModel.load(path)
+    except ConfigError as error:
+        console.warn(f"what stands in the place cannot be compared and will be replaced: {error}")
+        return None
+    return model if model.robot_sha256 == robot_sha256 else None
+
+
 def fit(robot: Robot, folder: Path, args) -> dict:
     """Fit, and put the model in its place if it is not worse than what stands there."""
-    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
-    from fishmj.hydro_fit.fit.promote import promote, standing_model
     from fishmj.water.prior import flat
 
     several()
@@ -219,16 +246,15 @@ def held_out(robot: Robot, folder: Path, args) -> tuple[list[SegmentRecord], lis
 
 def calibrate(robot: Robot, folder: Path, args) -> dict:
     """Scale the error bar of the model in its place by the test part of a data set that nothing else is judged by."""
-    from fishmj.hydro_fit.fit.calibrate import calibrated
+    from fishmj.hydro_fit.fit.prediction_interval import calibrated
 
     data, model = open_dataset(folder, test=True), chosen(robot, args)
     swims = records_of(data, robot, "test", args.slip)
     made = calibrated(model, robot, swims, {"sha256": data.sha256, "folder": folder.name})
     path = made.save(Path(args.out or FOLDERS[0]))
     factors = {name: made.band[name][0] / parts[0] for name, parts in model.band.items()}
-    console.say(
-        f"{path}: bands by {made.calibration['swims']} swims, times " + ", ".join(f"{n} {f:.3g}" for n, f in factors.items())
-    )
+    times = ", ".join(f"{name} {factor:.3g}" for name, factor in factors.items())
+    console.say(f"{path}: bands by {made.calibration['swims']} swims, times {times}")
     return {"model": str(path), "factors": factors, **made.calibration}
 
 
@@ -244,7 +270,7 @@ def check(robot: Robot, folder: Path, args) -> dict:
 
 def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitSettings
     from fishmj.studies.water_ablation import ablation_table
     from fishmj.studies.water_ablation.ablation import table
@@ -279,51 +305,28 @@ WRITTEN = {
     "report": "<robot>-report/ with report.html and report.json, in place of old ones; default data/water",
     "ablation": "the table; finished rows there are not done again; default runs/hydro_fit/ablation-...",
 }
+_ROWS: tuple[tuple[str, ...], ...] = (
+    # verb, summary, options of the example, module where it is not `run`
+    ("all", "collect what is missing, fit, check and report", "--fish fish"),
+    ("collect", "segments of the flow solver that a water is fitted to", "--preview --out runs/preview",
+        "fishmj.campaign.data.collect_command"),
+    ("fit", "fit the water to a data set; the model takes its place if it is not worse",
+        "--data runs/preview --out runs/water"),
+    ("calibrate", "the error bar of a model, by swims that no fit has seen", "--data runs/bar"),
+    ("check", "the model on held-out episodes; exit 1 where it misses a tolerance", "--prior"),
+    ("report", "report.html and report.json of a model", "--out runs/water"),
+    ("ablation", "what each part of the model is worth: fits without it, same held-out records",
+        "--data data/hydro/swift --seeds 0,1,2"),
+    ("hybrid", "a surrogate corrected by the solver while it swims", "--wrong tail --domain laptop --episodes 1",
+        "fishmj.campaign.hybrid.hybrid_trial"),
+    ("correct", "rounds of a policy's own states, solved and refitted",
+        "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger_command"),
+    ("rank", "controllers in the solver and in the fitted water, on the same trials",
+        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.studies.rank_waters.command"),
+)  # fmt: skip
 COMMANDS = {
-    "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
-    "collect": Command(
-        "fishmj.campaign.data.collect_command",
-        "segments of the flow solver that a water is fitted to",
-        "fishmj hydro_fit collect --preview --out runs/preview",
-    ),
-    "fit": Command(
-        partial(run, "fit"),
-        "fit the water to a data set; the model takes its place if it is not worse",
-        "fishmj hydro_fit fit --data runs/preview --out runs/water",
-    ),
-    "calibrate": Command(
-        partial(run, "calibrate"),
-        "the error bar of a model, by swims that no fit has seen",
-        "fishmj hydro_fit calibrate --data runs/bar",
-    ),
-    "check": Command(
-        partial(run, "check"),
-        "the model on held-out episodes; exit 1 where it misses a tolerance",
-        "fishmj hydro_fit check --prior",
-    ),
-    "report": Command(
-        partial(run, "report"), "report.html and report.json of a model", "fishmj hydro_fit report --out runs/water"
-    ),
-    "ablation": Command(
-        partial(run, "ablation"),
-        "what each part of the model is worth: fits without it, same held-out records",
-        "fishmj hydro_fit ablation --data data/hydro/swift --seeds 0,1,2",
-    ),
-    "hybrid": Command(
-        "fishmj.campaign.hybrid.hybrid_trial",
-        "a surrogate corrected by the solver while it swims",
-        "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
-    ),
-    "correct": Command(
-        "fishmj.campaign.dagger.dagger_command",
-        "rounds of a policy's own states, solved and refitted",
-        "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
-    ),
-    "rank": Command(
-        "fishmj.studies.rank_waters.command",
-        "controllers in the solver and in the fitted water, on the same trials",
-        "fishmj hydro_fit rank pd pi --domain laptop --device cpu --trials 6 --seconds 10",
-    ),
+    verb: Command(module[0] if module else partial(run, verb), summary, f"fishmj hydro_fit {verb} {example}")
+    for verb, summary, example, *module in _ROWS
 }
 main = console.CommandGroup("hydro_fit", __doc__ or "", COMMANDS, bare="all")
 

@@ -16,16 +16,18 @@ a nudged grid or a finer step, by the same measure.
 """
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
-from fishmj.hydro_fit.fit import prediction_interval, wake_warmup
+from fishmj.hydro_fit.fit import prediction_interval
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
-from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
+from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_batch_of, is_free, padded, recorded
+from fishmj.hydro_fit.fit.training_windows import warm_up
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.hydro_model import HydroModel
@@ -77,18 +79,17 @@ class FreeSwims:
         rows = rows_of(ch, chosen)
         starts = np.array([span.start for span in rows.spans()]) + skip
         attached = attachment(rows, ch.strips, model.base, tick)[starts]
-        memory = None if model.learnt is None else wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).memory[starts]
+        memory = None if model.learnt is None else warm_up(ch, rows, model.base, model.learnt, tick).memory[starts]
         whole = fish_batch_of(ch, robot, chosen, seconds=1e6)
         stop = skip + round(FREERUN / tick)
         cut = lambda a: a[:, skip:stop]
         states = (whole.q[:, skip : stop + 1], whole.v[:, skip : stop + 1])
         fleet = FishBatch._make([*states, *(cut(a) for a in whole[2:-1]), whole.source])
-        if memory is not None:
-            memory[:, -1] = 0.0
         wide = padded(fleet, self.fleet)
         more, size = len(wide.q) - len(fleet.q), fleet.mask.shape[1]
         attached = np.concatenate([attached, np.full(more, 0.5)])
         if memory is not None:
+            memory[:, -1] = 0.0
             memory = np.concatenate([memory, np.zeros((more, memory.shape[1]))])
         track = swim.run(wide, flat(model.base), model.learnt, attached, memory)
         count = len(fleet.q)
@@ -127,12 +128,8 @@ def judge(
     got["freerun_position_error"] = float(far[np.arange(len(far)), last].mean())
     n["freerun_position_error"] = len(far)
     got["guard_rate"], n["guard_rate"] = float(swum.track.outside.mean()), len(swum.fleet.q)
-    cover = prediction_interval.covered(
-        prediction_interval.means(swum.track, swum.fleet),
-        swum.members,
-        prediction_interval.means(recorded(swum.fleet), swum.fleet),
-        model.band,
-    )
+    mean, seen = (prediction_interval.means(track, swum.fleet) for track in (swum.track, recorded(swum.fleet)))
+    cover = prediction_interval.covered(mean, swum.members, seen, model.band)
     own = repeatability(robot, repeats) if repeats else {}
     tolerance = {key: max(stated, 2 * own.get(key, 0.0)) for key, stated in STATED.items()}
     ran = float(swum.cruise.mask.sum(1).min() * records[0].tick)
@@ -184,23 +181,20 @@ def _bias(record: SegmentRecord) -> float:
     return 0.0 if bend < 0.1 * float(np.abs(late).max() + 1e-9) else bend
 
 
+def model_force(model: HydroModel, ch: planar_chain.Chain, rows: RegressionRows, tick: float) -> np.ndarray:
+    """(3, N, M), with the force of the acceleration."""
+    force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
+    return force if model.learnt is None else force + warm_up(ch, rows, model.base, model.learnt, tick).force
+
+
 def _thrust(model: HydroModel, robot: Robot, held: Sequence[SegmentRecord]) -> float:
     """Mean error of the mean thrust of held fish, over the tow drag."""
     if not held:
         return float("nan")
     ch, tick = planar_chain.chain_of(robot), held[0].tick
     rows = rows_of(ch, held)
-    force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
-    if model.learnt is not None:
-        force = force + wake_warmup.warm_up(ch, rows, model.base, model.learnt, tick).force
+    force = model_force(model, ch, rows, tick)
     return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
-
-
-class _Pair:
-    """A repeat in the place of the model."""
-
-    def __init__(self, records, seen):
-        self.records, self.seen = records, seen
 
 
 def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRecord]]) -> dict[str, float]:
@@ -211,8 +205,8 @@ def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRe
     if free:
         again, first = (fish_batch_of(ch, robot, [pair[i] for pair in free], seconds=1e6) for i in (0, 1))
         settled = round(SETTLED / free[0][0].tick)
-        pair = _Pair([b for _, b in free], _from(first, recorded(first), settled))
-        figures, _ = errors(pair, _from(again, recorded(again), settled))
+        pair = SimpleNamespace(records=[b for _, b in free], seen=_from(first, recorded(first), settled))
+        figures, _ = errors(pair, _from(again, recorded(again), settled))  # a repeat in the place of the model
         out |= {key: value for key, value in figures.items() if np.isfinite(value)}
     held = [(a, b) for a, b in repeats if flaps(a)]
     if held:

@@ -64,13 +64,11 @@ def main(argv: list[str]) -> int:
     write_hidden(out, truth, trials, effects, facts, args.overwrite, weighings)
     seconds = sum(trial.span[1] for trial in trials)
     took = time.perf_counter() - begin
-    console.say(
-        f"{len(trials)} trials, {seconds:.0f} s of synthetic logs in {args.out} ({took:.1f} s); the truth is in {args.truth}"
-    )
+    made = f"{len(trials)} trials, {seconds:.0f} s of synthetic logs in {args.out} ({took:.1f} s)"
+    console.say(f"{made}; the truth is in {args.truth}")
     if args.json:
-        console.emit_json(
-            {"trials": len(trials), "seconds": seconds, "out": args.out, "truth": args.truth, "hidden": len(effects)}
-        )
+        told = {"trials": len(trials), "seconds": seconds, "out": args.out, "truth": args.truth, "hidden": len(effects)}
+        console.emit_json(told)
     return console.OK
 
 
@@ -98,25 +96,14 @@ def stream(text: str) -> tuple[float, float]:
 def _list(json: bool) -> int:
     from fishmj.virtual_robot.trials import EFFECTS
 
-    rows = [
-        {
-            "effect": e.name,
-            "parameter": p.name,
-            "unit": p.unit,
-            "null": p.null,
-            "from": p.typical[0],
-            "to": p.typical[1],
-            "stage": e.stage,
-            "seen in": ", ".join(e.shows),
-            "shown by": ", ".join(e.runs),
-        }
-        for e in EFFECTS.values()
-        for p in e.parameters
-    ]
-    runs = [
-        {"excitation": n, "seconds": round(excitation.get(n).seconds, 1), "about": excitation.get(n).about}
-        for n in excitation.names()
-    ]
+    rows: list[dict] = []
+    for e in EFFECTS.values():
+        shown = {"stage": e.stage, "seen in": ", ".join(e.shows), "shown by": ", ".join(e.runs)}
+        for p in e.parameters:
+            row = {"effect": e.name, "parameter": p.name, "unit": p.unit}
+            rows.append({**row, "null": p.null, "from": p.typical[0], "to": p.typical[1], **shown})
+    known = map(excitation.get, excitation.names())
+    runs = [{"excitation": run.id, "seconds": round(run.seconds, 1), "about": run.about} for run in known]
     if json:
         console.emit_json({"effects": rows, "excitations": runs})
     else:

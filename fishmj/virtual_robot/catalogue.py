@@ -1,11 +1,89 @@
-"""The effects of the catalogue, planted by this room's own code. One row each: parameters, where they show, what shows them.
+"""What can be hidden in a virtual robot by this room's own code: named effects, each parameter a field of `constants.py`.
 
-Units are SI, nulls 0 unless the row says otherwise. Delays come on top of the nominal ones in the fish description.
+`CATALOGUE` are the effects of the catalogue, `ODDITIES` those that no catalogue holds: given one of them, a workflow should say
+that it does not know. One row each: parameters, where they show, what shows them. Units are SI, nulls 0 unless the row says
+otherwise. Delays come on top of the nominal ones in the fish description.
 """
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.virtual_robot.catalogue_entry import CatalogueEntry, EntryParameter
+from fishmj.errors import ConfigError, UnknownName
+
+
+@dataclass(frozen=True, kw_only=True)
+class EntryParameter:
+    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur; least, most: what is possible."""
+
+    name: str
+    unit: str
+    field: str  # "motor.deadband"
+    typical: tuple[float, float]
+    null: float = 0.0
+    signed: bool = False
+    least: float = -np.inf
+    most: float = np.inf
+    default: bool = False  # secondary: means nothing while the first is null; null is its usual value
+
+
+@dataclass(frozen=True, kw_only=True)
+class CatalogueEntry:
+    """A hidden effect. shows: channels in which it must be seen; runs: experiments that show it well."""
+
+    name: str
+    stage: str
+    parameters: tuple[EntryParameter, ...]
+    shows: tuple[str, ...]
+    runs: tuple[str, ...]
+    stochastic: bool = False  # differs between replicates
+    catalogued: bool = True
+    about: str = ""  # for those that no catalogue explains
+
+    @property
+    def nulls(self) -> dict[str, float]:
+        """Values at which it is not there."""
+        return {p.name: p.null for p in self.parameters}
+
+    @property
+    def typical(self) -> dict[str, float]:
+        """The larger typical magnitude; secondary parameters at their usual value."""
+        return {p.name: p.null if p.default else p.typical[1] for p in self.parameters}
+
+    def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
+        """Values of typical size, log-uniform between low and high times `strength`, either sign where both occur."""
+        values = {}
+        for p in self.parameters:
+            low, high = sorted(p.typical)
+            size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+            sign = -1.0 if p.signed and rng.random() < 0.5 else 1.0
+            if p.default:
+                values[p.name] = sign * size
+            elif p.null:
+                values[p.name] = p.null + (size - p.null) * strength
+            else:
+                values[p.name] = sign * size * strength
+            values[p.name] = float(np.clip(values[p.name], p.least, p.most))
+        return values
+
+    def fields(self, values: Mapping[str, float]) -> dict[str, float]:
+        """{"motor.deadband": 0.01} for given parameter values; those not named stay at their null.
+
+        Raises:
+            UnknownName: a parameter that the effect does not have. ConfigError: a value that is no number or impossible.
+        """
+        known = {p.name: p for p in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                raise UnknownName(f"parameter of {self.name}", name, known)
+            if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not np.isfinite(value):
+                raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected a finite number in {known[name].unit}")
+            if not known[name].least <= value <= known[name].most:
+                bounds = f"{known[name].least:g} to {known[name].most:g} {known[name].unit}"
+                raise ConfigError(f"effect {self.name}: {name} = {value!r} is impossible; it lies in {bounds}")
+        return {p.field: float(values.get(p.name, p.null)) for p in self.parameters}
+
 
 SERVO, BODY, ALL = ("joint",), ("position", "heading"), ("joint", "position", "heading")
 _SWIM, _TURN = ("gait", "turn_left"), ("turn_left", "spin")
@@ -120,10 +198,49 @@ _ROWS: list[tuple] = [
         ("gait", "station_left")),
     ("power_offset", "measurement", _one("power", "W", "meter.offset", 0.1, 0.5, signed=True), ("power",), ("idle", "gait")),
 ]  # fmt: skip
-_KEYS = ("name", "stage", "parameters", "shows", "runs")
+_DRAWN = ("latency_jitter", "packet_loss", "turbulence")
 CATALOGUE: dict[str, CatalogueEntry] = {
-    row[0]: CatalogueEntry(
-        **dict(zip(_KEYS, row, strict=True)), stochastic=row[0] in ("latency_jitter", "packet_loss", "turbulence")
-    )
-    for row in _ROWS
+    name: CatalogueEntry(name=name, stage=stage, parameters=parameters, shows=shows, runs=runs, stochastic=name in _DRAWN)
+    for name, stage, parameters, shows, runs in _ROWS
+}
+# families differ in kind: memory, coupling, asymmetry, place, time, timing, sensing
+_ODD_ROWS: list[tuple] = [
+    ("bouc_wen_skin", "skin with rate-independent hysteresis (Bouc-Wen)",
+        (*_one("torque", "N m", "odd.bouc_torque", 0.1, 0.4), _keep("angle", "rad", "odd.bouc_angle", 0.1)), SERVO,
+        ("slow_triangle", "hold_angles")),
+    ("tail_yaw_cross_force", "side force on the head in proportion to tail rate times yaw rate",
+        _one("coefficient", "N s2", "odd.cross_force", 0.005, 0.03, signed=True), BODY, ("gait_fast", "turn_left")),
+    ("asymmetric_thrust", "the tail sucks more on strokes to one side",
+        _one("gain", "1", "odd.asymmetry", 0.1, 0.5, signed=True), BODY, ("gait", "gait_mirrored")),
+    ("cubic_joint_spring", "skin that hardens with the cube of the angle",
+        _one("stiffness", "N m/rad3", "odd.cubic", 0.6, 2.5), SERVO, ("hold_angles", "gait")),
+    ("pulsing_current", "a current along x that comes and goes, its phase new in every trial",
+        (*_one("speed", "m/s", "odd.pulse", 0.015, 0.06), _keep("period", "s", "odd.pulse_period", 6.0)), ("position",),
+        ("drift_north", "gait")),
+    ("encoder_harmonic", "the servos' sensors err with the third harmonic of the angle",
+        _one("angle", "rad", "odd.eccentric", 0.01, 0.04, signed=True), SERVO, ("staircase", "slow_triangle")),
+    ("mass_shift", "ballast slides forward in the middle of a trial",
+        (*_one("distance", "m", "odd.shift", 0.01, 0.04), _keep("time", "s", "odd.shift_time", 6.0)), BODY, ("spin", "gait")),
+    ("cable_crosstalk", "a part of each motor's drive reaches its neighbours",
+        _one("gain", "1", "odd.crosstalk", 0.1, 0.4, signed=True), SERVO, ("flap", "steps")),
+    ("gear_tooth", "a bad tooth: the joint snaps into one angle",
+        (*_one("torque", "N m", "odd.tooth", 0.1, 0.5), _keep("angle", "rad", "odd.tooth_angle", 0.15, least=-1.0)), SERVO,
+        ("slow_triangle", "gait")),
+    ("camera_parallax", "the marker's image moves with the heading",
+        _one("shift", "m", "odd.parallax", 0.01, 0.04, signed=True), ("position",), ("turn_left", "spin")),
+    ("tail_resonance", "thrust bursts near one beat rate",
+        (*_one("gain", "1", "odd.resonance", 0.3, 1.5), _keep("rate", "rad/s", "odd.resonance_rate", 7.0, 1.3)), ("position",),
+        ("gait", "gait_fast")),
+    ("busy_bus", "commands wait longer the faster they change", _one("delay", "s2/rad", "odd.busy", 0.004, 0.02), ALL,
+        ("gait_fast", "chirp")),
+    ("firmware_reset", "a current peak makes the firmware restart, motors off",
+        (*_one("pause", "s", "odd.reset", 0.1, 0.4), _keep("current", "A", "odd.reset_current", 0.8, 1.1)), SERVO,
+        ("gait_fast", "steps")),
+    ("weed_on_tail", "weed gets caught: drag on strokes to one side from one moment on",
+        (*_one("drag", "N s2/m2", "odd.weed", 1.0, 5.0), _keep("time", "s", "odd.weed_time", 5.0)), BODY,
+        ("gait", "turn_right")),
+]  # fmt: skip
+ODDITIES: dict[str, CatalogueEntry] = {
+    name: CatalogueEntry(name=name, stage="odd", about=about, parameters=parameters, shows=shows, runs=runs, catalogued=False)
+    for name, about, parameters, shows, runs in _ODD_ROWS
 }

@@ -57,12 +57,8 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
             u, v, r = tx * (ox - ux) + ty * (oy - uy), nx * (ox - ux) + ny * (oy - uy), w - turning
             ft, fn, m = link_force(body, water, odd, s, i, u, v, r, bend, time, h)
             ft, fn, m = ft * near, fn * near, m * near
-            a, b, s1, J = (
-                body.surge[i] * near,
-                body.sway[i, 0] * near,
-                body.sway[i, 1] * near,
-                body.sway[i, 2] * near + body.spin[i],
-            )
+            a, b, s1 = body.surge[i] * near, body.sway[i, 0] * near, body.sway[i, 1] * near
+            J = body.sway[i, 2] * near + body.spin[i]
             at, an = tx * (bx - dux) + ty * (by - duy), nx * (bx - dux) + ny * (by - duy)
             ft += -a * (at + w * v) + w * (b * v + s1 * r)
             fn += -b * (an - w * u) - w * a * u

@@ -19,8 +19,7 @@ from fishmj.virtual_robot import random_streams
 from fishmj.virtual_robot.loop import H
 from fishmj.virtual_robot.network import Radio
 from fishmj.virtual_robot.sensors import on_its_clock
-from fishmj.virtual_robot.simulate import STILL, Recording, run
-from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.simulate import STILL, Recording, at_rest, run
 from fishmj.virtual_robot.trials import SENSORS, Effects, plant, sense, weather
 
 MEMORY = 1.0  # s of motion that late sensors may look back on
@@ -36,19 +35,11 @@ class ClosedLoopRobot:
     """
 
     def __init__(
-        self,
-        effects: Effects | None = None,
-        seed: int = 0,
-        noise: float = 1.0,
-        nuisance: float = 0.1,
-        robot: "str | Robot" = "fish",
-        medium: str = "water",
-        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        self, effects: Effects | None = None, seed: int = 0, noise: float = 1.0, nuisance: float = 0.1,
+        robot: "str | Robot" = "fish", medium: str = "water", start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         flow: tuple[float, float] = (0.0, 0.0),
-    ):
-        made = plant(effects or {}, seed, nuisance=nuisance, robot=robot, medium=medium)
-        speed, direction = flow
-        self.plant = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
+    ):  # fmt: skip
+        self.plant = made = plant(effects or {}, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow)
         self.noise = noise
         self._state = at_rest(start, made.zero, made.motor.voltage)
         for told in (self._state.goal, self._state.aim, self._state.seen, self._state.ramp):

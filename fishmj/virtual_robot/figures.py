@@ -9,21 +9,12 @@ import numpy as np
 
 from fishmj import console, excitation
 from fishmj.virtual_robot.robot_constants import RobotConstants
-from fishmj.virtual_robot.simulate import Recording, run
-from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.simulate import Recording, at_rest, run
 from fishmj.virtual_robot.trials import plant
 
 SETTLE = 8.0  # s
-GAITS = (
-    (0.5, 60.0, 0.0),
-    (1.0, 60.0, 0.0),
-    (1.5, 60.0, 0.0),
-    (2.0, 60.0, 0.0),
-    (0.5, 0.0, 0.0),
-    (1.0, 0.0, 0.0),
-    (1.5, 0.0, 0.0),
-)
-TURNS = ((1.0, 60.0, 10.0), (1.0, 60.0, 20.0), (1.0, 60.0, 30.0))
+STRAIGHT = ((0.5, 60.0), (1.0, 60.0), (1.5, 60.0), (2.0, 60.0), (0.5, 0.0), (1.0, 0.0), (1.5, 0.0))  # Hz, lag in deg
+GAITS = (*((f, lag, 0.0) for f, lag in STRAIGHT), *((1.0, 60.0, bias) for bias in (10.0, 20.0, 30.0)))  # and bias in deg
 
 
 def steady(
@@ -64,18 +55,10 @@ def main(argv: list[str]) -> int:
     console.parser("virtual_robot.figures", "Steady gaits of the second robot.", json=False).parse_args(argv)
     made, degree = plant({}, nuisance=0.0), np.pi / 180
     rows = []
-    for frequency, lag, bias in GAITS + TURNS:
+    for frequency, lag, bias in GAITS:
         figures = steady(made, frequency, 30 * degree, lag * degree, bias * degree)
-        rows.append(
-            {
-                "Hz": frequency,
-                "lag deg": lag,
-                "bias deg": bias,
-                "speed m/s": round(figures["speed"], 3),
-                "turn deg/s": round(figures["turn"] / degree, 1),
-                "servo power W": round(figures["power"], 2),
-            }
-        )
+        row = {"Hz": frequency, "lag deg": lag, "bias deg": bias, "speed m/s": round(figures["speed"], 3)}
+        rows.append(row | {"turn deg/s": round(figures["turn"] / degree, 1), "servo power W": round(figures["power"], 2)})
     console.say(console.table(rows))
     body = made.body
     sway = ", ".join(f"{m:.2f}" for m in body.sway[:, 0])

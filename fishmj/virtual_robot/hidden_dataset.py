@@ -16,10 +16,8 @@ from fishmj.names import checked
 from fishmj.store import Manifest, sha256, write_json
 from fishmj.store.manifest import MANIFEST
 from fishmj.virtual_robot import random_streams
-from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.catalogue_entry import EntryParameter
+from fishmj.virtual_robot.catalogue import CATALOGUE, ODDITIES, EntryParameter
 from fishmj.virtual_robot.trials import EFFECTS
-from fishmj.virtual_robot.uncatalogued import ODDITIES
 
 SCHEMA = "fishmj.truth/1"
 WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
@@ -135,14 +133,9 @@ def _apart(folder: Path, truth: Path) -> None:
 
 
 def write_hidden(
-    folder: Path,
-    truth: Path,
-    trials: list[Trial],
-    effects: Mapping,
-    facts: Mapping,
-    overwrite: bool = False,
+    folder: Path, truth: Path, trials: list[Trial], effects: Mapping, facts: Mapping, overwrite: bool = False,
     page: Mapping | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Write the data set, with a page of weighings if there is one, then its truth.
 
     Raises:
@@ -156,14 +149,8 @@ def write_hidden(
         (folder / measurements.FILE).unlink(missing_ok=True)  # of another robot
     named = {trial.name: trial for trial in trials}
     write_dataset(folder, named, meta={"origin": "synthetic"}, overwrite=overwrite, page=page)
-    sealed = {
-        "schema": SCHEMA,
-        "origin": "synthetic",
-        "effects": effects,
-        **facts,
-        "manifest_sha256": sha256(folder / "manifest.json"),
-    }
-    write_json(truth, sealed)
+    sealed = {"schema": SCHEMA, "origin": "synthetic", "effects": effects, **facts}
+    write_json(truth, sealed | {"manifest_sha256": sha256(folder / MANIFEST)})
 
 
 def _number(text: str, value: str) -> float:

@@ -13,7 +13,7 @@ GUST = 0.02  # s, spacing of the gust table
 
 @entry
 def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, commands, s, record, work):
-    """Run len(record) steps; writes `state.COLUMNS` of every step, before it moves, into record (T, LOG).
+    """Run len(record) steps; writes `simulate.COLUMNS` of every step, before it moves, into record (T, LOG).
 
     arrivals (K,): times [s] at which commands (K, 3) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
     time [m/s], every GUST s from t = 0, linear between. work: `simulate.workspace`.
@@ -87,7 +87,7 @@ def rub(L, dv, s, mobility, columns, bound, w):
 
 @compiled
 def write(record, step, s, zero):
-    """One row of `state.COLUMNS`."""
+    """One row of `simulate.COLUMNS`."""
     for a in range(3):
         record[step, a] = s.z[a]
         record[step, 3 + a] = s.rate[a]

@@ -9,20 +9,10 @@ import numpy as np
 from fishmj.calib import read_toml, resolve
 from fishmj.mjcf.description import Robot, Servo
 from fishmj.units import G
-from fishmj.virtual_robot.constants import (
-    Camera,
-    HullConstants,
-    Meter,
-    MotorConstants,
-    Network,
-    TankConstants,
-    Uncatalogued,
-    WaterConstants,
-)
+from fishmj.virtual_robot import constants
 from fishmj.virtual_robot.rigid_body import RigidBody, body_of
 
 CONSTANTS = "virtual_robot"
-GROUPS = ("hull", "water", "motor", "tank", "network", "camera", "meter", "odd")
 ROUNDED = 1e-3  # relative
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
@@ -35,14 +25,14 @@ class RobotConstants:
     sections: dict  # table [water] of the constants after the nuisance draw
     placing: tuple[float, float]  # m, rad: how well the fish is put at its start
     air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
-    hull: HullConstants
-    water: WaterConstants
-    motor: MotorConstants
-    tank: TankConstants
-    network: Network
-    camera: Camera
-    meter: Meter
-    odd: Uncatalogued
+    hull: constants.HullConstants
+    water: constants.WaterConstants
+    motor: constants.MotorConstants
+    tank: constants.TankConstants
+    network: constants.Network
+    camera: constants.Camera
+    meter: constants.Meter
+    odd: constants.Uncatalogued
 
     def with_fields(self, values: dict[str, float]) -> "RobotConstants":
         """A copy with dotted fields set: {"motor.deadband": 0.02}."""
@@ -82,7 +72,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
     frontal = _frontal(robot)
     head = 0.5 * rho * frontal * wet["head_forward"]
-    water = WaterConstants(
+    water = constants.WaterConstants(
         active=float(medium == "water"),
         friction=wet["friction"],
         head_forward=head,
@@ -96,7 +86,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     )
     servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
     resistance, constant = electrical(servo)
-    motor = MotorConstants(
+    motor = constants.MotorConstants(
         gain=drawn(servo.kp, 0.2),
         rate_gain=servo.kv,
         torque=servo.torque,
@@ -110,22 +100,23 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         limit=servo.torque,
         **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
     )
-    network = Network(period=timing.bus_dt, latency=timing.command_latency - FIRMWARE_WAIT * motor.period, **table["network"])
-    camera = Camera(latency=timing.camera_latency, window=float(timing.velocity_window), **table["camera"])
+    latency = timing.command_latency - FIRMWARE_WAIT * motor.period
+    network = constants.Network(period=timing.bus_dt, latency=latency, **table["network"])
+    seen = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
     air, placing = table["air"], table["placing"]
     return RobotConstants(
         robot=robot,
         sections=wet,
         placing=(placing["position"], placing["heading"]),
         air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
-        hull=HullConstants(),
+        hull=constants.HullConstants(),
         water=water,
         motor=motor,
-        tank=TankConstants(half=1.8),
+        tank=constants.TankConstants(half=1.8),
         network=network,
-        camera=camera,
-        meter=Meter(**table["meter"]),
-        odd=Uncatalogued(),
+        camera=constants.Camera(**seen, **table["camera"]),
+        meter=constants.Meter(**table["meter"]),
+        odd=constants.Uncatalogued(),
     )
 
 

@@ -47,10 +47,7 @@ def firmware(motor, odd, zero, s):
     if odd.reset > 0.0 and s.battery[1] > odd.reset_current and time > s.clock[2] + 1.0:
         s.clock[2] = time + odd.reset
     gain, rate_gain = motor.gain * (1.0 + motor.gain_error), motor.rate_gain * (1.0 + motor.gain_error)
-    if motor.derating > 0.0:
-        worn = exp(-motor.derating * time)
-    else:
-        worn = 1.0
+    worn = exp(-motor.derating * time) if motor.derating > 0.0 else 1.0
     for j in range(3):
         s.aim[j] = shaped(motor, s, j, s.goal[j])
         angle = s.z[3 + j] - s.z[2 + j] - zero[j]

@@ -17,13 +17,10 @@ from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import made_by
 from fishmj.virtual_robot import network, random_streams, sensors
-from fishmj.virtual_robot.catalogue import CATALOGUE
-from fishmj.virtual_robot.catalogue_entry import CatalogueEntry
+from fishmj.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
 from fishmj.virtual_robot.loop import GUST
 from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
-from fishmj.virtual_robot.simulate import Recording, run
-from fishmj.virtual_robot.state import at_rest
-from fishmj.virtual_robot.uncatalogued import ODDITIES
+from fishmj.virtual_robot.simulate import Recording, at_rest, run
 
 EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
@@ -32,9 +29,12 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 def plant(
-    effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water"
-) -> RobotConstants:
+    effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> RobotConstants:  # fmt: skip
     """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
+
+    flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
 
     Raises:
         UnknownName: an effect or parameter that does not exist. ConfigError: an impossible value, medium or robot.
@@ -46,7 +46,8 @@ def plant(
     described = load_robot(robot)
     if len(described.links) != 4:
         raise ConfigError(f"virtual robot: {described.name} has {len(described.links)} links; this one is built for 4")
-    made, fields = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance")), {}
+    made, (speed, direction) = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance")), flow
+    fields = {"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)}
     for name, values in effects.items():
         if name not in EFFECTS:
             raise UnknownName("effect", name, EFFECTS)
@@ -55,17 +56,10 @@ def plant(
 
 
 def generate(
-    effects: Effects,
-    excitations: Iterable[str | Excitation],
-    seed: int,
-    noise: float = 1.0,
-    nuisance: float = 0.1,
-    robot: "str | Robot" = "fish",
-    medium: str = "water",
-    *,
-    flow: tuple[float, float] = (0.0, 0.0),
+    effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
+    robot: "str | Robot" = "fish", medium: str = "water", *, flow: tuple[float, float] = (0.0, 0.0),
     tick: Callable[[int], None] = lambda done: None,
-) -> list[Trial]:
+) -> list[Trial]:  # fmt: skip
     """One trial an excitation, in order; a repeated one is a replicate with its own noise.
 
     Args:
@@ -76,9 +70,7 @@ def generate(
         flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
         tick: is told how many trials are done.
     """
-    made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium)
-    speed, direction = flow
-    made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
+    made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow)
     trials: list[Trial] = []
     first: dict[str, str] = {}
     for index, item in enumerate(excitations):
@@ -119,22 +111,15 @@ def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.n
 
 
 def trial_of(
-    made: RobotConstants,
-    what: Excitation,
-    seed: int,
-    index: int,
-    noise: float,
-    name: str,
-    replicate_of: str,
+    made: RobotConstants, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str,
     flow: tuple[float, float],
-) -> Trial:
+) -> Trial:  # fmt: skip
     """Move, then look through the sensors; the trial holds what a lab would have on disk."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
     tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
-    tables |= sense(
-        made, record, {name: random_streams.stream(seed, name, index) for name in SENSORS}, (0.0, record.t[-1]), noise
-    )
+    streams = {name: random_streams.stream(seed, name, index) for name in SENSORS}
+    tables |= sense(made, record, streams, (0.0, record.t[-1]), noise)
     if "pose" in tables:
         tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
     clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}

@@ -2,7 +2,7 @@
 
     model = HydroModel.load("swift")            a shipped one, or a path to its .toml
     sw = model.swimmer(robot)                   the robot in this water
-    hooks = model.water(np, ch, memory)         for planar_chain.step; None where there is no residual
+    model.learnt                                the residual, None where there is none; `residual_hooks` puts it into a step
     model.base_only                             the strip model fitted by itself, a water of its own
 
 The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256
@@ -12,26 +12,26 @@ the first holds. Nothing in either can run code.
 import hashlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fishmj import calib
+from fishmj import calib, names
 from fishmj.calib import read_toml
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import ConfigError, FishmjError, StoreError, UnknownName
+from fishmj.errors import ConfigError, DescriptionError, FishmjError, StoreError, UnknownName
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.findings import shown
 from fishmj.names import checked
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
-from fishmj.water import residual_hooks, residual_network
+from fishmj.water import residual_hooks
 from fishmj.water.prior import unflat
-from fishmj.water.water_schema import check
 
 SCHEMA = "fishmj.water/1"
 UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"
 FOLDERS = calib.WATERS
-_NET, _RANGE = residual_network.Net._fields, residual_hooks.Range._fields
 
 
 def robot_hash(robot: Robot) -> str:
@@ -44,6 +44,95 @@ def shipped() -> list[str]:
     return calib.waters()
 
 
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+FileName = Annotated[str, Field(pattern=rf"^{names.PATTERN}$")]
+Band = dict[str, Annotated[list[Number], Field(min_length=3, max_length=3)]]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class Weights(_Table):
+    """The file beside it."""
+
+    file: FileName
+    sha256: Digest
+    residual: bool
+
+
+class Base(_Table):
+    """Coefficients of the strip model; `strip_forces.Coefficients` names them."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    k: Annotated[list[Number], Field(min_length=2)]
+    cn: Annotated[list[Number], Field(min_length=2)]
+    cf: Number
+    ca_forward: Number
+    ca_backward: Number
+    ke: Number
+    lift_a: Number
+    lift_b: Number
+    stall_angle: Number
+    stall_width: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    stall_lag: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    suction: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+
+
+class CoefficientRow(_Table):
+    """What the data say about one coefficient."""
+
+    value: float
+    status: str
+
+
+class Stage(_Table):
+    """One stage of the fit."""
+
+    parameters: dict[str, CoefficientRow] = {}
+
+
+class WaterFile(_Table):
+    """The whole file."""
+
+    schema_: Literal["fishmj.water/1"] = Field(alias="schema")
+    name: FileName
+    robot: str
+    robot_sha256: Digest
+    dt: Annotated[float, Field(gt=0.0, le=0.1)]
+    slip: Annotated[float, Field(ge=0.0, le=1.0)]
+    notes: str = ""
+    weights: Weights
+    base: Base
+    found: dict[str, Stage] = {}
+    dataset: dict[str, Any] = {}
+    band: Band = {}
+    band_alone: Band = {}
+    scores: dict[str, Any] = {}
+    calibration: dict[str, Any] = {}
+
+
+def check(table: dict, where: str) -> None:
+    """Hold a parsed TOML against the schema.
+
+    Raises:
+        DescriptionError: every key that does not fit, one line each.
+    """
+    try:
+        WaterFile.model_validate(table)
+    except ValidationError as error:
+        lines = []
+        for entry in error.errors(include_url=False, include_context=False):
+            *block, key = [str(part) for part in entry["loc"]]
+            place = f"[{'.'.join(block)}] {key}" if block else key
+            expected = entry["msg"].removeprefix("Input should be ")
+            got = "nothing" if entry["type"] == "missing" else shown(entry["input"])
+            lines.append(f"{where} {place[:120]}: got {got}, expected {expected}; fit the model again")
+        raise DescriptionError(lines) from error
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HydroModel:
     """One fitted water.
@@ -53,8 +142,8 @@ class HydroModel:
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
         dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
-        band: (offset, share, spread) of the error bar by channel (fit/band.py), `band_alone` without the residual.
-        scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (fit/calibrate.py).
+        band: (offset, share, spread) of the error bar by channel (prediction_interval.py), `band_alone` without the residual.
+        scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (prediction_interval.py).
     """
 
     name: str
@@ -88,11 +177,6 @@ class HydroModel:
         rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
         return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
 
-    @property
-    def memory_size(self) -> int:
-        """Numbers that the water remembers besides the attachment."""
-        return 0 if self.learnt is None else len(residual_hooks.at_rest())
-
     def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
         """The nominal robot in this water.
 
@@ -108,23 +192,11 @@ class HydroModel:
             raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
         return planar_chain.nominal(robot)._replace(water=self.base)
 
-    def water(self, xp, ch: planar_chain.Chain, memory=None, inner: Any = None):
-        """Hooks for `planar_chain.step` that add the residual, after `inner`; `inner` itself where there is none.
-
-        Args:
-            memory: flat list, inner's first; at rest when None.
-        """
-        if self.learnt is None:
-            return inner
-        memory = residual_hooks.at_rest() if memory is None else memory
-        return residual_hooks.LearnedResidual(xp, ch, self.learnt, memory, inner)
-
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
         folder, arrays = Path(folder), {"members": np.asarray(self.members, float), "alone": np.asarray(self.alone, float)}
         if self.learnt is not None:
-            arrays |= {f"net.{key}": np.asarray(getattr(self.learnt.net, key), np.float32) for key in _NET}
-            arrays |= {f"range.{key}": np.asarray(getattr(self.learnt.reach, key), np.float32) for key in _RANGE}
+            arrays |= {key: value.astype(np.float32) for key, value in residual_hooks.packed(self.learnt).items()}
         weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
         table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
         table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
@@ -149,10 +221,10 @@ class HydroModel:
                 raise UnknownName("fitted water", str(source), shipped())
             model = cls.load(found[0])
             return model.base_only if str(source).endswith("-base") else model
-        return _read(cls, path)
+        return _read(path)
 
 
-def _read(cls, path: Path) -> HydroModel:
+def _read(path: Path) -> HydroModel:
     try:
         table = read_toml(path)
     except ConfigError as error:
@@ -163,29 +235,17 @@ def _read(cls, path: Path) -> HydroModel:
     try:
         checked(table["name"], "water", str(path))
         checked(table["robot"], "robot", str(path))
-        weights, expected = (
-            path.with_name(checked(table["weights"]["file"], "weights file", str(path))),
-            table["weights"]["sha256"],
-        )
+        weights = path.with_name(checked(table["weights"]["file"], "weights file", str(path)))
+        expected = table["weights"]["sha256"]
         if sha256(weights) != expected:
             raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
         arrays, _ = read_tensors(weights)
-        learnt = None
+        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")} | {"notes": table.get("notes", "")}
+        given |= {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
+        given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}
         if table["weights"]["residual"]:
-            net = residual_network.Net(*(arrays[f"net.{key}"].astype(float) for key in _NET))
-            learnt = residual_hooks.Residual(net, residual_hooks.Range(*(arrays[f"range.{key}"].astype(float) for key in _RANGE)))
-        keys = ("name", "robot", "robot_sha256", "dt", "slip")
-        rest = {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
-        base = strip_forces.Coefficients(**table["base"])
-        return cls(
-            **{key: table[key] for key in keys},
-            notes=table.get("notes", ""),
-            base=base,
-            members=arrays["members"],
-            alone=arrays["alone"],
-            learnt=learnt,
-            **rest,
-        )
+            given["learnt"] = residual_hooks.unpacked({key: value.astype(float) for key, value in arrays.items()})
+        return HydroModel(**given)
     except FishmjError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -76,7 +76,6 @@ class Handle:
         data.qfrc_passive[:] += force
 
 
-@contextmanager
 def inject(model: mujoco.MjModel, water: PlanarWater):
     """Put `model` into `water` until the block ends; blocks nest, one model each.
 
@@ -90,8 +89,7 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
     Raises:
         InjectionError: the slot belongs to someone else or to another thread, or the model has a water already.
     """
-    with installed(Handle(model, water)) as handle:
-        yield handle
+    return installed(Handle(model, water))
 
 
 @contextmanager

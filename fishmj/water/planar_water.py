@@ -23,6 +23,7 @@ class PlanarWater:
     """
 
     root = "planar"
+    unnamed = "ambient"  # what is to blame where no term with a name is
 
     def __init__(self, robot: Robot, swimmer: planar_chain.Swimmer | None = None, attached: float = 0.5):
         self.robot = robot
@@ -37,13 +38,9 @@ class PlanarWater:
             mine[...] = 0.0
             mine[..., : value.shape[-1]] = value
 
-    def links(self, model, data) -> planar_chain.Links:
-        """Velocities of every link relative to its water."""
-        return planar_chain.kinematics(np, self.chain, data.qpos, data.qvel, self.flow)
-
     def forces(self, model, data) -> tuple[np.ndarray, np.ndarray]:
         """Added mass (nv, nv) and the explicit generalised force (nv,); pure."""
-        k, heading = self.links(model, data), data.qpos[2]
+        k, heading = planar_chain.kinematics(np, self.chain, data.qpos, data.qvel, self.flow), data.qpos[2]
         # `attached` is read, never written: MuJoCo may call the callback more often than once a step (mj_forward)
         hydro = planar_chain.water_forces(np, self.chain, self.swimmer, k, heading, self.ambient, self.attached)
         force = planar_chain.generalised(np, self.chain, heading, planar_chain.gather(self.chain, k, hydro))
@@ -51,25 +48,24 @@ class PlanarWater:
         lower = planar_chain.mass_matrix(self.chain, self.swimmer, k, rigid=False)
         return world_matrix(self.chain, heading, lower), np.array(force)
 
-    def tail(self, model, data) -> tuple[float, float, float]:
-        """(u, w, Omega) of the last link relative to its water."""
-        k = self.links(model, data)
-        return k.u[-1], k.w[-1], k.omega[-1]
+    def motions(self, data) -> list[tuple[float, float, float]]:
+        """(u, w, Omega) of every link relative to its water."""
+        k = planar_chain.kinematics(np, self.chain, data.qpos, data.qvel, self.flow)
+        return list(zip(k.u, k.w, k.omega, strict=True))
 
     def next_attached(self, model, data, dt: float) -> float:
         """Attachment state one step later; forces of this step still use the present one."""
-        return float(
-            strip_forces.attachment(np, self.chain.strips, self.swimmer.water, *self.tail(model, data), self.attached, dt)
-        )
+        tail = self.motions(data)[-1]
+        return float(strip_forces.attachment(np, self.chain.strips, self.swimmer.water, *tail, self.attached, dt))
 
     def blame(self, model, data) -> SimDiverged:
         """The error that names the first term and link whose force is not finite."""
-        k, ch, c = self.links(model, data), self.chain, self.swimmer.water
+        motions = self.motions(data)
         for i, link in enumerate(self.robot.links):
-            for term, value in named_terms(ch.strips, c, i, k.u[i], k.w[i], k.omega[i], self.attached).items():
+            for term, value in named_terms(self.chain.strips, self.swimmer.water, i, *motions[i], self.attached).items():
                 if not np.all(np.isfinite(value)):
-                    return diverged(data, term, link.name, k.u[i], k.w[i], k.omega[i])
-        return diverged(data, "ambient", self.robot.links[0].name, k.u[0], k.w[0], k.omega[0])
+                    return diverged(data, term, link.name, *motions[i])
+        return diverged(data, self.unnamed, self.robot.links[0].name, *motions[0])
 
 
 def named_terms(s: strip_forces.Strips, c: strip_forces.Coefficients, i: int, u, w, omega, attached) -> dict:

@@ -37,7 +37,7 @@ class Prior:
 
 
 def names_of(links: int) -> tuple[str, ...]:
-    """k1.. cn1.. cf ca_forward ..: the order of `engines.flat_water`."""
+    """k1.. cn1.. cf ca_forward ..: the order of `flat`."""
     each = tuple(f"{key}{i + 1}" for key in ("k", "cn") for i in range(links))
     return each + tuple(key for key in strip_forces.Coefficients._fields[2:])
 
@@ -51,14 +51,6 @@ def unflat(values) -> strip_forces.Coefficients:
     """The inverse of `flat`; components may be arrays."""
     links = (len(values) - len(strip_forces.Coefficients._fields) + 2) // 2
     return strip_forces.Coefficients(list(values[:links]), list(values[links : 2 * links]), *values[2 * links :])
-
-
-def replaced(c: strip_forces.Coefficients, names, values) -> strip_forces.Coefficients:
-    """`c` with some coefficients set."""
-    every, wanted = flat(c), names_of(len(c.k))
-    for name, value in zip(names, values, strict=True):
-        every[wanted.index(name)] = value
-    return unflat(every.tolist())
 
 
 def prior_of(robot: Robot) -> Prior:

@@ -1,6 +1,6 @@
 """The learnt residual in the physics: hooks for `planar_chain.step` that add its force and carry its memory.
 
-    hooks = Learned(np, ch, residual, memory)               memory = at_rest(), later Step.memory
+    hooks = LearnedResidual(np, ch, residual, memory)       memory = at_rest(), later Step.memory
     s = planar_chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
 What is added is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.errors import ConfigError
 from fishmj.water import residual_network
 
 ETA, STORED = 0.3, 1.0  # share of the dissipated power that may be kept, and for how long, s
@@ -175,6 +176,20 @@ def member(learnt: Residual, e: int) -> Residual:
     net = learnt.net
     alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in residual_network.MEMBERS}
     return learnt._replace(net=net._replace(**alike))
+
+
+def packed(learnt: Residual) -> dict[str, np.ndarray]:
+    """A residual with a range as named arrays, for a file."""
+    if learnt.reach is None:
+        raise ConfigError("a residual without a range is for learning only; expected one with residual_hooks.Range")
+    parts: dict[str, Any] = {"net": learnt.net, "range": learnt.reach}
+    return {f"{part}.{key}": np.asarray(value) for part, fields in parts.items() for key, value in fields._asdict().items()}
+
+
+def unpacked(arrays: dict) -> Residual:
+    """The inverse of `packed`; other arrays may stand beside them. Raises KeyError where one is missing."""
+    net = residual_network.Net(*(arrays[f"net.{key}"] for key in residual_network.Net._fields))
+    return Residual(net, Range(*(arrays[f"range.{key}"] for key in Range._fields)))
 
 
 def unlimited(links: int) -> Range:

@@ -37,6 +37,7 @@ class FreeWater(planar_water.PlanarWater):
     """Structured water around one fish with a free root; attributes as `PlanarWater`."""
 
     root = "free"
+    unnamed = "vertical, roll or fins"
 
     def __init__(self, robot: Robot, swimmer: planar_chain.Swimmer | None = None, attached: float = 0.5):
         super().__init__(robot, swimmer, attached)
@@ -67,26 +68,12 @@ class FreeWater(planar_water.PlanarWater):
             force += jac.T @ wrench
         return total, force
 
-    def tail(self, model, data) -> tuple[float, float, float]:
-        """(u, w, Omega) of the last link relative to its water."""
-        return self._planar(data)[-1]
-
     def next_attached(self, model, data, dt: float) -> float:
         """Attachment state one step later; brings the link poses up to date first."""
         mujoco.mj_kinematics(model, data)
         return super().next_attached(model, data, dt)
 
-    def blame(self, model, data):
-        """The error that names the first term and link whose force is not finite."""
-        motion = self._planar(data)
-        for i, link in enumerate(self.robot.links):
-            named = planar_water.named_terms(self.chain.strips, self.swimmer.water, i, *motion[i], self.attached)
-            for term, value in named.items():
-                if not np.all(np.isfinite(value)):
-                    return planar_water.diverged(data, term, link.name, *motion[i])
-        return planar_water.diverged(data, "vertical, roll or fins", self.robot.links[0].name, *motion[0])
-
-    def _planar(self, data) -> list:
+    def motions(self, data) -> list[tuple[float, float, float]]:
         """(u, w, Omega) of every link relative to its water."""
         out = []
         for i, (turn, jac, _) in enumerate(jacobians(data, self.chain.n)):

@@ -76,7 +76,7 @@ def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Pat
     Args:
         out: folder of the rounds; finished stages of the fit are kept there.
     """
-    from fishmj.hydro_fit.fit.data_parallel import several
+    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.gauss_newton import flaps
     from fishmj.hydro_fit.fit.incremental import Refit
     from fishmj.hydro_fit.fit.rollout import is_free

@@ -11,8 +11,7 @@ from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody, HiddenDifference
 from fishmj.campaign.hidden_lbm.implicit_servo import END, FASTEST, IMPULSE, SLOPE, STILL, ahead
 from fishmj.virtual_robot.loop import H
 from fishmj.virtual_robot.robot_constants import RobotConstants
-from fishmj.virtual_robot.simulate import Recording, workspace
-from fishmj.virtual_robot.state import LOG, State
+from fishmj.virtual_robot.simulate import LOG, Recording, State, workspace
 
 PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
 

@@ -15,8 +15,7 @@ from fishmj.mjcf import build
 from fishmj.virtual_robot.constants import HullConstants, Uncatalogued
 from fishmj.virtual_robot.rigid_body import body_of
 from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
-from fishmj.virtual_robot.simulate import STILL
-from fishmj.virtual_robot.state import State
+from fishmj.virtual_robot.simulate import STILL, State
 
 ABSOLUTE = np.eye(6)  # T: rates of (x, y, psi, j1, j2, j3) -> (x, y, W1 .. W4)
 ABSOLUTE[3:, 2] = 1.0

@@ -19,8 +19,7 @@ from fishmj.lbm_oracle.run.setup import DomainWatch
 from fishmj.mjcf.model import reference_qpos
 from fishmj.virtual_robot import network, random_streams
 from fishmj.virtual_robot.robot_constants import RobotConstants
-from fishmj.virtual_robot.simulate import Recording
-from fishmj.virtual_robot.state import at_rest
+from fishmj.virtual_robot.simulate import Recording, at_rest
 from fishmj.virtual_robot.trials import weather
 
 CARRY = 1.5  # s that a carriage takes the fish along, or holds it in a stream: after them the drag stays within a tenth

@@ -18,9 +18,9 @@ EFFECT = Effect(
     shows=("joint", "position", "heading", "power"),
     native="actuator gear",
     confusions=(
-        Confusion(other="skin_stiffness", separates="no power is needed to hold", excitations=("hold_angles", "staircase")),
-        Confusion(other="servo_gain", separates="the same at every frequency", excitations=("chirp", "staircase")),
-        Confusion(other="tail_normal_force", separates="shows in the joints", excitations=("gait", "staircase")),
+        Confusion("skin_stiffness", "no power is needed to hold", ("hold_angles", "staircase")),
+        Confusion("servo_gain", "the same at every frequency", ("chirp", "staircase")),
+        Confusion("tail_normal_force", "shows in the joints", ("gait", "staircase")),
     ),
     command=command,
 )

@@ -18,14 +18,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="step", unit="rad", low=0.0, high=0.2, typical=(0.01, 0.035), fine=True),),
     shows=("joint", "power"),
     confusions=(
-        Confusion(
-            other="servo_deadband",
-            separates="width of the stairs against a constant error",
-            excitations=("slow_triangle", "staircase"),
-        ),
-        Confusion(
-            other="gear_backlash", separates="stairs all along the way, not only at reversals", excitations=("slow_triangle",)
-        ),
+        Confusion("servo_deadband", "width of the stairs against a constant error", ("slow_triangle", "staircase")),
+        Confusion("gear_backlash", "stairs all along the way, not only at reversals", ("slow_triangle",)),
     ),
     command=command,
     rank=1,

@@ -19,16 +19,8 @@ EFFECT = Effect(
     shows=("joint", "power"),
     native="joint frictionloss",
     confusions=(
-        Confusion(
-            other="viscous_friction",
-            separates="friction error does not depend on amplitude or speed",
-            excitations=("slow_triangle", "chirp"),
-        ),
-        Confusion(
-            other="servo_deadband",
-            separates="a dead band's error does not depend on load or direction",
-            excitations=("staircase", "slow_triangle"),
-        ),
+        Confusion("viscous_friction", "friction error does not depend on amplitude or speed", ("slow_triangle", "chirp")),
+        Confusion("servo_deadband", "a dead band's error does not depend on load or direction", ("staircase", "slow_triangle")),
     ),
     memory=AT_REST,
     gear=gear,

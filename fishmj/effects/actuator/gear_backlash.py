@@ -26,14 +26,12 @@ EFFECT = Effect(
     native="a second hinge with a range of +-b behind the motor's",
     confusions=(
         Confusion(
-            other="command_latency",
-            separates="lost motion at reversals only; a delay acts all the time and also on the first move",
-            excitations=("slow_triangle", "chirp"),
+            "command_latency",
+            "lost motion at reversals only; a delay acts all the time and also on the first move",
+            ("slow_triangle", "chirp"),
         ),
         Confusion(
-            other="servo_deadband",
-            separates="a gap holds no position at rest and shrinks under one-sided load",
-            excitations=("hold_angles", "staircase"),
+            "servo_deadband", "a gap holds no position at rest and shrinks under one-sided load", ("hold_angles", "staircase")
         ),
     ),
     memory=(0.0,),

@@ -32,19 +32,9 @@ EFFECT = Effect(
     shows=("position", "heading"),
     native="joint ref",
     confusions=(
-        Confusion(
-            other="steady_current",
-            separates="an offset turns with the fish, a current does not",
-            excitations=("drift_east", "gait_mirrored"),
-        ),
-        Confusion(
-            other="camera_yaw",
-            separates="a turned camera turns straight tracks, an offset bends them",
-            excitations=("gait", "gait_mirrored"),
-        ),
-        Confusion(
-            other="servo_deadband", separates="does not change sign with the direction of approach", excitations=("staircase",)
-        ),
+        Confusion("steady_current", "an offset turns with the fish, a current does not", ("drift_east", "gait_mirrored")),
+        Confusion("camera_yaw", "a turned camera turns straight tracks, an offset bends them", ("gait", "gait_mirrored")),
+        Confusion("servo_deadband", "does not change sign with the direction of approach", ("staircase",)),
     ),
     servo=servo,
     measure=measure,

@@ -19,11 +19,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="ratio", unit="1", low=0.0, high=1.0, typical=(0.1, 0.3)),),
     shows=("joint", "power"),
     confusions=(
-        Confusion(
-            other="coulomb_friction", separates="vary the load at equal speed", excitations=("hold_angles", "slow_triangle")
-        ),
-        Confusion(other="voltage_sag", separates="vary the speed at equal load", excitations=("chirp", "steps")),
-        Confusion(other="servo_gain", separates="acts on the moving joint only", excitations=("staircase", "chirp")),
+        Confusion("coulomb_friction", "vary the load at equal speed", ("hold_angles", "slow_triangle")),
+        Confusion("voltage_sag", "vary the speed at equal load", ("chirp", "steps")),
+        Confusion("servo_gain", "acts on the moving joint only", ("staircase", "chirp")),
     ),
     memory=AT_REST,
     gear=gear,

@@ -24,9 +24,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="move_time", unit="s", low=0.0, high=0.3, typical=(0.02, 0.1)),),
     shows=("joint", "position", "heading", "power"),
     confusions=(
-        Confusion(other="command_latency", separates="a ramp starts at once, with finite slope", excitations=("steps", "square")),
-        Confusion(other="rate_limit", separates="the slope grows with the size of the step", excitations=("staircase", "steps")),
-        Confusion(other="servo_gain", separates="steps of different sizes end at the same time", excitations=("steps",)),
+        Confusion("command_latency", "a ramp starts at once, with finite slope", ("steps", "square")),
+        Confusion("rate_limit", "the slope grows with the size of the step", ("staircase", "steps")),
+        Confusion("servo_gain", "steps of different sizes end at the same time", ("steps",)),
     ),
     memory=(0.0, 0.0, 10.0),
     command=command,

@@ -21,9 +21,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.15, 0.5)),),
     shows=("joint", "position", "power"),
     confusions=(
-        Confusion(other="speed_limit", separates="does not depend on load, air against water", excitations=("square", "steps")),
-        Confusion(other="move_time_ramp", separates="one slope for every step size", excitations=("staircase", "steps")),
-        Confusion(other="torque_saturation", separates="small fast moves stay whole", excitations=("steps", "chirp")),
+        Confusion("speed_limit", "does not depend on load, air against water", ("square", "steps")),
+        Confusion("move_time_ramp", "one slope for every step size", ("staircase", "steps")),
+        Confusion("torque_saturation", "small fast moves stay whole", ("steps", "chirp")),
     ),
     memory=(0.0,),
     command=command,

@@ -21,19 +21,15 @@ EFFECT = Effect(
     shows=("joint", "power"),
     confusions=(
         Confusion(
-            other="coulomb_friction",
-            separates="a dead band's error does not depend on load or on the direction of approach",
-            excitations=("staircase", "slow_triangle"),
+            "coulomb_friction",
+            "a dead band's error does not depend on load or on the direction of approach",
+            ("staircase", "slow_triangle"),
         ),
+        Confusion("joint_zero_offset", "the error changes sign with the direction of approach", ("staircase",)),
         Confusion(
-            other="joint_zero_offset",
-            separates="the error changes sign with the direction of approach",
-            excitations=("staircase",),
-        ),
-        Confusion(
-            other="command_quantisation",
-            separates="a staircase of fine steps: quantisation skips steps, a dead band trails by a constant",
-            excitations=("staircase", "slow_triangle"),
+            "command_quantisation",
+            "a staircase of fine steps: quantisation skips steps, a dead band trails by a constant",
+            ("staircase", "slow_triangle"),
         ),
     ),
     servo=servo,

@@ -18,15 +18,9 @@ EFFECT = Effect(
     shows=("joint", "position", "power"),
     native="actuator gainprm, biasprm",
     confusions=(
-        Confusion(
-            other="command_latency",
-            separates="amplitude changes too; two frequencies a decade apart",
-            excitations=("chirp", "staircase"),
-        ),
-        Confusion(
-            other="skin_stiffness", separates="power needed to hold a constant angle", excitations=("hold_angles", "staircase")
-        ),
-        Confusion(other="viscous_friction", separates="error of a held angle under load", excitations=("hold_angles", "chirp")),
+        Confusion("command_latency", "amplitude changes too; two frequencies a decade apart", ("chirp", "staircase")),
+        Confusion("skin_stiffness", "power needed to hold a constant angle", ("hold_angles", "staircase")),
+        Confusion("viscous_friction", "error of a held angle under load", ("hold_angles", "chirp")),
     ),
     servo=servo,
 )

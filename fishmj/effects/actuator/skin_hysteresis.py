@@ -22,11 +22,9 @@ EFFECT = Effect(
     ),
     shows=("joint", "position", "power"),
     confusions=(
-        Confusion(other="skin_stiffness", separates="relaxes while an angle is held", excitations=("hold_angles", "square")),
-        Confusion(
-            other="coulomb_friction", separates="recovers without drift, loops depend on rate", excitations=("slow_triangle",)
-        ),
-        Confusion(other="wake_memory", separates="the same in air", excitations=("square", "hold_angles")),
+        Confusion("skin_stiffness", "relaxes while an angle is held", ("hold_angles", "square")),
+        Confusion("coulomb_friction", "recovers without drift, loops depend on rate", ("slow_triangle",)),
+        Confusion("wake_memory", "the same in air", ("square", "hold_angles")),
     ),
     memory=(0.0,),
     gear=gear,

@@ -19,13 +19,9 @@ EFFECT = Effect(
     shows=("joint", "position", "power"),
     native="joint stiffness",
     confusions=(
-        Confusion(other="servo_gain", separates="power to hold a constant angle", excitations=("hold_angles", "staircase")),
-        Confusion(
-            other="command_gain_error",
-            separates="droop needs power to hold, a wrong gain does not",
-            excitations=("hold_angles", "staircase"),
-        ),
-        Confusion(other="skin_hysteresis", separates="does not relax with time", excitations=("hold_angles", "slow_triangle")),
+        Confusion("servo_gain", "power to hold a constant angle", ("hold_angles", "staircase")),
+        Confusion("command_gain_error", "droop needs power to hold, a wrong gain does not", ("hold_angles", "staircase")),
+        Confusion("skin_hysteresis", "does not relax with time", ("hold_angles", "slow_triangle")),
     ),
     gear=gear,
 )

@@ -27,14 +27,10 @@ EFFECT = Effect(
     shows=("joint", "position", "power"),
     native="actuator dcmotor",
     confusions=(
+        Confusion("torque_saturation", "a speed limit is the same in air and in water", ("square", "chirp")),
+        Confusion("rate_limit", "load dependent: same move in air and water", ("steps", "square")),
         Confusion(
-            other="torque_saturation", separates="a speed limit is the same in air and in water", excitations=("square", "chirp")
-        ),
-        Confusion(other="rate_limit", separates="load dependent: same move in air and water", excitations=("steps", "square")),
-        Confusion(
-            other="move_time_ramp",
-            separates="the same slope for every step size; a ramp's slope grows with the step",
-            excitations=("steps", "staircase"),
+            "move_time_ramp", "the same slope for every step size; a ramp's slope grows with the step", ("steps", "staircase")
         ),
     ),
     gear=gear,

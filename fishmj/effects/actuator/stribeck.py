@@ -21,12 +21,8 @@ EFFECT = Effect(
     ),
     shows=("joint", "power"),
     confusions=(
-        Confusion(
-            other="coulomb_friction",
-            separates="vanishes at speed: needs a decade of low speeds",
-            excitations=("creep", "slow_triangle", "chirp"),
-        ),
-        Confusion(other="servo_deadband", separates="depends on speed at small error", excitations=("slow_triangle",)),
+        Confusion("coulomb_friction", "vanishes at speed: needs a decade of low speeds", ("creep", "slow_triangle", "chirp")),
+        Confusion("servo_deadband", "depends on speed at small error", ("slow_triangle",)),
     ),
     memory=AT_REST,
     gear=gear,

@@ -19,9 +19,9 @@ EFFECT = Effect(
     planted="ten times as fast: it must show within a run of some ten seconds",
     shows=("joint", "position", "power"),
     confusions=(
-        Confusion(other="voltage_sag", separates="minutes against milliseconds", excitations=("gait", "steps")),
-        Confusion(other="torque_saturation", separates="the first run of a session against the last", excitations=("gait",)),
-        Confusion(other="servo_gain", separates="the first run of a session against the last", excitations=("chirp", "gait")),
+        Confusion("voltage_sag", "minutes against milliseconds", ("gait", "steps")),
+        Confusion("torque_saturation", "the first run of a session against the last", ("gait",)),
+        Confusion("servo_gain", "the first run of a session against the last", ("chirp", "gait")),
     ),
     servo=servo,
 )

@@ -22,12 +22,10 @@ EFFECT = Effect(
     native="actuator forcerange",
     confusions=(
         Confusion(
-            other="speed_limit",
-            separates="saturation scales with inertia, air against water; a speed limit does not",
-            excitations=("square", "chirp"),
+            "speed_limit", "saturation scales with inertia, air against water; a speed limit does not", ("square", "chirp")
         ),
-        Confusion(other="voltage_sag", separates="does not depend on the other joints", excitations=("steps", "gait")),
-        Confusion(other="thermal_derating", separates="the same from the first second", excitations=("gait", "burst_and_coast")),
+        Confusion("voltage_sag", "does not depend on the other joints", ("steps", "gait")),
+        Confusion("thermal_derating", "the same from the first second", ("gait", "burst_and_coast")),
     ),
     servo=servo,
 )

@@ -18,11 +18,9 @@ EFFECT = Effect(
     shows=("joint", "power"),
     native="joint damping",
     confusions=(
-        Confusion(other="coulomb_friction", separates="error grows with speed", excitations=("slow_triangle", "chirp")),
-        Confusion(
-            other="joint_hydro_damping", separates="the same in air and water; linear in speed", excitations=("chirp", "square")
-        ),
-        Confusion(other="speed_limit", separates="acts at every torque, not only near the limit", excitations=("chirp", "steps")),
+        Confusion("coulomb_friction", "error grows with speed", ("slow_triangle", "chirp")),
+        Confusion("joint_hydro_damping", "the same in air and water; linear in speed", ("chirp", "square")),
+        Confusion("speed_limit", "acts at every torque, not only near the limit", ("chirp", "steps")),
     ),
     gear=gear,
 )

@@ -35,9 +35,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="resistance", unit="ohm", low=0.0, high=6.0, typical=(0.1, 1.0)),),
     shows=("joint", "position", "power"),
     confusions=(
-        Confusion(other="torque_saturation", separates="one joint alone against all together", excitations=("steps", "gait")),
-        Confusion(other="thermal_derating", separates="milliseconds against minutes", excitations=("gait", "burst_and_coast")),
-        Confusion(other="load_friction", separates="vary speed at equal load", excitations=("chirp", "hold_angles")),
+        Confusion("torque_saturation", "one joint alone against all together", ("steps", "gait")),
+        Confusion("thermal_derating", "milliseconds against minutes", ("gait", "burst_and_coast")),
+        Confusion("load_friction", "vary speed at equal load", ("chirp", "hold_angles")),
     ),
     servo=servo,
     measure=measure,

@@ -18,15 +18,9 @@ EFFECT = Effect(
     handed=("rate",),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="wall_effect", separates="changes sign with the direction of travel", excitations=("out_and_back",)),
-        Confusion(
-            other="swirl",
-            separates="u only: no cross drift at other x",
-            excitations=("station_left", "station_right", "drift_north"),
-        ),
-        Confusion(
-            other="steady_current", separates="the same run at two stations", excitations=("station_left", "station_right")
-        ),
+        Confusion("wall_effect", "changes sign with the direction of travel", ("out_and_back",)),
+        Confusion("swirl", "u only: no cross drift at other x", ("station_left", "station_right", "drift_north")),
+        Confusion("steady_current", "the same run at two stations", ("station_left", "station_right")),
     ),
     flow=flow,
 )

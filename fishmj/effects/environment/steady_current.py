@@ -22,16 +22,8 @@ EFFECT = Effect(
     shows=("position",),
     native="option wind (MuJoCo's own fluid only)",
     confusions=(
-        Confusion(
-            other="camera_yaw",
-            separates="a turned camera turns tracks, a current moves a resting fish",
-            excitations=("drift_east", "drift_north"),
-        ),
-        Confusion(
-            other="joint_zero_offset",
-            separates="an offset turns with the fish, a current does not",
-            excitations=("drift_east", "gait_mirrored"),
-        ),
+        Confusion("camera_yaw", "a turned camera turns tracks, a current moves a resting fish", ("drift_east", "drift_north")),
+        Confusion("joint_zero_offset", "an offset turns with the fish, a current does not", ("drift_east", "gait_mirrored")),
     ),
     flow=flow,
 )

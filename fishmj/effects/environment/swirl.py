@@ -18,12 +18,8 @@ EFFECT = Effect(
     handed=("rate",),
     shows=("position", "heading"),
     confusions=(
-        Confusion(
-            other="current_shear",
-            separates="cross drift at other x",
-            excitations=("station_left", "station_right", "drift_north"),
-        ),
-        Confusion(other="steady_current", separates="vanishes at the centre", excitations=("station_left", "station_right")),
+        Confusion("current_shear", "cross drift at other x", ("station_left", "station_right", "drift_north")),
+        Confusion("steady_current", "vanishes at the centre", ("station_left", "station_right")),
     ),
     flow=flow,
 )

@@ -24,8 +24,8 @@ EFFECT = Effect(
     handed=("y",),
     shows=("position",),
     confusions=(
-        Confusion(other="steady_current", separates="changes sign beyond the anchor", excitations=("out_and_back", "drift_east")),
-        Confusion(other="linear_surge_drag", separates="pulls a resting fish", excitations=("drift_east", "out_and_back")),
+        Confusion("steady_current", "changes sign beyond the anchor", ("out_and_back", "drift_east")),
+        Confusion("linear_surge_drag", "pulls a resting fish", ("drift_east", "out_and_back")),
     ),
     body=body,
 )

@@ -27,8 +27,8 @@ EFFECT = Effect(
     ),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="steady_current", separates="three replicates: the mean vanishes", excitations=("drift_east",)),
-        Confusion(other="noise_level", separates="grows with time, a resting log does not", excitations=("idle", "drift_east")),
+        Confusion("steady_current", "three replicates: the mean vanishes", ("drift_east",)),
+        Confusion("noise_level", "grows with time, a resting log does not", ("idle", "drift_east")),
     ),
     stochastic=True,
     stream="flow",

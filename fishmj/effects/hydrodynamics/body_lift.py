@@ -18,11 +18,9 @@ EFFECT = Effect(
     shows=("position", "heading"),
     native="body fluidcoef (Kutta lift)",
     confusions=(
-        Confusion(
-            other="munk_moment", separates="a force, not a moment: heading keeps", excitations=("tow_oblique", "turn_left")
-        ),
-        Confusion(other="crossflow_drag", separates="vanishes without speed ahead", excitations=("tow_sideways", "tow_oblique")),
-        Confusion(other="sway_added_mass", separates="does not need acceleration", excitations=("impulse", "turn_left")),
+        Confusion("munk_moment", "a force, not a moment: heading keeps", ("tow_oblique", "turn_left")),
+        Confusion("crossflow_drag", "vanishes without speed ahead", ("tow_sideways", "tow_oblique")),
+        Confusion("sway_added_mass", "does not need acceleration", ("impulse", "turn_left")),
     ),
     body=body,
 )

@@ -18,9 +18,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="1", low=-0.95, high=2.0, typical=(0.1, 0.4)),),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="yaw_drag", separates="shows in a side drift without turning", excitations=("tow_sideways", "twirl")),
-        Confusion(other="body_lift", separates="no speed ahead needed", excitations=("tow_sideways", "burst_and_coast")),
-        Confusion(other="tail_normal_force", separates="acts on the head as on the tail", excitations=("tow_sideways", "gait")),
+        Confusion("yaw_drag", "shows in a side drift without turning", ("tow_sideways", "twirl")),
+        Confusion("body_lift", "no speed ahead needed", ("tow_sideways", "burst_and_coast")),
+        Confusion("tail_normal_force", "acts on the head as on the tail", ("tow_sideways", "gait")),
     ),
     fish=fish,
 )

@@ -21,8 +21,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="N s2/m2", low=0.0, high=1000.0, typical=(20.0, 150.0)),),
     shows=("position",),
     confusions=(
-        Confusion(other="quadratic_drag", separates="only at speed; two depths", excitations=("burst_and_coast", "gait")),
-        Confusion(other="wall_effect", separates="the same everywhere in the tank", excitations=("out_and_back",)),
+        Confusion("quadratic_drag", "only at speed; two depths", ("burst_and_coast", "gait")),
+        Confusion("wall_effect", "the same everywhere in the tank", ("out_and_back",)),
     ),
     body=body,
 )

@@ -17,8 +17,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=0.5, typical=(0.005, 0.05)),),
     shows=("joint", "power"),
     confusions=(
-        Confusion(other="viscous_friction", separates="not in air", excitations=("chirp", "square")),
-        Confusion(other="crossflow_drag", separates="does not push the body", excitations=("gait", "tow_sideways")),
+        Confusion("viscous_friction", "not in air", ("chirp", "square")),
+        Confusion("crossflow_drag", "does not push the body", ("gait", "tow_sideways")),
     ),
     gear=gear,
 )

@@ -18,11 +18,9 @@ EFFECT = Effect(
     shows=("position",),
     native="option viscosity",
     confusions=(
-        Confusion(
-            other="quadratic_drag", separates="speeds of 3 to 1, coast to rest", excitations=("tow_ahead", "burst_and_coast")
-        ),
-        Confusion(other="steady_current", separates="coast in two headings", excitations=("burst_and_coast", "out_and_back")),
-        Confusion(other="tether", separates="does not depend on where the fish is", excitations=("out_and_back",)),
+        Confusion("quadratic_drag", "speeds of 3 to 1, coast to rest", ("tow_ahead", "burst_and_coast")),
+        Confusion("steady_current", "coast in two headings", ("burst_and_coast", "out_and_back")),
+        Confusion("tether", "does not depend on where the fish is", ("out_and_back",)),
     ),
     body=body,
 )

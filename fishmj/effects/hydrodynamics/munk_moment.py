@@ -17,9 +17,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="1", low=-1.5, high=2.0, typical=(0.1, 0.3)),),
     shows=("heading", "position"),
     confusions=(
-        Confusion(other="body_lift", separates="a moment, not a force", excitations=("tow_oblique", "turn_left")),
-        Confusion(other="com_offset", separates="needs speed", excitations=("impulse", "tow_oblique")),
-        Confusion(other="sway_added_mass", separates="needs no acceleration", excitations=("impulse", "tow_oblique")),
+        Confusion("body_lift", "a moment, not a force", ("tow_oblique", "turn_left")),
+        Confusion("com_offset", "needs speed", ("impulse", "tow_oblique")),
+        Confusion("sway_added_mass", "needs no acceleration", ("impulse", "tow_oblique")),
     ),
     body=body,
 )

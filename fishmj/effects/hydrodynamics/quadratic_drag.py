@@ -18,18 +18,10 @@ EFFECT = Effect(
     shows=("position",),
     native="option density with fluidcoef",
     confusions=(
-        Confusion(
-            other="tail_normal_force",
-            separates="one steady speed cannot tell thrust from drag: coast down",
-            excitations=("burst_and_coast", "gait"),
-        ),
-        Confusion(
-            other="linear_surge_drag", separates="speeds of 3 to 1, coast to rest", excitations=("tow_ahead", "burst_and_coast")
-        ),
-        Confusion(
-            other="free_surface", separates="grows with the square of speed, not faster", excitations=("burst_and_coast", "gait")
-        ),
-        Confusion(other="camera_scale", separates="a run of known length", excitations=("out_and_back",)),
+        Confusion("tail_normal_force", "one steady speed cannot tell thrust from drag: coast down", ("burst_and_coast", "gait")),
+        Confusion("linear_surge_drag", "speeds of 3 to 1, coast to rest", ("tow_ahead", "burst_and_coast")),
+        Confusion("free_surface", "grows with the square of speed, not faster", ("burst_and_coast", "gait")),
+        Confusion("camera_scale", "a run of known length", ("out_and_back",)),
     ),
     body=body,
 )

@@ -19,13 +19,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="1", low=-0.95, high=2.0, typical=(0.1, 0.3)),),
     shows=("position", "heading", "power"),
     confusions=(
-        Confusion(
-            other="quadratic_drag",
-            separates="one steady speed cannot tell thrust from drag: coast down",
-            excitations=("burst_and_coast", "gait"),
-        ),
-        Confusion(other="crossflow_drag", separates="not on the head", excitations=("tow_sideways", "gait")),
-        Confusion(other="wake_memory", separates="the same at every frequency", excitations=("chirp", "gait")),
+        Confusion("quadratic_drag", "one steady speed cannot tell thrust from drag: coast down", ("burst_and_coast", "gait")),
+        Confusion("crossflow_drag", "not on the head", ("tow_sideways", "gait")),
+        Confusion("wake_memory", "the same at every frequency", ("chirp", "gait")),
     ),
     fish=fish,
 )

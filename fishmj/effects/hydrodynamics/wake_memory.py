@@ -22,11 +22,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="time", unit="s", low=0.0, high=1.0, typical=(0.05, 0.3)),),
     shows=("position", "heading", "power"),
     confusions=(
-        Confusion(
-            other="command_latency", separates="acts on the force, the joints do not lag", excitations=("chirp", "impulse")
-        ),
-        Confusion(other="tail_normal_force", separates="changes with frequency", excitations=("chirp", "gait")),
-        Confusion(other="skin_hysteresis", separates="not in air", excitations=("square", "hold_angles")),
+        Confusion("command_latency", "acts on the force, the joints do not lag", ("chirp", "impulse")),
+        Confusion("tail_normal_force", "changes with frequency", ("chirp", "gait")),
+        Confusion("skin_hysteresis", "not in air", ("square", "hold_angles")),
     ),
     memory=(0.0, 0.0, 0.0),
     water=water,

@@ -35,13 +35,9 @@ EFFECT = Effect(
     parameters=(Parameter(name="gain", unit="1", low=-0.5, high=5.0, typical=(0.1, 0.5)),),
     shows=("position", "heading"),
     confusions=(
-        Confusion(
-            other="current_shear",
-            separates="the same in both directions of travel",
-            excitations=("out_and_back", "station_left", "station_right"),
-        ),
-        Confusion(other="lens_distortion", separates="acts on the motion, not on a resting fish", excitations=("out_and_back",)),
-        Confusion(other="quadratic_drag", separates="not in the middle of the tank", excitations=("out_and_back", "gait")),
+        Confusion("current_shear", "the same in both directions of travel", ("out_and_back", "station_left", "station_right")),
+        Confusion("lens_distortion", "acts on the motion, not on a resting fish", ("out_and_back",)),
+        Confusion("quadratic_drag", "not in the middle of the tank", ("out_and_back", "gait")),
     ),
     water=water,
     body=body,

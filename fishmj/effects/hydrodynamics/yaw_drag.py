@@ -17,8 +17,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=1.0, typical=(0.005, 0.05)),),
     shows=("heading", "position"),
     confusions=(
-        Confusion(other="crossflow_drag", separates="does not show in a side drift", excitations=("tow_sideways", "twirl")),
-        Confusion(other="yaw_added_mass", separates="end of a turn against its start", excitations=("twirl", "spin")),
+        Confusion("crossflow_drag", "does not show in a side drift", ("tow_sideways", "twirl")),
+        Confusion("yaw_added_mass", "end of a turn against its start", ("twirl", "spin")),
     ),
     body=body,
 )

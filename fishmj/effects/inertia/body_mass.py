@@ -33,11 +33,11 @@ EFFECT = Effect(
     native="body mass",
     confusions=(
         Confusion(
-            other="surge_added_mass",
-            separates="weigh it; a fast turn needs m u r, added mass in surge does not",
-            excitations=("burst_and_coast", "turn_left"),
+            "surge_added_mass",
+            "weigh it; a fast turn needs m u r, added mass in surge does not",
+            ("burst_and_coast", "turn_left"),
         ),
-        Confusion(other="quadratic_drag", separates="steady speed is the same", excitations=("gait", "burst_and_coast")),
+        Confusion("quadratic_drag", "steady speed is the same", ("gait", "burst_and_coast")),
     ),
     fish=fish,
 )

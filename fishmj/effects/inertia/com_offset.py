@@ -18,9 +18,9 @@ EFFECT = Effect(
     shows=("position", "heading"),
     native="body ipos",
     confusions=(
-        Confusion(other="body_lift", separates="no speed needed: flap on the spot", excitations=("impulse", "turn_left")),
-        Confusion(other="munk_moment", separates="no speed needed: flap on the spot", excitations=("impulse", "tow_oblique")),
-        Confusion(other="marker_offset", separates="the joints' commands move it", excitations=("spin", "impulse")),
+        Confusion("body_lift", "no speed needed: flap on the spot", ("impulse", "turn_left")),
+        Confusion("munk_moment", "no speed needed: flap on the spot", ("impulse", "tow_oblique")),
+        Confusion("marker_offset", "the joints' commands move it", ("spin", "impulse")),
     ),
     fish=fish,
 )

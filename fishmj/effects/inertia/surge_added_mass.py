@@ -20,11 +20,9 @@ EFFECT = Effect(
     native="body fluidcoef (ellipsoid model)",
     confusions=(
         Confusion(
-            other="body_mass",
-            separates="weigh it; a fast turn needs m u r, added mass in surge does not",
-            excitations=("burst_and_coast", "turn_left"),
+            "body_mass", "weigh it; a fast turn needs m u r, added mass in surge does not", ("burst_and_coast", "turn_left")
         ),
-        Confusion(other="quadratic_drag", separates="speeding up against coasting", excitations=("tow_ahead", "burst_and_coast")),
+        Confusion("quadratic_drag", "speeding up against coasting", ("tow_ahead", "burst_and_coast")),
     ),
     body=body,
 )

@@ -19,11 +19,9 @@ EFFECT = Effect(
     shows=("position", "heading"),
     native="body fluidcoef (ellipsoid model)",
     confusions=(
-        Confusion(other="munk_moment", separates="needs acceleration, not speed", excitations=("impulse", "burst_and_coast")),
-        Confusion(other="yaw_inertia", separates="side push without turning", excitations=("tow_sideways", "impulse")),
-        Confusion(
-            other="crossflow_drag", separates="start of a side push against its end", excitations=("tow_sideways", "turn_left")
-        ),
+        Confusion("munk_moment", "needs acceleration, not speed", ("impulse", "burst_and_coast")),
+        Confusion("yaw_inertia", "side push without turning", ("tow_sideways", "impulse")),
+        Confusion("crossflow_drag", "start of a side push against its end", ("tow_sideways", "turn_left")),
     ),
     body=body,
 )

@@ -18,8 +18,8 @@ EFFECT = Effect(
     shows=("heading",),
     native="body fluidcoef (ellipsoid model)",
     confusions=(
-        Confusion(other="yaw_inertia", separates="not in air", excitations=("impulse", "chirp")),
-        Confusion(other="yaw_drag", separates="start of a turn against its end", excitations=("twirl", "spin")),
+        Confusion("yaw_inertia", "not in air", ("impulse", "chirp")),
+        Confusion("yaw_drag", "start of a turn against its end", ("twirl", "spin")),
     ),
     body=body,
 )

@@ -18,8 +18,8 @@ EFFECT = Effect(
     shows=("heading", "joint"),
     native="body diaginertia",
     confusions=(
-        Confusion(other="yaw_added_mass", separates="acts in air too", excitations=("impulse", "chirp")),
-        Confusion(other="sway_added_mass", separates="sway is the same", excitations=("impulse", "turn_left")),
+        Confusion("yaw_added_mass", "acts in air too", ("impulse", "chirp")),
+        Confusion("sway_added_mass", "sway is the same", ("impulse", "turn_left")),
     ),
     fish=fish,
 )

@@ -16,7 +16,7 @@ EFFECT = Effect(
     source="overhead camera 3 m above water: 1 to 4 %",
     parameters=(Parameter(name="scale", unit="1", low=-0.2, high=0.2, typical=(0.01, 0.04)),),
     shows=("position",),
-    confusions=(Confusion(other="quadratic_drag", separates="a run of known length", excitations=("out_and_back",)),),
+    confusions=(Confusion("quadratic_drag", "a run of known length", ("out_and_back",)),),
     measure=measure,
     rank=2,
 )

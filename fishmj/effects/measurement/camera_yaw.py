@@ -19,11 +19,9 @@ EFFECT = Effect(
     handed=("angle",),
     shows=("position", "heading"),
     confusions=(
-        Confusion(other="heading_marker_offset", separates="turns the track too", excitations=("burst_and_coast", "gait")),
+        Confusion("heading_marker_offset", "turns the track too", ("burst_and_coast", "gait")),
         Confusion(
-            other="steady_current",
-            separates="a turned camera turns tracks, a current moves a resting fish",
-            excitations=("drift_east", "drift_north"),
+            "steady_current", "a turned camera turns tracks, a current moves a resting fish", ("drift_east", "drift_north")
         ),
     ),
     measure=measure,

@@ -18,8 +18,8 @@ EFFECT = Effect(
     handed=("angle",),
     shows=("heading",),
     confusions=(
-        Confusion(other="camera_yaw", separates="the track keeps its direction", excitations=("tow_oblique", "gait")),
-        Confusion(other="com_offset", separates="the same at rest", excitations=("drift_east", "turn_left")),
+        Confusion("camera_yaw", "the track keeps its direction", ("tow_oblique", "gait")),
+        Confusion("com_offset", "the same at rest", ("drift_east", "turn_left")),
     ),
     measure=measure,
     rank=4,

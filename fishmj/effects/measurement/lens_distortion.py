@@ -18,10 +18,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="k1", unit="1/m2", low=-0.1, high=0.1, typical=(0.003, 0.01)),),
     shows=("position",),
     confusions=(
-        Confusion(
-            other="camera_scale", separates="none at the centre", excitations=("station_left", "station_right", "out_and_back")
-        ),
-        Confusion(other="wall_effect", separates="bends a resting grid", excitations=("out_and_back",)),
+        Confusion("camera_scale", "none at the centre", ("station_left", "station_right", "out_and_back")),
+        Confusion("wall_effect", "bends a resting grid", ("out_and_back",)),
     ),
     measure=measure,
     rank=1,

@@ -17,8 +17,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="x", unit="m", low=-0.15, high=0.15, typical=(0.01, 0.04)),),
     shows=("position",),
     confusions=(
-        Confusion(other="camera_latency", separates="goes with heading, not with rate", excitations=("spin", "turn_left")),
-        Confusion(other="com_offset", separates="does not act on the motion", excitations=("spin", "impulse")),
+        Confusion("camera_latency", "goes with heading, not with rate", ("spin", "turn_left")),
+        Confusion("com_offset", "does not act on the motion", ("spin", "impulse")),
     ),
     measure=measure,
 )

@@ -6,7 +6,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def scatter(rng, p, record):
-    """Adds white noise so that the deviation of each channel becomes factor times sigma. record = (Seen, Seen of the sigmas)."""
+    """Adds white noise so that the deviation of each channel becomes factor times sigma. record = (Measured, sigmas)."""
     seen, sigma = record
     more = np.sqrt(np.maximum(p.factor**2 - 1.0, 0.0))
     noisy = {
@@ -25,7 +25,7 @@ EFFECT = Effect(
     parameters=(Parameter(name="factor", unit="1", null=1.0, low=1.0, high=10.0, typical=(1.5, 3.0)),),
     unplanted="its sensors have noise of their own, for all runs alike",
     shows=("joint", "position", "heading", "power"),
-    confusions=(Confusion(other="turbulence", separates="a resting log shows it", excitations=("idle", "drift_east")),),
+    confusions=(Confusion("turbulence", "a resting log shows it", ("idle", "drift_east")),),
     stochastic=True,
     stream="seen",
     scatter=scatter,

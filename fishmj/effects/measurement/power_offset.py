@@ -16,6 +16,6 @@ EFFECT = Effect(
     source="idle draw of boards: 0.1 to 0.5 W",
     parameters=(Parameter(name="power", unit="W", low=-2.0, high=3.0, typical=(0.1, 0.5)),),
     shows=("power",),
-    confusions=(Confusion(other="skin_stiffness", separates="the same at every angle", excitations=("idle", "hold_angles")),),
+    confusions=(Confusion("skin_stiffness", "the same at every angle", ("idle", "hold_angles")),),
     measure=measure,
 )

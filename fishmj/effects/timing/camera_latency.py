@@ -12,9 +12,9 @@ EFFECT = Effect(
     shows=("position", "heading"),
     native="sensor delay",
     confusions=(
-        Confusion(other="clock_offset", separates="only an event seen by both clocks", excitations=("impulse",)),
-        Confusion(other="marker_offset", separates="a marker's error goes with heading, not with rate", excitations=("spin",)),
-        Confusion(other="command_latency", separates="the joints do not lag", excitations=("chirp", "turn_left")),
+        Confusion("clock_offset", "only an event seen by both clocks", ("impulse",)),
+        Confusion("marker_offset", "a marker's error goes with heading, not with rate", ("spin",)),
+        Confusion("command_latency", "the joints do not lag", ("chirp", "turn_left")),
     ),
     delays={"pose": "delay"},
 )

@@ -15,11 +15,9 @@ EFFECT = Effect(
     shows=("position", "heading"),
     confusions=(
         Confusion(
-            other="camera_latency",
-            separates="only an event seen by both clocks; drift shows from start to end of a session",
-            excitations=("impulse",),
+            "camera_latency", "only an event seen by both clocks; drift shows from start to end of a session", ("impulse",)
         ),
-        Confusion(other="joint_sensor_delay", separates="joints keep their phase to the commands", excitations=("chirp",)),
+        Confusion("joint_sensor_delay", "joints keep their phase to the commands", ("chirp",)),
     ),
     delays={"pose": "offset"},
     drifts={"pose": "drift"},

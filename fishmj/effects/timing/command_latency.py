@@ -12,16 +12,8 @@ EFFECT = Effect(
     shows=("joint", "position", "heading", "power"),
     native="actuator delay",
     confusions=(
-        Confusion(
-            other="joint_sensor_delay",
-            separates="the body lags too, not only the joint channel",
-            excitations=("chirp", "turn_left"),
-        ),
-        Confusion(
-            other="servo_gain",
-            separates="a delay's phase grows with frequency without changing amplitude",
-            excitations=("chirp",),
-        ),
+        Confusion("joint_sensor_delay", "the body lags too, not only the joint channel", ("chirp", "turn_left")),
+        Confusion("servo_gain", "a delay's phase grows with frequency without changing amplitude", ("chirp",)),
     ),
     delays={"command": "delay"},
 )

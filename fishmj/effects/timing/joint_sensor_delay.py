@@ -12,9 +12,9 @@ EFFECT = Effect(
     shows=("joint",),
     native="sensor delay",
     confusions=(
-        Confusion(other="command_latency", separates="the body does not lag", excitations=("chirp", "turn_left")),
-        Confusion(other="viscous_friction", separates="phase grows with frequency, power is the same", excitations=("chirp",)),
-        Confusion(other="clock_offset", separates="camera and power keep their phase to the commands", excitations=("impulse",)),
+        Confusion("command_latency", "the body does not lag", ("chirp", "turn_left")),
+        Confusion("viscous_friction", "phase grows with frequency, power is the same", ("chirp",)),
+        Confusion("clock_offset", "camera and power keep their phase to the commands", ("impulse",)),
     ),
     delays={"joint": "delay"},
 )

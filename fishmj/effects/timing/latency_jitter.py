@@ -21,8 +21,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="sigma", unit="s", low=0.0, high=0.1, typical=(0.002, 0.02)),),
     shows=("joint", "position", "heading"),
     confusions=(
-        Confusion(other="packet_loss", separates="no plateaus; stamps at both ends", excitations=("sine",)),
-        Confusion(other="turbulence", separates="shows in the joints", excitations=("sine", "gait")),
+        Confusion("packet_loss", "no plateaus; stamps at both ends", ("sine",)),
+        Confusion("turbulence", "shows in the joints", ("sine", "gait")),
     ),
     stochastic=True,
     stream="command",

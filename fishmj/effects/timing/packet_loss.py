@@ -23,8 +23,8 @@ EFFECT = Effect(
     parameters=(Parameter(name="probability", unit="1", low=0.0, high=0.9, typical=(0.005, 0.05)),),
     shows=("joint", "position", "heading"),
     confusions=(
-        Confusion(other="latency_jitter", separates="isolated plateaus of whole packets", excitations=("sine",)),
-        Confusion(other="command_quantisation", separates="plateaus at random times, also in fast motion", excitations=("sine",)),
+        Confusion("latency_jitter", "isolated plateaus of whole packets", ("sine",)),
+        Confusion("command_quantisation", "plateaus at random times, also in fast motion", ("sine",)),
     ),
     stochastic=True,
     stream="command",

@@ -11,11 +11,7 @@ EFFECT = Effect(
     parameters=(Parameter(name="time", unit="s", low=0.0, high=0.5, typical=(0.04, 0.15)),),
     shows=(),
     confusions=(
-        Confusion(
-            other="camera_latency",
-            separates="logged velocity against the differences of logged poses",
-            excitations=("burst_and_coast", "turn_left"),
-        ),
+        Confusion("camera_latency", "logged velocity against the differences of logged poses", ("burst_and_coast", "turn_left")),
     ),
     delays={"velocity": "time"},
 )

@@ -24,7 +24,7 @@ NOISE = 0.01  # of the features
 THRUST, DECAY = 3.0, 1e-4
 FAR = 25.0  # squared error from which a row pulls no more
 RATE, BATCH = 4e-3, 40  # pieces a step
-THIN = 2  # forces are looked at in every second row, from a random one on
+THIN = 2  # forces are looked at in every second row
 
 
 class ForceFit(NamedTuple):
@@ -66,10 +66,10 @@ def forces(net: residual_network.Net, p: residual_network.Panels, rho: float, x,
     return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * push[None, :, None]
 
 
-def loss(net: residual_network.Net, windows: TrainingWindows, drawn, p: residual_network.Panels, rho: float, first: int = 0):
-    """The force part of L; drawn (E, P): the bootstrap weights b. `first`: row from which every `THIN`th counts."""
+def loss(net: residual_network.Net, windows: TrainingWindows, drawn, p: residual_network.Panels, rho: float):
+    """The force part of L; drawn (E, P): the bootstrap weights b."""
     z, _ = wakes(net, windows.x, windows.speed, windows.step)
-    thin = lambda a: a[first::THIN]
+    thin = lambda a: a[::THIN]
     x, push, left, weight = (thin(a) for a in (windows.x, windows.push, windows.left, windows.weight))
     error = (forces(net, p, rho, x, push, thin(z)) - left) / windows.size[:, :, None]
     w = drawn[:, None] * weight[None]
@@ -111,9 +111,8 @@ def learn(
     def step(net, state, part, weights, key):
         part = part._replace(step=windows.step)
         part = part._replace(x=part.x + NOISE * jax.random.normal(key, part.x.shape))
-        value, gradient = jax.value_and_grad(lambda net: loss(residual_network.without(net, **ablated), part, weights, p, rho))(
-            net
-        )
+        of_net = lambda net: loss(residual_network.without(net, **ablated), part, weights, p, rho)
+        value, gradient = jax.value_and_grad(of_net)(net)
         updates, state = optimiser.update(gradient, state)
         return optax.apply_updates(net, updates), state, value
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.hydro_fit.fit import wake_warmup
+from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force
@@ -110,12 +110,8 @@ class Match:
         """Errors of the windows of all swims."""
         view, errors = windows(track, self.fleet, self.tick), []
         speed = np.hypot(self.recorded_windows.surge, self.recorded_windows.sway)
-        for name, size, kind in (
-            ("surge", speed, "speed"),
-            ("sway", speed, "speed"),
-            ("yaw_rate", None, "yaw"),
-            ("power", None, "power"),
-        ):
+        channels = (("surge", speed, "speed"), ("sway", speed, "speed"), ("yaw_rate", None, "yaw"), ("power", None, "power"))
+        for name, size, kind in channels:
             share, floor = TOLERANCE[kind]
             modelled, measured = getattr(view, name), getattr(self.recorded_windows, name)
             tolerance = share * np.abs(measured if size is None else size) + floor
@@ -130,7 +126,7 @@ class Match:
         c = unflat(water.tolist())
         s = self.swim.chain.strips
         if self.learnt is not None and self._residual_force is None:  # it depends on the motion alone
-            self._residual_force = wake_warmup.warm_up(self.swim.chain, self.held, c, self.learnt, self.tick).force
+            self._residual_force = training_windows.warm_up(self.swim.chain, self.held, c, self.learnt, self.tick).force
         force = base_force(self.held, s, c, attachment(self.held, s, c, self.tick))
         modelled = thrusts(self.held, force if self._residual_force is None else force + self._residual_force)
         return pseudo_huber((modelled - self.thrust) / (THRUST * self.drag))

@@ -38,16 +38,6 @@ class Identified:
     parameters: tuple[IdentifiedParameter, ...]
     condition: float
 
-    @property
-    def calibrated(self) -> dict[str, float]:
-        """The parameters that may be quoted as measured."""
-        return {p.name: p.value for p in self.parameters if p.status == "identified"}
-
-    @property
-    def doubtful(self) -> dict[str, IdentifiedParameter]:
-        """The rest, by name."""
-        return {p.name: p for p in self.parameters if p.status != "identified"}
-
     def table(self) -> dict:
         """Plain numbers, for TOML and JSON."""
         return {"condition": float(self.condition), "parameters": {p.name: asdict(p) for p in self.parameters}}
@@ -89,11 +79,3 @@ def identify(prior: Prior, value: np.ndarray, hessian: np.ndarray) -> Identified
             )
         )
     return Identified(tuple(found), float(eigen[-1] / max(eigen[0], 1e-12)))
-
-
-def merged(*stages: Identified) -> Identified:
-    """Several fits one after the other: the last word on each parameter, the worst condition."""
-    last: dict[str, IdentifiedParameter] = {}
-    for stage in stages:
-        last |= {p.name: p for p in stage.parameters}
-    return Identified(tuple(last.values()), max(stage.condition for stage in stages))

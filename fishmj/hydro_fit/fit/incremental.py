@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.hydro_fit.fit import wake_warmup
+from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.gauss_newton import groups
 from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
-from fishmj.hydro_fit.fit.serialise import packed, unpacked
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
@@ -55,11 +54,11 @@ class Refit(FitPipeline):
         """The model as a fit has it that comes to its swims."""
         model, still = self.model, np.zeros((self.settings.members, len(groups(self.chain.n))))
         state: dict[str, Any] = {"water": flat(model.base), "factors": still, "alone": model.alone[0], "alone_factors": still}
-        return state if model.learnt is None else state | packed(model.learnt)
+        return state if model.learnt is None else state | residual_hooks.packed(model.learnt)
 
     def _swims(self, state) -> dict:
         trained = super()._swims(state)
-        if self.score(state["water"], unpacked(state | trained)) < self.score(state["water"], self.model.learnt):
+        if self.score(state["water"], residual_hooks.unpacked(state | trained)) < self.score(state["water"], self.model.learnt):
             return trained
         self.notes.append("swims: not taken")
         return {}
@@ -69,9 +68,8 @@ class Refit(FitPipeline):
         made, before = super()._with_range(net, water), self.model.learnt
         if before is None or before.reach is None:
             return made
-        return made._replace(
-            reach=residual_hooks.widened(before.reach, *wake_warmup.features(self.chain, rows_of(self.chain, self.force_records)))
-        )
+        features = training_windows.features(self.chain, rows_of(self.chain, self.force_records))
+        return made._replace(reach=residual_hooks.widened(before.reach, *features))
 
     def score(self, water: np.ndarray, learnt) -> float:
         """As in the first fit, the mean of the parts."""

@@ -33,7 +33,6 @@ class LinearFit(NamedTuple):
     water: strip_forces.Coefficients
     found: Identified
     noise: np.ndarray
-    objective: float
 
 
 def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick: float, *, stall: bool = True) -> LinearFit:
@@ -59,9 +58,9 @@ def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick:
             best = (c, columns, *solved)
     c, columns, theta, normal, noise, _ = best
     for _ in range(ROUNDS - 1):
-        theta, normal, noise, objective = _solve(prior, blocks, columns, target, noise, ch.n)
+        theta, normal, noise, _ = _solve(prior, blocks, columns, target, noise, ch.n)
     water = _coefficients(c, theta, ch.n)
-    return LinearFit(water, identify(prior, theta, normal), noise, objective)
+    return LinearFit(water, identify(prior, theta, normal), noise)
 
 
 def _prior(robot: Robot, links: int) -> Prior:
@@ -167,6 +166,3 @@ def _coefficients(c: strip_forces.Coefficients, theta: np.ndarray, links: int) -
     share = min(1.0, float(theta[push + 3 :].sum() / max(sum(k[1:]), 1e-6)))
     drags = {"cf": cf, "ca_forward": forward, "ca_backward": backward}
     return c._replace(k=k, cn=cn, **drags, ke=ke, lift_a=a, lift_b=b, suction=share)
-
-
-__all__ = ["LinearFit", "bounded", "fit_linear"]

@@ -11,7 +11,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +20,10 @@ import numpy as np
 from fishmj import interrupt
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError, StoreError
-from fishmj.hydro_fit.fit import (
-    force_training,
-    gauss_newton,
-    linear_regression,
-    prediction_interval,
-    rollout,
-    training_windows,
-    transient_tolerance,
-    wake_warmup,
-)
+from fishmj.hydro_fit.fit import force_training, gauss_newton, linear_regression, prediction_interval, rollout, training_windows
 from fishmj.hydro_fit.fit import rollout_training as swims
-from fishmj.hydro_fit.fit.code_hash import code
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
-from fishmj.hydro_fit.fit.serialise import packed, unpacked
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
@@ -45,6 +34,19 @@ from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
 TYPICAL = dict(zip(STAGES, (4.0, 25.0, 12.0, 204.0, 17.0, 30.0), strict=True))  # s, of 1000 swims on 16 cores; for the bar alone
+PACKAGE = Path(__file__).parents[2]
+ROOMS = ("dynamics", "water", "hydro_fit", "hydro_fit/fit")
+QUIET = {"__main__.py", "report.py", "online_correction.py"}  # what only asks or tells
+
+
+@cache
+def code(*more: str) -> str:
+    """sha256 over everything that a fit and its figures are computed by, and over the rooms `more`.
+
+    A stage that other code finished is not gone on with.
+    """
+    files = [path for room in (*ROOMS, *more) for path in sorted((PACKAGE / room).glob("*.py")) if path.name not in QUIET]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,11 @@ def quiet(stage: str, share: float, figures: dict) -> None:
     """Say nothing."""
 
 
+def learnt_of(state: dict) -> residual_hooks.Residual | None:
+    """The residual of a state, if there is one."""
+    return residual_hooks.unpacked(state) if "net.reach" in state else None
+
+
 class FitPipeline:
     """One fit of one robot.
 
@@ -98,10 +105,8 @@ class FitPipeline:
         self.limits = prior_of(robot)
         prior = {key: np.asarray(value).tolist() for key, value in vars(self.limits).items()}
         self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code()}
-        self.about |= {
-            "water": flat(planar_chain.nominal(robot).water).tolist(),
-            "records": [r.id for r in [*self.train, *self.val]],
-        }
+        self.about["water"] = flat(planar_chain.nominal(robot).water).tolist()
+        self.about["records"] = [r.id for r in [*self.train, *self.val]]
         # everything that decides the result: a stage that was kept is read again only where all of it is the same
         depends = self.about | {"settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
@@ -192,10 +197,10 @@ class FitPipeline:
         net = force_training.learn(
             self.chain, windows, net, steps=s.steps, seed=s.seed, ablated=self._ablated, report=report, loop=self.loop
         ).net
-        return packed(self._with_range(net, state["water"]))
+        return residual_hooks.packed(self._with_range(net, state["water"]))
 
     def _swims(self, state) -> dict:
-        learnt, water = unpacked(state), state["water"]
+        learnt, water = learnt_of(state), state["water"]
         if learnt is None or not self.settings.swims:
             return {}
         s, c = self.settings, unflat(water.tolist())
@@ -205,7 +210,7 @@ class FitPipeline:
         report = lambda k, n, cost: self._report("swims", k / n, loss=cost)
         trainer = swims.RolloutTrainer(self.robot, self.swim, pieces, tethered, windows, water, ablated=self._ablated)
         net = trainer.learn(learnt.net, steps=s.swims, seed=s.seed, report=report, loop=self.loop)
-        return packed(self._with_range(net, water))
+        return residual_hooks.packed(self._with_range(net, water))
 
     @property
     def _ablated(self) -> dict:
@@ -214,8 +219,8 @@ class FitPipeline:
     def _with_range(self, net: residual.Net, water) -> residual_hooks.Residual:
         """The net with the range of its training data, and a note on how it swims."""
         rows = rows_of(self.chain, self.force_records)
-        reach = residual_hooks.fitted(*wake_warmup.features(self.chain, rows), 1e6)
-        spread = wake_warmup.warm_up(
+        reach = residual_hooks.fitted(*training_windows.features(self.chain, rows), 1e6)
+        spread = training_windows.warm_up(
             self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
         ).spread
         # three times the typical disagreement of the members halves the force: beyond the data members disagree first
@@ -225,11 +230,11 @@ class FitPipeline:
         return learnt
 
     def _retune(self, state) -> dict:
-        learnt = unpacked(state)
+        learnt = learnt_of(state)
         return {} if learnt is None or not self.settings.rollout else self._gauss_newton(state, learnt, "retune")
 
     def _finish(self, state) -> dict:
-        learnt, water = unpacked(state), state["water"]
+        learnt, water = learnt_of(state), state["water"]
         if learnt is not None:
             alone, both = self.score(state["alone"], None), self.score(water, learnt)
             self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
@@ -252,12 +257,9 @@ class FitPipeline:
     def _band(self, fleet, water, waters, learnt) -> dict[str, list[float]]:
         parts = prediction_interval.of_members(self.swim, fleet, waters, learnt)
         trained = np.array([number < sum(map(rollout.is_free, self.train)) for number, _ in fleet.source])
-        return prediction_interval.fit_band(
-            prediction_interval.means(self.swim.run(fleet, water, learnt), fleet),
-            parts,
-            prediction_interval.means(rollout.recorded(fleet), fleet),
-            trained,
-        )
+        tracks = (self.swim.run(fleet, water, learnt), rollout.recorded(fleet))
+        mean, seen = (prediction_interval.means(track, fleet) for track in tracks)
+        return prediction_interval.fit_band(mean, parts, seen, trained)
 
     # what stages share
 
@@ -311,7 +313,7 @@ class FitPipeline:
             base=unflat(state["water"].tolist()),
             members=state["members"],
             alone=np.concatenate([state["alone"][None], state["alone_members"]]),
-            learnt=unpacked(state) if state["taken"] else None,
+            learnt=learnt_of(state) if state["taken"] else None,
             found=self.found,
             dataset=self.dataset | {"train_s": sum(r.seconds for r in self.train), "val_s": sum(r.seconds for r in self.val)},
             band=made,
@@ -321,9 +323,9 @@ class FitPipeline:
         )
 
     def _scores(self, state) -> dict:
-        """`from_rest`: what the strips' movement misses by (transient_tolerance.py)."""
-        whole = unpacked(state) if state["taken"] else None
-        rested = transient_tolerance.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
+        """`from_rest`: what the strips' movement misses by (`rollout.from_rest`)."""
+        whole = learnt_of(state) if state["taken"] else None
+        rested = rollout.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
         return {"validation": self.score(state["water"], whole), "from_rest": rested, "seconds": self.seconds}
 
     def _path(self, stage: str) -> Path | None:

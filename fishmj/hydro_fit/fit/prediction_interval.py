@@ -5,19 +5,32 @@ The variance that swims leave over, as a sum of three parts that are not negativ
 all scaled until 90 % of the swims lie inside (split conformal, Lei et al. 2018). Nothing is assumed about which part counts:
 where the members do not tell good swims from bad, their share is zero. Training swims, which the fit has seen, count as they are
 as long as they are no easier than the validation ones by more than chance; else their errors are scaled up by what they are.
-Swims that no fit has seen make it right for swims like them: `calibrate`.
+
+These swims need not resemble what the bar is asked about, and the fit has seen most of them. So `calibrated` scales every channel
+by the ceil((n + 1) 90 %)-th smallest of error / half width over n fresh swims, drawn as those it is for: a swim drawn in the same
+way lies inside in 90 % of all cases, whatever the errors look like (Lei et al. 2018, doi 10.1080/01621459.2017.1307116).
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow
+from fishmj.dynamics import planar_chain
+from fishmj.errors import DatasetError
+from fishmj.hydro_fit.fit import prediction_interval
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_batch_of, is_free, recorded
+from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
+from fishmj.water.hydro_model import HydroModel
+from fishmj.water.prior import flat
 
 CHANNELS = ("speed", "yaw_rate", "power")
 COVER = 0.90
 ROUNDS, LEAST = 10, 1e-3  # of weighting; of the whole variance, so that no swim is expected to be exact
+FEWEST = 40  # swims of a calibration: with fewer the factor hangs on the worst few
 
 
 class Means(NamedTuple):
@@ -96,3 +109,34 @@ def covered(mean: Means, members: list[Means], seen: Means, band: dict[str, list
     """Share of episodes inside the band, by channel."""
     inside = lambda c: np.abs(getattr(mean, c) - getattr(seen, c)) <= half_width(c, mean, members, band)
     return {channel: float(np.mean(inside(channel))) for channel in CHANNELS}
+
+
+def calibrated(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord], about: dict) -> HydroModel:
+    """The model with its bands scaled by swims that no fit has seen, with its residual and alone.
+
+    Args:
+        records: of which the free swims count. about: what is to be told about them; the number of swims is added.
+    Raises:
+        DatasetError: too few free swims, or records that the model was fitted to.
+    """
+    swims = [r for r in records if is_free(r)]
+    if len(swims) < FEWEST:
+        raise DatasetError(f"calibrate: {len(swims)} free swims; expected {FEWEST} or more: collect --fresh-test SEED --scale 5")
+    if about.get("sha256") == model.dataset.get("sha256"):
+        raise DatasetError(f"calibrate: {about.get('folder')} is what {model.name!r} was fitted to; collect --fresh-test SEED")
+    made = _scaled(model, robot, swims)
+    alone = made if model.learnt is None else _scaled(model.base_only, robot, swims)
+    return replace(model, band=made, band_alone=alone, calibration=about | {"swims": len(swims)})
+
+
+def _scaled(model: HydroModel, robot: Robot, swims: Sequence[SegmentRecord]) -> dict[str, list[float]]:
+    ch = planar_chain.chain_of(robot)
+    swim, fleet = SwimWindow(ch, model.swimmer(robot)), fish_batch_of(ch, robot, swims, seconds=1e6)
+    mean = prediction_interval.means(swim.run(fleet, flat(model.base), model.learnt), fleet)
+    members = prediction_interval.of_members(swim, fleet, model.members, model.learnt)
+    seen, out = prediction_interval.means(recorded(fleet), fleet), {}
+    for channel in prediction_interval.CHANNELS:
+        error = np.abs(getattr(mean, channel) - getattr(seen, channel))
+        needed = error / prediction_interval.half_width(channel, mean, members, model.band)
+        out[channel] = (prediction_interval.conformal(needed) * np.array(model.band[channel])).tolist()
+    return out

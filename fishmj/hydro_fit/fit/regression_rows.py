@@ -37,9 +37,17 @@ class RegressionRows(NamedTuple):
         edges = [0, *(np.flatnonzero(np.diff(self.record)) + 1).tolist(), len(self.record)]
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
-    def take(self, keep: np.ndarray) -> "RegressionRows":
-        """Some of the rows, boolean (M,)."""
-        return RegressionRows(*(value[..., keep] for value in self))
+    def wide(self, values: np.ndarray) -> np.ndarray:
+        """The records side by side, (.., M) -> (.., T, R); zero behind the end of a shorter one."""
+        spans = self.spans()
+        out = np.zeros((*values.shape[:-1], max(span.stop - span.start for span in spans), len(spans)))
+        for j, span in enumerate(spans):
+            out[..., : span.stop - span.start, j] = values[..., span]
+        return out
+
+    def line(self, values: np.ndarray) -> np.ndarray:
+        """The inverse of `wide`."""
+        return np.concatenate([values[..., : span.stop - span.start, j] for j, span in enumerate(self.spans())], -1)
 
 
 def ambient_of(record: SegmentRecord) -> np.ndarray:
@@ -120,17 +128,12 @@ def attachment(
     rows: RegressionRows, s: strip_forces.Strips, c: strip_forces.Coefficients, tick: float, start: float = 0.5
 ) -> np.ndarray:
     """Attachment of the tail in the middle of every tick, (M,), by exact steps; `start` at the first row of a record."""
-    spans = rows.spans()
-    longest = max(span.stop - span.start for span in spans)
-    u, w, omega = (np.zeros((longest, len(spans))) for _ in range(3))
-    for j, span in enumerate(spans):
-        for wide, value in zip((u, w, omega), rows.of(len(s.mu) - 1), strict=True):
-            wide[: span.stop - span.start, j] = value[1, span]
-    x, out = np.full(len(spans), start), np.zeros((longest, len(spans)))
-    for k in range(longest):
+    u, w, omega = (rows.wide(value[1]) for value in rows.of(len(s.mu) - 1))
+    x, out = np.full(u.shape[1], start), np.zeros(u.shape)
+    for k in range(len(u)):
         after = strip_forces.attachment(np, s, c, u[k], w[k], omega[k], x, tick)
         out[k], x = (x + after) / 2, after
-    return np.concatenate([out[: span.stop - span.start, j] for j, span in enumerate(spans)])
+    return rows.line(out)
 
 
 def added(rows: RegressionRows, s: strip_forces.Strips, i: int) -> np.ndarray:

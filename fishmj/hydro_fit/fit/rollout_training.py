@@ -23,12 +23,11 @@ import optax
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import force_training
-from fishmj.hydro_fit.fit.data_parallel import devices, quick, sharded, stacked
-from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.descent import Loop, devices, quick, sharded, stacked
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
-from fishmj.hydro_fit.fit.tolerance import TOLERANCE
+from fishmj.hydro_fit.fit.tolerance import TOLERANCE, of_movement
 from fishmj.hydro_fit.fit.training_windows import EVERY, TrainingWindows, motion_of, subset
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
@@ -106,14 +105,7 @@ def tethered_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: str
         return None
     rows, tick = rows_of(ch, chosen), chosen[0].tick
     m, strips = motion_of(residual_network.panels(ch), rows), base_force(rows, ch.strips, c, attachment(rows, ch.strips, c, tick))
-    longest = max(len(r.q) for r in chosen)
-
-    def wide(values):  # (.., M) -> (T, .., R)
-        parts = [values[..., span] for span in rows.spans()]
-        return np.moveaxis(
-            np.stack([np.pad(v, [(0, 0)] * (v.ndim - 1) + [(0, longest - v.shape[-1])]) for v in parts], -1), -2, 0
-        )
-
+    wide = lambda values: np.moveaxis(rows.wide(values), -2, 0)  # (.., M) -> (T, .., R)
     weight = wide(np.ones(len(rows.record)))[::EVERY]
     thrust = (thrusts(rows, force) for force in (strips, rows.force))
     motion = (wide(np.asarray(values))[::EVERY] for values in (m.x, m.speed, m.push))
@@ -252,6 +244,5 @@ def _body(q, v):
 
 def _tolerated(recorded, floors: float):
     """Of surge, sway and yaw rate as recorded, (.., 3)."""
-    (share, floor), (turn, still) = TOLERANCE["speed"], TOLERANCE["yaw"]
-    speed = share * jnp.hypot(recorded[..., 0], recorded[..., 1]) + floors * floor
-    return jnp.stack([speed, speed, turn * jnp.abs(recorded[..., 2]) + floors * still], -1)
+    speed, turn = of_movement(recorded[..., 0], recorded[..., 1], recorded[..., 2], floors, jnp)
+    return jnp.stack([speed, speed, turn], -1)

@@ -6,7 +6,7 @@ TOLERANCE = {"speed": (0.03, 0.004), "yaw": (0.05, np.radians(1.0)), "power": (0
 WINDOW = 0.5  # s, over which the movement of a short stretch is compared
 
 
-def of_movement(surge: np.ndarray, sway: np.ndarray, yaw_rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a velocity ahead and to the left, m/s, and of a yaw rate, rad/s, as recorded."""
+def of_movement(surge, sway, yaw_rate, floors: float = 1.0, xp=np) -> tuple:
+    """Of a velocity ahead and to the left, m/s, and of a yaw rate, rad/s, as recorded; the floors `floors` times as high."""
     (share, floor), (turn, still) = TOLERANCE["speed"], TOLERANCE["yaw"]
-    return share * np.hypot(surge, sway) + floor, turn * np.abs(yaw_rate) + still
+    return share * xp.hypot(surge, sway) + floors * floor, turn * xp.abs(yaw_rate) + floors * still

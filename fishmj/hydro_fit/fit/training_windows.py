@@ -1,4 +1,8 @@
-"""What the residual learns from: pieces of records with the force that the strips leave over, padded to one length."""
+"""What the residual learns from: pieces of records with the force that the strips leave over, padded to one length.
+
+Where a piece begins the water remembers: the wake is filled by the recorded motion before it (`warm_up`). The judge of forces
+needs the same.
+"""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -8,7 +12,7 @@ import numpy as np
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force, rows_of
 from fishmj.hydro_fit.record import SegmentRecord
-from fishmj.water import residual_network
+from fishmj.water import residual_hooks, residual_network
 
 PIECE, BURN = 4.0, 1.0  # s; the wake of a piece that begins inside a record fills during `BURN`
 EVERY = 2  # ticks from row to row: neighbours say the same
@@ -94,3 +98,38 @@ def training_windows_of(
 def subset(windows: TrainingWindows, at) -> TrainingWindows:
     """Some of the pieces."""
     return TrainingWindows._make([windows.step, *(a[..., at] for a in windows[1:6]), windows.size, windows.episode[at]])
+
+
+class WarmUp(NamedTuple):
+    """A model along M recorded ticks."""
+
+    force: np.ndarray  # (3, N, M) of the residual, N and N m about the link's origin
+    memory: np.ndarray  # (M, WAKES + 2) before each tick
+    spread: np.ndarray  # (M,) variance between the members' coefficients
+    outside: np.ndarray  # (M,) 1 where a link was outside the fitted range
+
+
+def warm_up(
+    ch: planar_chain.Chain, rows: RegressionRows, c: strip_forces.Coefficients, learnt: residual_hooks.Residual, tick: float
+) -> WarmUp:
+    """The model along all records side by side, each from rest: its forces are noted and do not act on the fish."""
+    u, w, omega = (rows.wide(value[1]) for value in (rows.u, rows.w, rows.omega))  # (N, T, R)
+    longest, count = u.shape[1:]
+    memory = [np.zeros(count) for _ in residual_hooks.at_rest()]
+    kept: list[tuple] = []
+    for k in range(longest):
+        motion = planar_chain.Links([], [], list(omega[:, k]), list(u[:, k]), list(w[:, k]), [])
+        hooks = residual_hooks.LearnedResidual(np, ch, learnt, memory)
+        force = np.array(hooks.advance(ch.strips, c, motion, tick))  # (N, 3, R)
+        new = [value + np.zeros(count) for value in hooks.end(ch, None, None, None)]
+        kept.append((force.transpose(1, 0, 2), np.array(memory), hooks.spread + np.zeros(count), new[-1] - memory[-1]))
+        memory = new
+    force, before, spread, outside = (np.stack(column, -2) for column in zip(*kept, strict=True))
+    return WarmUp(rows.line(force), rows.line(before).T, rows.line(spread), rows.line(outside))
+
+
+def features(ch: planar_chain.Chain, rows: RegressionRows) -> tuple[np.ndarray, np.ndarray]:
+    """xi (M, N, 5) and V_i (M, N) of every row: what the fitted range is made from."""
+    p, k = residual_network.panels(ch), links_of(rows)
+    xi, speed = residual_hooks.near(np, p, k, residual_network.motion(np, p, k))
+    return np.array(xi).transpose(2, 0, 1), np.array(speed).T

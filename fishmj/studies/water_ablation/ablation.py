@@ -18,8 +18,7 @@ from fishmj import interrupt
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.hydro_fit import free_swims
-from fishmj.hydro_fit.fit.code_hash import code
-from fishmj.hydro_fit.fit.pipeline import FitSettings
+from fishmj.hydro_fit.fit.pipeline import FitSettings, code
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_json, write_json

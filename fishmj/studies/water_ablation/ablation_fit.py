@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.hydro_fit.fit import pipeline
-from fishmj.hydro_fit.fit.serialise import unpacked
 from fishmj.store import plain
 from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import unflat
@@ -49,7 +48,7 @@ class Variant(pipeline.FitPipeline):
     def solve(self) -> HydroModel:
         """All stages but the last; the model with the residual in it, if there is one."""
         state = self.run_stages(NEEDS, time.process_time)
-        learnt = unpacked(state)
+        learnt = pipeline.learnt_of(state)
         self.scores = {"base": self.score(state["alone"], None), "whole": self.score(state["water"], learnt)}
         return HydroModel(
             name="variant",
