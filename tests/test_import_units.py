@@ -11,7 +11,7 @@ from fishmj import log
 from fishmj.errors import LogError
 from fishmj.log import plausible
 from fishmj.log.importers import guess, header
-from fishmj.log.importers.roles import role
+from fishmj.log.importers.header import role
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from fishmj.errors import LogError, UnknownName
 from fishmj.log.importers import header, values
 from fishmj.log.importers.column_map import is_column, measured
 from fishmj.log.importers.column_units import SI, measures, unit_of
-from fishmj.log.importers.roles import Role, role
+from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import quoted
 from fishmj.log.table_schema import TABLES, table_spec
