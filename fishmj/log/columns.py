@@ -2,7 +2,7 @@
 
 import re
 
-from fishmj.log.table_schema import table_spec
+from fishmj.log.trial import table_spec
 
 BY_KIND = {"angle": "rad", "heading": "rad", "rate": "rad/s", "position": "m", "speed": "m/s"}
 BY_NAME = {

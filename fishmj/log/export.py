@@ -32,8 +32,7 @@ from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
 from fishmj.log.npz_tables import row_place
-from fishmj.log.table_schema import SCHEMA, TABLES, table_spec
-from fishmj.log.trial import Trial, stacked
+from fishmj.log.trial import SCHEMA, TABLES, Trial, stacked, table_spec
 from fishmj.store import put_in_place, write_text
 from fishmj.store.manifest import MANIFEST, Manifest
 

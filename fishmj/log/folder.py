@@ -18,8 +18,7 @@ from fishmj.log.csv_tables import read_csv, read_text, write_csv
 from fishmj.log.limits import listed, quoted
 from fishmj.log.npz_tables import read_archive, row_place, write_archive
 from fishmj.log.plausible import of_meta
-from fishmj.log.table_schema import SCHEMA, TABLES
-from fishmj.log.trial import Table, Trial
+from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
 

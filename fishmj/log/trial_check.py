@@ -13,8 +13,7 @@ import numpy as np
 from fishmj.errors import LogError
 from fishmj.log.limits import listed, quoted
 from fishmj.log.plausible import Plausible, shipped
-from fishmj.log.table_schema import META, ORIGINS, SCHEMA, YEAR, TableSpec, look_up, table_spec
-from fishmj.log.trial import Table, gaps
+from fishmj.log.trial import META, ORIGINS, SCHEMA, YEAR, Table, TableSpec, gaps, look_up, table_spec
 
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
 

@@ -31,7 +31,7 @@ from fishmj.log import toml
 from fishmj.log.importers.column_units import SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import quoted, regular
-from fishmj.log.table_schema import TABLES, TableSpec, table_spec
+from fishmj.log.trial import TABLES, TableSpec, table_spec
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 _KINDS = {"angle": "angle", "heading": "angle", "rate": "rate", "position": "length", "speed": "speed"}

@@ -14,8 +14,7 @@ from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.rows import STRAY
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import quoted
-from fishmj.log.table_schema import table_spec
-from fishmj.log.trial import Table, Trial
+from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible
 
 EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start

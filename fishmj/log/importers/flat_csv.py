@@ -10,8 +10,7 @@ from pathlib import Path
 from fishmj.errors import LogError
 from fishmj.log.csv_tables import read_csv
 from fishmj.log.folder import FLAT, META_FILE, flat_trial, read_meta
-from fishmj.log.table_schema import table_spec
-from fishmj.log.trial import Trial
+from fishmj.log.trial import Trial, table_spec
 
 _HEADER = re.compile(r"(?P<name>[^\[\]()]+?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
 UNITS = {"angle": "rad", "heading": "rad", "rate": "rad/s", "position": "m", "speed": "m/s"}

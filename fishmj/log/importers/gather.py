@@ -14,16 +14,16 @@ from pathlib import Path
 from fishmj import console, names
 from fishmj.errors import FishmjError, LogError
 from fishmj.log.folder import FLAT_FILE, META_FILE
-from fishmj.log.importers import delimited, guess, mcap, messages, rosbag2, sheet
-from fishmj.log.importers.sheet import Sheet
+from fishmj.log.importers import delimited, guess, mcap, messages, rosbag2
+from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_table
 from fishmj.log.importers.topics import by_name
 from fishmj.log.limits import most_bytes, quoted
-from fishmj.log.table_schema import TABLES
+from fishmj.log.trial import TABLES
 
 SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders
 MANY = 100_000  # files
-TABLE_FILES = (*delimited.SUFFIXES, *sheet.PARQUET, *sheet.NPZ)
+TABLE_FILES = (*delimited.SUFFIXES, *PARQUET, *NPZ)
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ def read_sheets(path: Path) -> list[Sheet]:
     if is_recording(path):
         return messages.sheets(path, rosbag2.channels(path) if rosbag2.sniff(path) else mcap.channels(path))
     suffix = path.suffix.lower()
-    if suffix in sheet.PARQUET:
-        return [sheet.read_parquet(path)]
-    if suffix in sheet.NPZ:
-        return [sheet.read_table(path)]
+    if suffix in PARQUET:
+        return [read_parquet(path)]
+    if suffix in NPZ:
+        return [read_table(path)]
     if suffix in delimited.SUFFIXES or not suffix:
         return [delimited.read(path)]
     raise LogError(

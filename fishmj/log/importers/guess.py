@@ -14,7 +14,7 @@ from fishmj.log.importers.column_units import SI, measures, unit_of
 from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import quoted
-from fishmj.log.table_schema import TABLES, table_spec
+from fishmj.log.trial import TABLES, table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
