@@ -26,13 +26,11 @@ import numpy as np
 from fishmj import __version__, names
 from fishmj.errors import LogError, MissingExtra, StoreError
 from fishmj.log import foxglove, measurements, toml, trial_check
-from fishmj.log.columns import unit
-from fishmj.log.compact import read_bundle
-from fishmj.log.dataset import read_dataset
+from fishmj.log.dataset import read_bundle, read_dataset
 from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
-from fishmj.log.npz_tables import row_place
-from fishmj.log.trial import SCHEMA, TABLES, Trial, stacked, table_spec
+from fishmj.log.table_files import row_place
+from fishmj.log.trial import SCHEMA, TABLES, Trial, stacked, table_spec, unit
 from fishmj.store import put_in_place, write_text
 from fishmj.store.manifest import MANIFEST, Manifest
 

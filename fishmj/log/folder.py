@@ -14,10 +14,9 @@ import numpy as np
 from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import toml, trial_check
-from fishmj.log.csv_tables import read_csv, read_text, write_csv
 from fishmj.log.limits import listed, quoted
-from fishmj.log.npz_tables import read_archive, row_place, write_archive
 from fishmj.log.plausible import of_meta
+from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
@@ -109,7 +108,7 @@ def write_trial(
     Args:
         overwrite: replace an existing trial folder (never a folder that is no trial).
         form: "csv", "npz", or "auto" (npz for synthetic trials, csv for measured ones).
-        precision: of npz columns: "auto" (see `archive.narrow`), "float32" or "float64".
+        precision: of npz columns: "auto" (see `table_files.narrow`), "float32" or "float64".
 
     Raises:
         LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.

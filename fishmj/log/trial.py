@@ -122,6 +122,11 @@ TABLES = {
     ),
 }
 
+BY_KIND = {"angle": "rad", "heading": "rad", "rate": "rad/s", "position": "m", "speed": "m/s"}
+BY_NAME = {
+    **{"t": "s", "t_rx": "s", "V": "V", "I": "A", "frequency": "Hz", "ax": "m/s^2", "ay": "m/s^2", "az": "m/s^2"},
+    **{"temp#": "deg C", "f#x": "N", "f#y": "N", "m#": "N m", "r#x": "N", "r#y": "N", "n#": "N m", "a#": "1"},
+}
 META = (  # dotted keys that a complete meta.toml has; sigma and clock are tables with one entry a channel or table
     *("schema", "origin", "robot", "medium", "flow.speed", "flow.direction", "flow.known", "excitation", "replicate_of"),
     *("sigma", "clock", "target", "controller", "policy_sha256", "water", "seed", "versions", "commit", "notes", "licence"),
@@ -134,6 +139,15 @@ def table_spec(name: str) -> TableSpec:
     if name not in TABLES:
         raise UnknownName("table", name, TABLES)
     return TABLES[name]
+
+
+def unit(table: str, column: str) -> str:
+    """Unit of a column; "" where the schema names none (counts, qualities, observations, columns beyond the schema).
+
+    Raises:
+        UnknownName: no such table.
+    """
+    return BY_KIND.get(table_spec(table).kind(column), "") or BY_NAME.get(re.sub(r"\d+", "#", column), "")
 
 
 def look_up(meta: dict, key: str, default=None):

@@ -11,7 +11,6 @@ from fishmj.log import toml
 from fishmj.log.importers.assemble import Place, renamed, trial_of
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
-from fishmj.log.importers.rows import STRAY
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import quoted
 from fishmj.log.trial import Table, Trial, table_spec
@@ -21,7 +20,7 @@ EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 19
 DAY = 86_400.0  # s; clocks further apart than this are different clocks
 SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
-SPARSE = 0.5  # share of rows that must hold numbers when the file was not written at several rates
+STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
 def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -> Trial:

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, LogError
-from fishmj.log.csv_tables import read_text
+from fishmj.log.table_files import read_text
 from fishmj.log.trial import TABLES
 
 CLOCKS = ("log_time", "publish_time")

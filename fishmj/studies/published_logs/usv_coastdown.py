@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.log.importers.assemble import jumps, renamed, trial_of
-from fishmj.log.importers.rows import Rows, read_rows, without_strays
 from fishmj.log.trial import Trial
+from fishmj.studies.published_logs.number_rows import Rows, read_rows, without_strays
 
 SIX = ("speed", "yaw_rate", "northing", "easting", "bearing", "unix_ms")
 TWELVE = (
