@@ -11,8 +11,6 @@ import json
 import os
 import re
 import shutil
-import struct
-import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -123,33 +121,6 @@ def check_place(source: Path, out: Path, *, folder: bool, force: bool) -> None:
         raise StoreError(f"{out}: no export wrote it (no {MARK} in it); not replaced. Choose another place")
     if not folder and out.read_bytes()[: len(MAGIC)] != MAGIC:
         raise StoreError(f"{out}: is no MCAP file; not replaced. Choose another place")
-
-
-def carried(path: Path) -> dict | None:
-    """The meta data that an MCAP file of `export` carries; None in any other file, and without the library."""
-    try:
-        from mcap.exceptions import McapError
-        from mcap.reader import SeekingReader
-    except ImportError:
-        return None
-
-    damage = (McapError, OSError, ValueError, RecursionError, EOFError, KeyError, TypeError, RuntimeError, struct.error)
-    try:
-        with open(path, "rb") as file:
-            reader = SeekingReader(file, record_size_limit=path.stat().st_size)  # a damaged length cannot ask for all memory
-            for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
-                if attachment.name == META_FILE:
-                    meta = tomllib.loads(attachment.data.decode("utf-8"))
-                    trial_check.check_meta(meta, str(path))
-                    return meta if meta.get("schema") == SCHEMA else None
-    except (*damage, MemoryError, OverflowError, IndexError, AttributeError):  # whoever reads the messages says what is damaged
-        return None
-    return None
-
-
-def as_written(stamps: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    """Stamps [ns] of the messages of such a file in s, on the trial's own clock."""
-    return {name: np.array(values, dtype=float) / 1e9 for name, values in stamps.items()}
 
 
 # -------------------------------------------------------------------------------------------------------------------- source

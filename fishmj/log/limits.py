@@ -61,3 +61,8 @@ def quoted(text: object, most: int = 40) -> str:
     """`text` in quotes for a message: control characters out, shortened."""
     clean = "".join(c if c.isprintable() else "?" for c in str(text)[: most + 1])
     return repr(clean if len(clean) <= most else clean[: most - 2] + "..")
+
+
+def bare(text: object, most: int = 40) -> str:
+    """The same without the quotes."""
+    return quoted(text, most)[1:-1]

@@ -8,7 +8,7 @@ from fishmj.errors import FishmjError, LogError
 from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, faults, read_trial
 from fishmj.log.importers import gather
-from fishmj.log.limits import quoted
+from fishmj.log.limits import bare
 from fishmj.log.timebase import audit
 from fishmj.store import Manifest
 from fishmj.store.manifest import MANIFEST
@@ -42,7 +42,7 @@ def inspect(args: Namespace) -> int:
             problems = faults(path) or [str(error)]
             broken[name] = "; ".join(problems)
             for problem in problems:
-                console.warn(f"{quoted(name)[1:-1]}: {problem}")
+                console.warn(f"{bare(name)}: {problem}")
             continue
         console.say(audits[-1].text(), *(f"  note: {note}" for note in trial.notes), "")
     for line in changed:

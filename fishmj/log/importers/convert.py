@@ -8,13 +8,13 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.log import toml
-from fishmj.log.importers.assemble import Place, renamed, trial_of
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
+from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.limits import quoted
+from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import Table, Trial, table_spec
-from fishmj.log.trial_check import Implausible
+from fishmj.log.trial_check import Implausible, Place
 
 EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
 DAY = 86_400.0  # s; clocks further apart than this are different clocks
@@ -49,7 +49,7 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     for sheet in sheets:
         if rest := [column for column in sheet.columns if column not in used]:
             more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
-            notes.append(f"{sheet.name}: not read: {', '.join(quoted(c)[1:-1] for c in rest[:8])}{more}")
+            notes.append(f"{sheet.name}: not read: {', '.join(bare(c) for c in rest[:8])}{more}")
     return trial_of(name, meta, found, notes, lambda table, doubt: _advised(table, doubt, wanted.tables[table]))
 
 
@@ -109,10 +109,7 @@ def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
     near = get_close_matches(lacking[0], has, 1, 0.5)
     hint = f"; did you mean {quoted(near[0])}?" if near else ""
     told = "; it holds text" if text else ""
-    return (
-        f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has "
-        f"{', '.join(quoted(c)[1:-1] for c in has[:12])}"
-    )
+    return f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has {', '.join(bare(c) for c in has[:12])}"
 
 
 def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
@@ -130,7 +127,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
                 what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
                 raise LogError(
                     f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
-                    f"leave it out of the map, or --set {quoted(source.column)[1:-1]}=skip"
+                    f"leave it out of the map, or --set {bare(source.column)}=skip"
                 )
     keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)
     if not keep.any():

@@ -18,7 +18,7 @@ from fishmj import console
 from fishmj.errors import LogError
 from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
-from fishmj.log.limits import COLUMNS, LINE, check_size, quoted, regular
+from fishmj.log.limits import COLUMNS, LINE, bare, check_size, quoted, regular
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 BAD_ROWS = 0.01  # share of rows of another length that are left out with a note; more is another format
@@ -81,7 +81,7 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
 def _lines(path: Path, file) -> Iterator[tuple[int, str]]:
     """(number from 1, text) of every line that is not blank."""
     number, done = 0, 0
-    bar = console.Progress(path.stat().st_size, f"read {quoted(path.name)[1:-1]}", unit="B")
+    bar = console.Progress(path.stat().st_size, f"read {bare(path.name)}", unit="B")
     while line := file.readline(LINE + 1):
         number += 1
         done += len(line)

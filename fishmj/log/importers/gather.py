@@ -17,7 +17,7 @@ from fishmj.log.folder import FLAT_FILE, META_FILE
 from fishmj.log.importers import delimited, guess, mcap, messages, rosbag2
 from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_table
 from fishmj.log.importers.topics import by_name
-from fishmj.log.limits import most_bytes, quoted
+from fishmj.log.limits import bare, most_bytes, quoted
 from fishmj.log.trial import TABLES
 
 SOON = 5.0  # s before progress shows
@@ -161,9 +161,7 @@ def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: 
         elif entry.name not in ("manifest.json", "measurements.toml"):
             other.append(entry.name)
     if other and not depth:
-        notes.append(
-            f"{folder}: passed over: {', '.join(quoted(name)[1:-1] for name in other[:6])}{' ..' if len(other) > 6 else ''}"
-        )
+        notes.append(f"{folder}: passed over: {', '.join(bare(name) for name in other[:6])}{' ..' if len(other) > 6 else ''}")
     items = _heap(files, shelf, together, name=here, top=not depth) if files else []
     for sub in folders:
         items += _walk(sub, root, shelf, together, notes, "" if not depth else here, depth + 1)
@@ -232,7 +230,7 @@ def _is_one(tables: Sequence[Path], different: int) -> bool:
         return False
     raise LogError(
         f"{tables[0].parent}: {len(tables)} files with {different} sets of columns "
-        f"({', '.join(quoted(p.name)[1:-1] for p in tables[:4])}, ..): "
+        f"({', '.join(bare(p.name) for p in tables[:4])}, ..): "
         "are they one trial or many? Say --one-trial or --trial-each, or put the files of each trial into a folder of its own"
     )
 

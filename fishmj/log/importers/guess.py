@@ -13,7 +13,7 @@ from fishmj.log.importers.column_map import is_column, measured
 from fishmj.log.importers.column_units import SI, measures, unit_of
 from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.limits import quoted
+from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import TABLES, table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
@@ -107,7 +107,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     for k, kind in enumerate(found):
         out += _roles(k, kind, said)
     if unknown := [name for name in said if name not in {g.column for g in out}]:
-        raise UnknownName("column in --set", quoted(unknown[0])[1:-1], {quoted(g.column)[1:-1] for g in out})
+        raise UnknownName("column in --set", bare(unknown[0]), {bare(g.column) for g in out})
     out = _commanded_or_measured(out)
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]

@@ -7,20 +7,26 @@ refused by name: convert them, or write the log as a trial folder. A chunk is un
 
 import io
 import struct
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.export import carried
+from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
 from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
-from fishmj.log.limits import check_size, most_bytes, quoted, regular
-from fishmj.log.trial import Trial
+from fishmj.log.limits import bare, check_size, most_bytes, quoted, regular
+from fishmj.log.trial import SCHEMA, Trial
+from fishmj.log.trial_check import check_meta
 
 MAGIC = b"\x89MCAP0\r\n"
 SUFFIX = ".mcap"
 CHUNK = 512 << 20  # bytes, unpacked; recorders write 1 to 16 MB
+_DAMAGE = (  # what a damaged file raises, besides the libraries' own errors
+    *(struct.error, ValueError, RuntimeError, EOFError, KeyError, TypeError),
+    *(MemoryError, OverflowError, IndexError, AttributeError, OSError),
+)
 
 
 def sniff(path: Path) -> bool:
@@ -39,7 +45,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """
     beside = path.with_suffix(".toml")
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
-    own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
+    own = _carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
     if wanted is None:
         wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json"})
@@ -48,6 +54,27 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
                 f"{path}: no topic is named like a table; it has {messages.listed(found)}. Say which is which in {beside.name}"
             )
     return messages.mapped(path, found, wanted, own)
+
+
+def _carried(path: Path) -> dict | None:
+    """The meta data that a file of `log export` carries; None in any other, and without the library."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import SeekingReader
+    except ImportError:
+        return None
+
+    try:
+        with open(path, "rb") as file:
+            reader = SeekingReader(file, record_size_limit=path.stat().st_size)  # a damaged length cannot ask for all memory
+            for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
+                if attachment.name == META_FILE:
+                    meta = tomllib.loads(attachment.data.decode("utf-8"))
+                    check_meta(meta, str(path))
+                    return meta if meta.get("schema") == SCHEMA else None
+    except (McapError, *_DAMAGE):  # whoever reads the messages says what is damaged
+        return None
+    return None
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:
@@ -81,10 +108,6 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
         from mcap.stream_reader import StreamReader
     except ImportError as error:
         raise MissingExtra("mcap", "logs", "Reading MCAP recordings") from error
-    damage = (
-        *(McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, EOFError, KeyError, TypeError),
-        *(MemoryError, OverflowError, IndexError, AttributeError, OSError),
-    )
     known: dict[int, tuple[str, str, str]] = {}
     kinds: dict[int, str] = {}
     unpacked = 0
@@ -118,9 +141,9 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
                         yield *known[record.channel_id], record.log_time, record.publish_time, record.data
     except LogError:
         raise
-    except damage as error:
+    except (McapError, zstandard.ZstdError, *_DAMAGE) as error:
         raise LogError(
-            f"{path}: damaged, cut off, or no MCAP file ({type(error).__name__}: {quoted(error, 200)[1:-1]}); "
+            f"{path}: damaged, cut off, or no MCAP file ({type(error).__name__}: {bare(error, 200)}); "
             "try `mcap recover`, or record it again"
         ) from error
 

@@ -11,7 +11,7 @@ from fishmj.errors import LogError
 from fishmj.log.importers import mcap, messages
 from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
-from fishmj.log.limits import check_size, quoted, regular
+from fishmj.log.limits import bare, check_size, quoted, regular
 from fishmj.log.trial import Trial
 
 SUFFIX = ".db3"
@@ -112,7 +112,7 @@ def _database(path: Path, needed: set[str] | None) -> Found:
     except (sqlite3.Error, sqlite3.Warning, OverflowError, ValueError, MemoryError, OSError) as error:
         if isinstance(error, LogError):
             raise
-        raise LogError(f"{path}: damaged or no rosbag2 database ({quoted(error, 120)[1:-1]}); record it again") from error
+        raise LogError(f"{path}: damaged or no rosbag2 database ({bare(error, 120)}); record it again") from error
     for channel in found.values():
         channel.messages.sort(key=lambda message: message[0])
     return found

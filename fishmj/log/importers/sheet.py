@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.limits import COLUMNS, check_size, quoted, regular
+from fishmj.log.limits import COLUMNS, bare, check_size, quoted, regular
 from fishmj.log.trial import Table
 from fishmj.store import read_npz
 
@@ -35,7 +35,7 @@ class Sheet:
     def place(self, row: int, column: str) -> str:
         """file:line:column, for messages."""
         line = 1 if row < 0 or row >= len(self) else int(self.lines[row]) if self.lines is not None else row + 2
-        return f"{self.where}:{line}:{quoted(column)[1:-1]}"
+        return f"{self.where}:{line}:{bare(column)}"
 
     @property
     def where(self) -> str:

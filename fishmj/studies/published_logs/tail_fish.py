@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.importers.assemble import renamed, trial_of
+from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.trial import Trial
 from fishmj.studies.published_logs.number_rows import read_rows, without_strays
 
