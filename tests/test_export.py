@@ -13,7 +13,8 @@ from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError, Unkno
 from fishmj.log import __main__ as command
 from fishmj.log import foxglove, importers
 from fishmj.log.dataset import write_bundle
-from fishmj.log.export import carried, export
+from fishmj.log.export import export
+from fishmj.log.importers.mcap import carried
 from fishmj.log.trial import unit
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.geometry import geometry_of

@@ -89,9 +89,8 @@ def score(argv: list[str]) -> int:
 
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
-    from fishmj.calibrate.calibration_logs import Logs
-    from fishmj.calibrate.fit_check import gathered, one
-    from fishmj.calibrate.partial_results import PartialResults
+    from fishmj.calibrate.calibration_logs import Logs, PartialResults
+    from fishmj.calibrate.commands import check_one, check_rows
     from fishmj.gap.models.test_stand import ServoStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
@@ -109,10 +108,10 @@ def drawn(argv: list[str]) -> int:
         for done, (name, seed) in enumerate(names.items(), 1):
             off = kept.find(name)
             if off is None:
-                off = kept.keep(name, one(truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed)), plant))
+                off = kept.keep(name, check_one(truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed)), plant))
             robots.append(off)
             bar.update(done)
-    rows = gathered(robots)
+    rows = check_rows(robots)
     console.say(console.table(rows))
     if args.json:
         console.emit_json({"check": rows})

@@ -1,13 +1,15 @@
-"""The four calibrations as the command line calls them: fit, tables, report, fish file."""
+"""The four calibrations as the command line calls them: fit, tables, report, fish file. And how far off they are where the truth
+is known: the systematic part of every interval comes from there."""
 
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fishmj import console
-from fishmj.calibrate import calibrated_model, fit_plots, latency, mass, servo_fit, slip, slip_picture
-from fishmj.calibrate.bias import widened
+from fishmj.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip
 from fishmj.calibrate.calibration_logs import Logs, read
-from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.calibrate.least_squares import ParameterEstimate, widened
 from fishmj.errors import LogError
 from fishmj.gap.commands.doors import of_this_robot
 from fishmj.gap.models.test_stand import ServoStand
@@ -17,6 +19,7 @@ from fishmj.gap.workflow import compiled
 from fishmj.mjcf.description import Robot, load_robot
 
 Answer = dict[str, Any]
+Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 
 
 def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
@@ -110,7 +113,7 @@ def run_latency(args) -> Answer:
     robot = load_robot(args.model)
     logs, plant = benched(args, robot)
     fitted = servo_fit.calibrate(logs, plant, alone=False, bars=shown)
-    found = latency.calibrate(logs, fitted)
+    found = servo_fit.calibrate_latency(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
     every = {finding for audit in found.audits.values() for finding in audit.findings}
@@ -119,7 +122,7 @@ def run_latency(args) -> Answer:
     tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
     page = fit_plots.report(args.report, "Latency calibration", tables, None, said(logs))
     if "camera_latency" not in estimates:
-        needs = " and ".join(latency.ABRUPT)
+        needs = " and ".join(servo_fit.ABRUPT)
         console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
     if args.out:
         values = {name: calibrated_model.short(e.value) for name, e in estimates.items()}
@@ -151,9 +154,9 @@ def run_slip(args) -> Answer:
             f"{args.data}: slip: {found.doubt}. Nothing is written; record {needs} as well, or check the robot's masses"
         )
     tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
-    picture = slip_picture.draw(found, args.report / "slip.png")
+    picture = fit_plots.draw_slip(found, args.report / "slip.png")
     page = fit_plots.report(
-        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), slip_picture.WORDS
+        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), fit_plots.SLIP_WORDS
     )
     if args.out:
         calibrated_model.write(
@@ -201,7 +204,7 @@ def run_mass(args) -> Answer:
 
 def plain(estimates: dict[str, ParameterEstimate]) -> dict[str, dict]:
     """For JSON."""
-    return {name: e.plain() for name, e in estimates.items()}
+    return {name: e._asdict() for name, e in estimates.items()}
 
 
 VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": run_mass}
@@ -210,3 +213,30 @@ VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": r
 def default_report(verb: str) -> Path:
     """Where the report goes unless it is said."""
     return Path("runs") / "calibrate" / verb
+
+
+def check_one(true: dict[str, float], logs: Logs, plant: ServoStand) -> Off:
+    """Calibrate servo and latencies of a robot whose numbers are given."""
+    found = servo_fit.calibrate(logs, plant, alone=False)
+    fitted = found.estimates | {"camera_latency": servo_fit.calibrate_latency(logs, found).estimates["camera_latency"]}
+    wide = {name: widened(e) for name, e in fitted.items()}
+    return {
+        name: [e.value - true[name], true[name], bool(wide[name].low <= true[name] <= wide[name].high)]
+        for name, e in fitted.items()
+    }
+
+
+def check_rows(robots: list[Off]) -> list[dict]:
+    """Of all robots: mean and RMS error, share inside the 90 % interval."""
+    off = {name: [robot[name] for robot in robots] for name in robots[0]}
+    return [
+        {
+            "number": name,
+            "robots": len(cases),
+            "mean error": float(np.mean([a for a, _, _ in cases])),
+            "RMS error": float(np.sqrt(np.mean([a * a for a, _, _ in cases]))),
+            "RMS error %": float(100 * np.sqrt(np.mean([(a / b) ** 2 for a, b, _ in cases]))),
+            "inside": float(np.mean([c for _, _, c in cases])),
+        }
+        for name, cases in off.items()
+    ]

@@ -23,7 +23,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.delay import lag_between
+from fishmj.log.timebase import lag_between
 from fishmj.log.trial import Trial, stacked
 
 RATIO = 1.5  # a gap up to this many times the scatter of replicates is none

@@ -11,12 +11,11 @@ from fishmj.log import toml
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.registry import renamed, trial_of
-from fishmj.log.importers.sheet import DATE, Sheet
+from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
 from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible, Place
 
-EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
 DAY = 86_400.0  # s; clocks further apart than this are different clocks
 SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"

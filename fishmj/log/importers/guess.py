@@ -8,7 +8,7 @@ from glob import escape
 import numpy as np
 
 from fishmj.errors import LogError, UnknownName
-from fishmj.log.importers import header, values
+from fishmj.log.importers import column_units, header
 from fishmj.log.importers.column_map import is_column, measured
 from fishmj.log.importers.column_units import SI, measures, unit_of
 from fishmj.log.importers.header import Role, role
@@ -294,7 +294,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
         elif g.unit:
             if (shared := (g.unit, _sensor(g, what))) not in doubts:
                 alike = [kind.values(o.column) for o in guesses if o.state != LEFT and (o.unit, _sensor(o, what)) == shared]
-                doubts[shared] = values.against(g.unit, "joint" if _of_a_joint(g.places) else what, alike)
+                doubts[shared] = column_units.against(g.unit, "joint" if _of_a_joint(g.places) else what, alike)
             doubt, fits = doubts[shared]
             if g.unit == "px":
                 doubt = "px: say the metres of a pixel, and y's direction, in a map"
@@ -329,9 +329,9 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
     family = _family(g.place)
     mine = [o for o in guesses if o.state != LEFT and not o.unit and _family(o.place) == family]
     if what == "time":
-        return values.time_unit(kind.sheets[0].columns[g.column])
+        return column_units.time_unit(kind.sheets[0].columns[g.column])
     if what == "angle" and g.place.endswith("yaw"):
-        return values.heading_unit(kind.values(g.column))
+        return column_units.heading_unit(kind.values(g.column))
     if what == "length":
         axes = [
             o
@@ -343,14 +343,14 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
         spoken = {o.unit for o in axes if o.unit}
         if len(spoken) == 1:
             return spoken.pop(), "as its other axis"
-        return values.length_unit([s.columns[o.column] for o in axes for s in kind.sheets[:16]])
+        return column_units.length_unit([s.columns[o.column] for o in axes for s in kind.sheets[:16]])
     if what == "acceleration":
         middle = float(np.nanmedian(np.abs(kind.values(g.column))))
         return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
-    if what == "angle" and (doubt := values.mixed_angles({o.column: kind.values(o.column) for o in mine})):
+    if what == "angle" and (doubt := column_units.mixed_angles({o.column: kind.values(o.column) for o in mine})):
         return "", doubt
-    if what in values.BY_VALUE:
-        return values.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
+    if what in column_units.BY_VALUE:
+        return column_units.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
     return SI.get(what, ""), "no unit said"
 
 

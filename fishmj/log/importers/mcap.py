@@ -45,7 +45,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """
     beside = path.with_suffix(".toml")
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
-    own = _carried(path) if wanted is None else None  # a file of `log export` says itself what it is
+    own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
     if wanted is None:
         wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json"})
@@ -56,7 +56,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     return messages.mapped(path, found, wanted, own)
 
 
-def _carried(path: Path) -> dict | None:
+def carried(path: Path) -> dict | None:
     """The meta data that a file of `log export` carries; None in any other, and without the library."""
     try:
         from mcap.exceptions import McapError

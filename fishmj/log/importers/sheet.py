@@ -15,6 +15,7 @@ from fishmj.log.trial import Table
 from fishmj.store import read_npz
 
 DATE = "date"  # the unit of date-time stamps, which readers give as s since 1970
+EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
 
 
 @dataclass(frozen=True)
