@@ -17,16 +17,17 @@ from fishmj.log.trial import META, ORIGINS, SCHEMA, YEAR, Table, TableSpec, gaps
 
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
 
+_BOUNDS = {  # bound -> what a value does that is beyond it, and its unit
+    **{"angle": ("is", "rad"), "turns": ("is", "rad"), "rate": ("is", "rad/s"), "speed": ("is", "m/s")},
+    **{"start": ("starts at", "m"), "reach": ("goes away from its first row by", "m")},
+    **{"period": ("has a median step of", "s"), "voltage": ("is usually", "V"), "current": ("is usually", "A")},
+}
 _LIMITS = {
-    "angle": ("angle", "rad", "degrees; the schema says rad.", "Multiply the column by pi/180"),
-    "rate": ("rate", "rad/s", "degrees per second; the schema says rad/s.", "Multiply the column by pi/180"),
-    "speed": ("speed", "m/s", "mm/s; the schema says m/s.", "Divide the column by 1000"),
+    "angle": ("degrees; the schema says rad.", "Multiply the column by pi/180"),
+    "rate": ("degrees per second; the schema says rad/s.", "Multiply the column by pi/180"),
+    "speed": ("mm/s; the schema says m/s.", "Divide the column by 1000"),
 }
-_SUPPLY = {"V": ("voltage", "V"), "I": ("current", "A")}  # of the table power: bound, unit
-VERBS = {  # what a bound is about
-    **{"start": "starts at", "reach": "goes away from its first row by", "period": "has a median step of"},
-    **{"voltage": "is usually", "current": "is usually"},
-}
+_SUPPLY = {"V": "voltage", "I": "current"}  # of the table power: bound
 _MILLIMETRES = "looks like millimetres or pixels; the schema says m."
 _METRES = "Divide the column by 1000, or multiply it by the metres of a pixel"
 SCALED = 0.1  # of a decade: how near to a factor of 10, 100, 1000 a change of units is
@@ -42,12 +43,12 @@ class Implausible(LogError):
     column: of the schema. value: what `verb` says of it, in `si`; span: what a log may hold; bound: its name in plausible.toml.
     """
 
-    def __init__(
-        self, place: str, fault: str, fix: str, *, column: str, value: float, span: tuple[float, float], si: str, bound: str
-    ):
+    def __init__(self, place: str, fault: str, fix: str, column: str, value: float, bound: str, bounds: Plausible):
         super().__init__(f"{place}: {fault} {fix}")
-        self.place, self.column, self.value, self.span, self.si = place, column, value, span, si
-        self.verb, self.bound = VERBS.get(bound, "is"), f"{bound}_least" if abs(value) < span[0] else bound
+        low, high = bounds.span(bound)
+        self.place, self.column, self.value = place, column, value
+        self.span = (low, high * 2 * math.pi if bound == "turns" else high)
+        (self.verb, self.si), self.bound = _BOUNDS[bound], f"{bound}_least" if abs(value) < low else bound
 
     @property
     def told(self) -> str:
@@ -185,11 +186,7 @@ def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> list[str]:
             place(1, "t"),
             f"the median step is {middle:g} s, which looks like {unit}; the schema says s.",
             f"Divide the column by {factor}",
-            column="t",
-            value=middle,
-            span=(0.0, bounds.period),
-            si="s",
-            bound="period",
+            *("t", middle, "period", bounds),
         )
     if 0 < middle < FAST:
         notes.append(f"the median step is {middle:.3g} s, {1 / middle:.3g} rows a second: are the stamps in s?")
@@ -209,38 +206,25 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
     elif kind == "position":
         _check_position(column, np.asarray(values, float), np.asarray(t, float), place, bounds)
     elif kind:
-        bound, si, looks, fix = _LIMITS[kind]
-        most = getattr(bounds, bound)
-        bad = np.flatnonzero(np.abs(values) > most)
+        looks, fix = _LIMITS[kind]
+        bad = np.flatnonzero(np.abs(values) > getattr(bounds, kind))
         if len(bad):
-            value = float(values[bad[0]])
-            raise Implausible(
-                place(int(bad[0]), column),
-                f"column {column!r}: {value:g} looks like {looks}",
-                fix,
-                column=column,
-                value=value,
-                span=(0.0, most),
-                si=si,
-                bound=bound,
-            )
+            row, value = int(bad[0]), float(values[bad[0]])
+            fault = f"column {column!r}: {value:g} looks like {looks}"
+            raise Implausible(place(row, column), fault, fix, column, value, kind, bounds)
 
 
 def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausible) -> None:
     """A supply by its usual value: one that is off, or an inrush, tells nothing of the unit."""
-    bound, si = _SUPPLY[column]
-    value, span = usual(values), bounds.span(bound)
-    if value and not span[0] <= value <= span[1]:
-        looks, fix = (f"k{si}", "Multiply") if value < span[0] else (f"m{si}", "Divide")
+    value, (low, high) = usual(values), bounds.span(_SUPPLY[column])
+    if value and not low <= value <= high:
+        si = _BOUNDS[_SUPPLY[column]][1]
+        looks, fix = (f"k{si}", "Multiply") if value < low else (f"m{si}", "Divide")
         raise Implausible(
             place(int(np.argmax(np.abs(values) >= value)), column),
             f"column {column!r}: usually {value:g}, which looks like {looks}; the schema says {si}.",
             f"{fix} the column by 1000",
-            column=column,
-            value=value,
-            span=span,
-            si=si,
-            bound=bound,
+            *(column, value, _SUPPLY[column], bounds),
         )
 
 
@@ -272,11 +256,7 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         place(bad, column),
         f"column {column!r}: {told}, which {_MILLIMETRES}",
         f"{_METRES}; if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import",
-        column=column,
-        value=value,
-        span=(0.0, getattr(bounds, name)),
-        si="m/s" if name == "speed" else "m",
-        bound=name,
+        *(column, value, name, bounds),
     )
 
 
@@ -329,9 +309,5 @@ def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bo
             place(bad, column),
             f"column {column!r}: {yaw[bad]:g} looks like degrees; the schema says rad.",
             "Multiply the column by pi/180",
-            column=column,
-            value=float(yaw[bad]),
-            span=(0.0, most),
-            si="rad",
-            bound="turns",
+            *(column, float(yaw[bad]), "turns", bounds),
         )
