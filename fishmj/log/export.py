@@ -265,10 +265,10 @@ def _streams(trial: Trial, solids: tuple[Solid, ...], zero: float) -> list[Itera
     seen = next((tables[name] for name in ("pose", "truth") if name in tables), None)
     for name in ("pose", "truth"):
         if name in tables:
-            out.append(_poses(f"/{name}_in_tank", tables[name], zero, lambda at, *p: foxglove.pose(at, *p)))
+            out.append(_drawn(f"/{name}_in_tank", tables[name], "x y yaw", zero, foxglove.pose))
     if seen is not None:
         tank, fish = foxglove.TANK, foxglove.FISH
-        out.append(_poses("/tf", seen, zero, lambda at, *p: foxglove.frame(at, tank, fish, *p)))
+        out.append(_drawn("/tf", seen, "x y yaw", zero, lambda at, *p: foxglove.frame(at, tank, fish, *p)))
         bends = next(((tables[n], c) for n, c in (("joint", "j#"), ("truth", "j#"), ("cmd", "c#")) if n in tables), None)
         angles = None if bends is None else stacked(*bends)
         fits = angles is not None and angles.shape[1] == len(solids) - 1
@@ -283,7 +283,7 @@ def _streams(trial: Trial, solids: tuple[Solid, ...], zero: float) -> list[Itera
             first = _ns(float(seen["t"][0]), zero)
             out.append(iter([(first, 0, "/scene_target", foxglove.target(first, float(at[0]), float(at[1])))]))
     if "target" in tables:
-        out.append(_targets(tables["target"], zero))
+        out.append(_drawn("/scene_target", tables["target"], "x y", zero, foxglove.target))
     return out
 
 
@@ -294,24 +294,18 @@ def _rows(name: str, table: dict, zero: float) -> Iterator[Entry]:
         yield _ns(message["t"], zero), row, f"/{name}", message
 
 
-def _poses(topic: str, table: dict, zero: float, made: Callable[..., Json]) -> Iterator[Entry]:
-    for row, (t, x, y, yaw) in enumerate(
-        zip(*(np.asarray(table[c], float).tolist() for c in ("t", "x", "y", "yaw")), strict=True)
-    ):
+def _drawn(topic: str, table: dict, columns: str, zero: float, made: Callable[..., Json]) -> Iterator[Entry]:
+    """What `made` makes of the values of some columns, names with blanks between, row by row."""
+    values = (np.asarray(table[c], float).tolist() for c in columns.split())
+    for row, (t, *rest) in enumerate(zip(np.asarray(table["t"], float).tolist(), *values, strict=True)):
         at = _ns(t, zero)
-        yield at, row, topic, made(at, x, y, yaw)
+        yield at, row, topic, made(at, *rest)
 
 
 def _bent(stamps, angles: np.ndarray, solids: tuple[Solid, ...], zero: float) -> Iterator[Entry]:
     for row, (t, bend) in enumerate(zip(np.asarray(stamps, float).tolist(), angles.tolist(), strict=True)):
         at = _ns(t, zero)
         yield at, row, "/tf_links", foxglove.links(at, solids, bend)
-
-
-def _targets(table: dict, zero: float) -> Iterator[Entry]:
-    for row, (t, x, y) in enumerate(zip(*(np.asarray(table[c], float).tolist() for c in ("t", "x", "y")), strict=True)):
-        at = _ns(t, zero)
-        yield at, row, "/scene_target", foxglove.target(at, x, y)
 
 
 def _zero(trial: Trial) -> float:

@@ -15,7 +15,7 @@ from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import toml, trial_check
 from fishmj.log.limits import listed, quoted
-from fishmj.log.plausible import of_meta
+from fishmj.log.plausible import Plausible, of_meta
 from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.plain_file import trouble
@@ -24,14 +24,7 @@ from fishmj.store import put_in_place, write_text
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
 FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
 FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd", "on#": "cmd", "temp#": "joint"}
-FLAT |= {
-    "amplitude": "gait",
-    "bias": "gait",
-    "frequency": "gait",
-    "surge": "velocity",
-    "sway": "velocity",
-    "yaw_rate": "velocity",
-}
+FLAT |= dict.fromkeys(("amplitude", "bias", "frequency"), "gait") | dict.fromkeys(("surge", "sway", "yaw_rate"), "velocity")
 
 
 def read_trial(path: str | Path) -> Trial:
@@ -47,9 +40,8 @@ def read_trial(path: str | Path) -> Trial:
     if path.is_file() and path.suffix == ".csv":
         return _read_flat(path)
     if not path.is_dir():
-        if (why := trouble(path)).startswith("is "):
-            raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
-        raise LogError(f"{path}: no such trial; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
+        why = why if (why := trouble(path)).startswith("is ") else "no such trial"
+        raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
     _inside(path, path / FLAT_FILE)
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
@@ -64,14 +56,19 @@ def read_trial(path: str | Path) -> Trial:
             continue
         if file.stem in tables:
             raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
-        _inside(path, file)
-        table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-        notes += trial_check.check_table(file.stem, table, place, bounds)
-        tables[file.stem] = table
+        tables[file.stem], told = _read_table(file, bounds)
+        notes += told
     if not tables:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += trial_check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
+
+
+def _read_table(file: Path, bounds: Plausible) -> tuple[Table, list[str]]:
+    """One table of a trial folder, checked, and the notes of its check."""
+    _inside(file.parent, file)
+    table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
+    return table, trial_check.check_table(file.stem, table, place, bounds)
 
 
 def _inside(folder: Path, file: Path) -> None:
@@ -92,9 +89,7 @@ def faults(path: Path) -> list[str]:
     for file in files:
         if file.suffix in (".csv", ".npz") and file.stem in TABLES:
             try:
-                _inside(path, file)
-                table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-                trial_check.check_table(file.stem, table, place, bounds)
+                _read_table(file, bounds)
             except FishmjError as error:
                 out.append(str(error))
     return out
