@@ -1,6 +1,7 @@
 """What a foreign file may cost: its kind, its size unpacked, and how much of it a message may repeat."""
 
 import os
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,6 +12,10 @@ VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
 DEFAULT_GB = 2.0
 LINE = 1 << 20  # characters of one line of text
 COLUMNS = 4096
+DAMAGE = (  # what a damaged file raises in a library that reads it, besides the library's own errors
+    *(struct.error, OSError, ValueError, TypeError, AttributeError, AssertionError, LookupError, ArithmeticError),
+    *(EOFError, MemoryError, RuntimeError),
+)
 
 
 def most_bytes() -> int:

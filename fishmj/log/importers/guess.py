@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from glob import escape
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,14 @@ class Guess:
     @property
     def place(self) -> str:
         return self.places[0] if self.places else ""
+
+    def left(self, why: str) -> "Guess":
+        """It, left out."""
+        return replace(self, state=LEFT, places=(), why=why)
+
+    def unclear(self, why: str, **changes: Any) -> "Guess":
+        """It, left to the user."""
+        return replace(self, state=UNCLEAR, why=why, **changes)
 
 
 @dataclass(frozen=True)
@@ -184,15 +193,11 @@ def _silent(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     dead = [_of_a_joint(g.places) and not np.isfinite(found[g.kind].values(g.column)).any() for g in guesses]
     alive = {(g.kind, _family(p)) for g, no in zip(guesses, dead, strict=True) if not no for p in g.places}
     why = "holds no number, other joints of its table do: was it unplugged?"
-    lost = lambda g: any((g.kind, _family(p)) in alive for p in g.places)
-    return [
-        g
-        if not no or g.said
-        else replace(g, state=UNCLEAR, why=why)
-        if lost(g)
-        else replace(g, state=LEFT, places=(), why=why[:15])
-        for g, no in zip(guesses, dead, strict=True)
-    ]
+    out = []
+    for g, no in zip(guesses, dead, strict=True):
+        lost = any((g.kind, _family(p)) in alive for p in g.places)
+        out.append(g if not no or g.said else g.unclear(why) if lost else g.left("holds no number"))
+    return out
 
 
 def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
@@ -204,12 +209,8 @@ def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
     for g in guesses:
         if g.state == UNCLEAR and len(g.places) == 2 and g.places[0].startswith("cmd.c"):
             if commanded != measured_:
-                i, why = (
-                    (1, "an angle beside commanded ones: measured")
-                    if commanded
-                    else (0, "an angle beside measured ones: commanded")
-                )
-                g = replace(g, state=TAKEN, places=(g.places[i],), why=why)
+                why = "an angle beside commanded ones: measured" if commanded else "an angle beside measured ones: commanded"
+                g = replace(g, state=TAKEN, places=(g.places[1 if commanded else 0],), why=why)
             elif g.column in servo and not any(
                 o.column not in servo and o.state == UNCLEAR and o.places[:1] == g.places[:1] for o in guesses
             ):
@@ -225,7 +226,7 @@ def _from_one(guesses: list[Guess]) -> list[Guess]:
         if not g.said and g.place and (found := _NUMBER.search(g.place)):
             families.setdefault(_NUMBER.sub("#", g.place).rstrip("xy"), []).append(i)
             if int(found[0]) > 999:
-                guesses[i] = replace(g, state=LEFT, places=(), why="its number is beyond any joint's")
+                guesses[i] = g.left("its number is beyond any joint's")
     for mine in families.values():
         if any(_NUMBER.search(guesses[i].place)[0] == "0" for i in mine if guesses[i].place):  # type: ignore[index]
             for i in mine:
@@ -249,9 +250,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
             out[bare[0]] = replace(out[bare[0]], places=(template + "1",), why=out[bare[0]].why + "; the only one")
         elif bare:
             for n, i in enumerate(bare, start=1):
-                out[i] = replace(
-                    out[i], state=UNCLEAR, places=(f"{template}{n}",), why="which joint is it, counted from the nose?"
-                )
+                out[i] = out[i].unclear("which joint is it, counted from the nose?", places=(f"{template}{n}",))
         numbers = [int(out[i].place.removeprefix(template)) for i in mine if i not in bare]
         if (
             numbers
@@ -260,14 +259,9 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
             and len(set(numbers)) == len(numbers)
         ):
             for i in (i for i in mine if i not in bare):
-                out[i] = replace(
-                    out[i], state=UNCLEAR, why=f"numbers {', '.join(map(str, sorted(numbers)))} have holes: which joint is it?"
-                )
+                out[i] = out[i].unclear(f"numbers {', '.join(map(str, sorted(numbers)))} have holes: which joint is it?")
     if any(g.place.endswith("#") for g in out):
-        out = [
-            replace(g, state=LEFT, places=(), why="needs a number") if g.place.endswith("#") and g.state == TAKEN else g
-            for g in out
-        ]
+        out = [g.left("needs a number") if g.place.endswith("#") and g.state == TAKEN else g for g in out]
     return [replace(g, places=tuple(p.replace("#", "1") for p in g.places)) for g in out]
 
 
@@ -287,7 +281,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 raise LogError(
                     f"--set {quoted(g.column)}: {g.unit} measures {measures(g.unit)}; {g.place} is in {SI.get(what) or 'no unit'}"
                 )
-            out.append(replace(g, state=UNCLEAR, why=f"{g.unit} is no unit of {g.place}"))
+            out.append(g.unclear(f"{g.unit} is no unit of {g.place}"))
             continue
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
@@ -298,7 +292,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             doubt, fits = doubts[shared]
             if g.unit == "px":
                 doubt = "px: say the metres of a pixel, and y's direction, in a map"
-            out.append(replace(g, state=UNCLEAR, why=doubt, fits=tuple(fits)) if doubt else g)
+            out.append(g.unclear(doubt, fits=tuple(fits)) if doubt else g)
         elif not what:
             out.append(g)
         else:
@@ -382,9 +376,9 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             tied = [r[-1] for r in rank if r[:-1] == best[:-1]]
             for i in stamps:
                 if len(tied) > 1 and i in tied:
-                    out[i] = replace(out[i], state=UNCLEAR, why=f"{len(tied)} columns of time: which stamps the row?")
+                    out[i] = out[i].unclear(f"{len(tied)} columns of time: which stamps the row?")
                 elif i != best[-1]:
-                    out[i] = replace(out[i], state=LEFT, places=(), why="another column of time is taken")
+                    out[i] = out[i].left("another column of time is taken")
     places: dict[str, list[int]] = {}
     for i, g in enumerate(out):
         if g.place and g.place not in ("t", NANOSECONDS) and g.state == TAKEN:
@@ -393,10 +387,10 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
         said = [i for i in mine if out[i].said]
         for i in mine if len(mine) > 1 else []:
             if said and i not in said:
-                out[i] = replace(out[i], state=LEFT, places=(), why=f"another column was said to be {place}")
+                out[i] = out[i].left(f"another column was said to be {place}")
             elif not said or len(said) > 1:
                 others = ", ".join(quoted(out[o].column) for o in mine if o != i)
-                out[i] = replace(out[i], state=UNCLEAR, why=f"{place} is also {others}: which?")
+                out[i] = out[i].unclear(f"{place} is also {others}: which?")
     return out
 
 
@@ -422,10 +416,7 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     for k in range(len(found)):
         mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place not in ("t", NANOSECONDS)]
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
-            out = [
-                replace(g, state=LEFT, places=(), why="the file has no column of time") if i in mine and not g.said else g
-                for i, g in enumerate(out)
-            ]
+            out = [g.left("the file has no column of time") if i in mine and not g.said else g for i, g in enumerate(out)]
             continue
         for table in {out[i].place.partition(".")[0] for i in mine}:
             have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.place.startswith(f"{table}.")}
@@ -434,15 +425,12 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             if lacking:
                 why = f"table {table} also needs {', '.join(lacking)}"
                 out = [
-                    replace(g, state=LEFT, places=(), why=why)
-                    if i in mine and g.place.startswith(f"{table}.") and not g.said
-                    else g
-                    for i, g in enumerate(out)
+                    g.left(why) if i in mine and g.place.startswith(f"{table}.") and not g.said else g for i, g in enumerate(out)
                 ]
     first: dict[str, int] = {}
     for i, g in enumerate(out):
         table = g.place.partition(".")[0] if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
         if table and first.setdefault(table, g.kind) != g.kind:
             why = f"table {table} lies in another file already; a table of ours is one file with one clock"
-            out[i] = replace(g, state=UNCLEAR if g.said else LEFT, places=g.places if g.said else (), why=why)
+            out[i] = g.unclear(why) if g.said else g.left(why)
     return out

@@ -6,7 +6,6 @@ refused by name: convert them, or write the log as a trial folder. A chunk is un
 """
 
 import io
-import struct
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,17 +15,13 @@ from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
 from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
-from fishmj.log.limits import bare, check_size, most_bytes, quoted, regular
+from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
 from fishmj.log.trial import SCHEMA, Trial
 from fishmj.log.trial_check import check_meta
 
 MAGIC = b"\x89MCAP0\r\n"
 SUFFIX = ".mcap"
 CHUNK = 512 << 20  # bytes, unpacked; recorders write 1 to 16 MB
-_DAMAGE = (  # what a damaged file raises, besides the libraries' own errors
-    *(struct.error, ValueError, RuntimeError, EOFError, KeyError, TypeError),
-    *(MemoryError, OverflowError, IndexError, AttributeError, OSError),
-)
 
 
 def sniff(path: Path) -> bool:
@@ -72,7 +67,7 @@ def carried(path: Path) -> dict | None:
                     meta = tomllib.loads(attachment.data.decode("utf-8"))
                     check_meta(meta, str(path))
                     return meta if meta.get("schema") == SCHEMA else None
-    except (McapError, *_DAMAGE):  # whoever reads the messages says what is damaged
+    except (McapError, *DAMAGE):  # whoever reads the messages says what is damaged
         return None
     return None
 
@@ -141,7 +136,7 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
                         yield *known[record.channel_id], record.log_time, record.publish_time, record.data
     except LogError:
         raise
-    except (McapError, zstandard.ZstdError, *_DAMAGE) as error:
+    except (McapError, zstandard.ZstdError, *DAMAGE) as error:
         raise LogError(
             f"{path}: damaged, cut off, or no MCAP file ({type(error).__name__}: {bare(error, 200)}); "
             "try `mcap recover`, or record it again"

@@ -17,7 +17,7 @@ from fishmj.log.importers import header
 from fishmj.log.importers.registry import trial_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.importers.topics import UNITS, Field, Topic, Topics
-from fishmj.log.limits import bare, quoted
+from fishmj.log.limits import DAMAGE, bare, quoted
 from fishmj.log.trial import Table, Trial
 
 DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks
@@ -351,17 +351,7 @@ def _cdr(where: str, store, kind: str, data: bytes) -> dict:
 
     try:
         return _plain(store.deserialize_cdr(data, kind))
-    except (
-        SerdeError,
-        ValueError,
-        IndexError,
-        KeyError,
-        TypeError,
-        OverflowError,
-        MemoryError,
-        RecursionError,
-        AssertionError,
-    ) as error:
+    except (SerdeError, *DAMAGE) as error:
         raise LogError(f"{where}: not a valid {kind} message ({bare(error, 100)}); record it again") from error
 
 

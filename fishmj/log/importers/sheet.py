@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.limits import COLUMNS, bare, check_size, quoted, regular
+from fishmj.log.limits import COLUMNS, DAMAGE, bare, check_size, quoted, regular
 from fishmj.log.trial import Table
 from fishmj.store import read_npz
 
@@ -102,25 +102,14 @@ def read_parquet(path: Path) -> Sheet:
                 ):
                     notes.append(f"{path.name}: column {quoted(name)} holds {quoted(kind)}; left out")
                     continue
-                parts = []
-                for batch in file.iter_batches(columns=[column.name], batch_size=1 << 16):
-                    parts.append(_numbers(pa, batch.column(0)))
+                batches = file.iter_batches(columns=[column.name], batch_size=1 << 16)
+                parts = [_numbers(pa, batch.column(0)) for batch in batches]
                 columns[name] = np.concatenate(parts) if parts else np.zeros(0)
                 if _is_stamp(pa, kind):
                     units[name] = DATE
     except LogError:
         raise
-    except (
-        pa.ArrowException,
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        OverflowError,
-        MemoryError,
-        RuntimeError,
-    ) as error:
+    except (pa.ArrowException, *DAMAGE) as error:
         raise LogError(
             f"{path}: damaged or no Parquet file ({type(error).__name__}: {quoted(error, 120)}); write it again"
         ) from error
