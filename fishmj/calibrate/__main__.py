@@ -15,22 +15,18 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 def fit(verb: str, argv: list[str]) -> int:
     """One of the calibrations: servo, latency, slip, mass."""
-    again = interrupt.again("start again")
-    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
-        return _fit(verb, argv)
-
-
-def _fit(verb: str, argv: list[str]) -> int:
     from fishmj.calibrate.commands import VERBS
 
-    args = options(verb).parse_args(argv)
-    if args.out and args.out.is_file():
-        load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
-    if verb == "slip":
-        if args.ratios and not args.recompute:
-            raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
-        args.ratios = args.ratios or RATIOS
-    answer = VERBS[verb](args)
+    again = interrupt.again("start again")
+    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+        args = options(verb).parse_args(argv)
+        if args.out and args.out.is_file():
+            load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
+        if verb == "slip":
+            if args.ratios and not args.recompute:
+                raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
+            args.ratios = args.ratios or RATIOS
+        answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
     if "report" in answer:
@@ -78,13 +74,6 @@ def options(verb: str) -> console.Parser:
         add("--device", type=console.device, default="cpu", help="with --recompute: auto, cpu, cuda")
         add("--tanks", type=console.whole(1, 64), default=1, help="with --recompute: swims side by side")
     return made
-
-
-def score(argv: list[str]) -> int:
-    """Fitted numbers against the sealed ones."""
-    from fishmj.studies.hidden_lbm import score as hidden_score
-
-    return hidden_score.main(argv)
 
 
 def drawn(argv: list[str]) -> int:
@@ -145,7 +134,7 @@ main = console.CommandGroup(
         ),
         "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
         "score": Command(
-            score,
+            "fishmj.studies.hidden_lbm.score",
             "synthetic trials only: fitted against the sealed values",
             "fishmj calibrate score --model fish.calibrated.toml",
         ),

@@ -70,8 +70,6 @@ class LeastSquaresFit(NamedTuple):
 
 
 Residual = Callable[[np.ndarray], np.ndarray]  # (R, K) -> (R, m)
-
-
 Tick = Callable[[float], None]  # share of a fit that is done, at the least
 
 

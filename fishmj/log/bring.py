@@ -337,10 +337,7 @@ def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial
 
 def _page(sources: Sequence[Path]) -> dict:
     """What was weighed, where it lies beside the trials."""
-    for source in sources:
-        if source.is_dir() and (source / measurements.FILE).is_file():
-            return measurements.read(source)
-    return {}
+    return next((page for source in sources if source.is_dir() and (page := measurements.read(source))), {})
 
 
 def _changed(sources: Sequence[Path]) -> list[str]:

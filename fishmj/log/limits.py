@@ -56,10 +56,10 @@ def regular(path: Path, *, empty: bool = False) -> int:
     return size
 
 
-def listed(names: Iterable[object], most: int = 60) -> str:
+def listed(names: Iterable[object]) -> str:
     """Names of columns for a message, with commas between them and shortened: a foreign file's first line is not repeated."""
     clean = "".join(c if c.isprintable() else "?" for c in ", ".join(map(str, names)))
-    return clean if len(clean) <= most else clean[: most - 2] + ".."
+    return clean if len(clean) <= 60 else clean[:58] + ".."
 
 
 def quoted(text: object, most: int = 40) -> str:

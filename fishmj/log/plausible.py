@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 from fishmj.calib import calib_folder, read_toml
@@ -48,9 +48,6 @@ class Plausible:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
                 raise LogError(f"{where}: {name} = {str(value)[:40]!r}; expected a positive number, in SI units")
         return replace(self, **{name: float(value) for name, value in said.items()})
-
-    def as_dict(self) -> dict[str, float]:
-        return asdict(self)
 
 
 @cache

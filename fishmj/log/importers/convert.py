@@ -113,7 +113,8 @@ def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
 
 def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
     """(columns in SI, their places, notes, whether the stamps count from 1970)."""
-    t, absolute, notes = _seconds(table, sheet, entry.t)
+    t, absolute = _seconds(sheet, entry.t)
+    notes = []
     out: Table = {"t": t}
     names = {"t": entry.t.column}
     for column, source in entry.columns.items():
@@ -182,8 +183,8 @@ def _switched(table: str, columns: Table) -> int:
     return int(found[0] + 1) * reach if len(found) and len(size) > 1 else 0
 
 
-def _seconds(table: str, sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool, list[str]]:
-    """Stamps in s, whether they count from 1970, notes."""
+def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
+    """Stamps in s, and whether they count from 1970."""
     raw = sheet.columns[stamp.column]
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
     t = raw * (1.0 if dated else stamp.factor)
@@ -192,8 +193,7 @@ def _seconds(table: str, sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool, 
     finite = t[np.isfinite(t)]
     if not len(finite):
         raise LogError(f"{sheet.place(0, stamp.column)}: column {quoted(stamp.column)} of time stamps holds no number")
-    absolute = dated or abs(float(finite[0])) > EPOCH
-    return t, absolute, []
+    return t, dated or abs(float(finite[0])) > EPOCH
 
 
 def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: str) -> tuple[np.ndarray, list[str]]:

@@ -60,7 +60,8 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
                 return name, [f"read as {_NAMES[name]}"]
         file.seek(0)
         decoder, valid, line = codecs.getincrementaldecoder("utf-8")(), True, 1
-        while block := file.read(1 << 20):
+        while True:
+            block = file.read(1 << 20)
             if (at := block.find(b"\0")) >= 0:
                 line += block.count(b"\n", 0, at)
                 raise LogError(
@@ -68,13 +69,11 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
                 )
             line += block.count(b"\n")
             try:
-                valid and decoder.decode(block)
+                valid and decoder.decode(block, final=not block)
             except UnicodeDecodeError:
                 valid = False
-        try:
-            valid and decoder.decode(b"", final=True)
-        except UnicodeDecodeError:
-            valid = False
+            if not block:
+                break
     return ("utf-8", []) if valid else ("latin-1", ["not UTF-8, read as Latin-1"])
 
 
@@ -299,9 +298,6 @@ def _date(text: str) -> float | None:
         return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3].replace(",", "."))
     try:
         found = datetime.fromisoformat(text.replace(",", "."))
-    except ValueError:
-        return None
-    try:
         return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
     except (OverflowError, ValueError):
         return None

@@ -218,7 +218,7 @@ def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: s
         return [*out, Item(name if not top and len(files) == 1 else _joined("" if top else name, tables[0].stem), (tables[0],))]
     different = len(guess.kinds(sheet for file in tables for sheet in shelf.sheets(file)))
     if together if together is not None else _is_one(tables, different):
-        return [*out, Item(name or _common(tables), tuple(tables))]
+        return [*out, Item(name or tables[0].parent.resolve().name or "trial", tuple(tables))]
     return [*out, *(Item(_joined("" if top else name, file.stem), (file,)) for file in tables)]
 
 
@@ -233,10 +233,6 @@ def _is_one(tables: Sequence[Path], different: int) -> bool:
         f"({', '.join(bare(p.name) for p in tables[:4])}, ..): "
         "are they one trial or many? Say --one-trial or --trial-each, or put the files of each trial into a folder of its own"
     )
-
-
-def _common(files: Sequence[Path]) -> str:
-    return files[0].parent.resolve().name or "trial"
 
 
 def _joined(prefix: str, name: str) -> str:
