@@ -11,13 +11,14 @@ from typing import NoReturn
 
 from fishmj import calib, console, names
 from fishmj.errors import FishmjError, LogError, UsageError
-from fishmj.log import importers, measurements, plausible
+from fishmj.log import importers, measurements
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, guessed, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
 from fishmj.log.trial import Trial
+from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
 from fishmj.store import Manifest, write_text
 from fishmj.store.manifest import MANIFEST
 
@@ -119,7 +120,7 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The command `log import`: import, write, and say what came in and what did not. Returns the exit code."""
     args = options().parse_args(argv)
-    with plausible.relaxing(args.plausible or {}):
+    with relaxed_bounds(args.plausible or {}):
         try:
             return _run(args)
         except LogError as error:  # names from files stand in it
@@ -181,7 +182,7 @@ def _meta(args: Namespace) -> dict:
         meta["robot"], joints = robot_of(args.robot)
         meta |= {"joints": joints} if joints else {}
     if args.plausible:
-        meta[plausible.KEY] = args.plausible
+        meta[PLAUSIBLE] = args.plausible
     return meta
 
 
@@ -214,13 +215,13 @@ def _start(text: str) -> list[float]:
     parts = text.split(",")
     if len(parts) != 3:
         raise ArgumentTypeError(f"got {text[:40]!r}, expected three numbers x,y,yaw [m, m, rad], such as 0,0,1.57")
-    reach = plausible.shipped().start
+    reach = shipped_bounds().start
     return [console.number(-reach, reach)(part) for part in parts[:2]] + [console.number(-6.3, 6.3)(parts[2])]
 
 
 def _bounds(text: str) -> dict[str, float]:
     try:
-        return plausible.told(text)
+        return read_bounds(text)
     except FishmjError as error:
         raise ArgumentTypeError(str(error)) from error
 
@@ -434,8 +435,8 @@ def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict]
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     """What was said on the command line goes before what the file says."""
     said = {key: value for key, value in meta.items() if key not in ("source",)}
-    if (bounds := said.get(plausible.KEY)) and isinstance(trial.meta.get(plausible.KEY), dict):
-        said[plausible.KEY] = {**trial.meta[plausible.KEY], **bounds}
+    if (bounds := said.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
+        said[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
     whole = {"origin": "measured", **trial.meta, **said}
     notes = list(trial.notes)
     joints = said.get("joints")

@@ -15,9 +15,9 @@ from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import toml, trial_check
 from fishmj.log.limits import listed, quoted
-from fishmj.log.plausible import Plausible, of_meta
 from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
+from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
 
@@ -46,7 +46,7 @@ def read_trial(path: str | Path) -> Trial:
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
     meta, notes = read_meta(path / META_FILE, required=True)
-    bounds = of_meta(meta, str(path / META_FILE))
+    bounds = bounds_of(meta, str(path / META_FILE))
     tables: dict[str, Table] = {}
     for file in sorted(path.iterdir()):
         if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
@@ -82,7 +82,7 @@ def faults(path: Path) -> list[str]:
     out: list[str] = []
     try:
         meta, _ = read_meta(path / META_FILE, required=True)
-        bounds = of_meta(meta, str(path / META_FILE))
+        bounds = bounds_of(meta, str(path / META_FILE))
         files = sorted(path.iterdir())
     except (FishmjError, OSError) as error:
         return [str(error)] if path.is_dir() else []
@@ -110,7 +110,7 @@ def write_trial(
     """
     folder = Path(folder)
     meta_text = checked_meta(folder, trial.meta)
-    bounds = of_meta(trial.meta, str(folder / META_FILE))
+    bounds = bounds_of(trial.meta, str(folder / META_FILE))
     tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
     for name, table in tables.items():
         trial_check.check_table(name, table, row_place(folder / name), bounds)
@@ -195,7 +195,7 @@ def flat_trial(samples: Table, place: trial_check.Place, path: Path, meta: dict,
             notes.append(f"{path.name}: column {quoted(column)} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
         raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
-    bounds = of_meta(meta, str(path.with_name(META_FILE)))
+    bounds = bounds_of(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
         notes += trial_check.check_table(name, table, place, bounds)
     return Trial(meta, tables, name=path.parent.name, notes=(*notes, *trial_check.check_counts(tables)))

@@ -1,20 +1,26 @@
 """Is a table or a meta dictionary what the schema says? The same checks run on reading and on writing.
 
 A breach is a `LogError` that begins with file:line:column (row number and column number for binary tables) and ends
-with the fix. What is merely absent or unusual is returned as notes.
+with the fix. What is merely absent or unusual is returned as notes. How large a value may be before its unit is doubted says
+`data/calib/plausible.toml`, relaxed by a trial's `[plausible]`.
 """
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.calib import calib_folder, read_toml
+from fishmj.errors import LogError, UnknownName
 from fishmj.log.limits import listed, quoted
-from fishmj.log.plausible import Plausible, shipped
 from fishmj.log.trial import META, ORIGINS, SCHEMA, YEAR, Table, TableSpec, gaps, look_up, table_spec
 
+PLAUSIBLE = "plausible"  # of meta.toml
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
 
 _BOUNDS = {  # bound -> what a value does that is beyond it, and its unit
@@ -35,6 +41,91 @@ JUMP, AROUND = 5.0, 50  # m of a step that stays, and rows on either side that s
 FAST = 1.999e-4  # s, a median step below which the unit of the stamps is doubted
 STEP = 1e-3  # s; shorter steps of stamps are jitter
 _STAMPS = ((3e3, "milliseconds", "1000"), (3e6, "microseconds", "1e6"), (math.inf, "nanoseconds", "1e9"))  # by the median step
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """Bounds on magnitude, SI units and radians; a value outside is taken for a mistake of units."""
+
+    angle: float  # rad, a joint
+    rate: float  # rad/s
+    reach: float  # m from the first row
+    start: float  # m, the first row
+    speed: float  # m/s
+    turns: float  # of a heading before the first row
+    period: float  # s, median time step
+    tank: float  # m, a position in cm or mm
+    voltage: float  # V, a supply
+    voltage_least: float
+    current: float  # A, of a supply
+    current_least: float
+
+    def span(self, name: str) -> tuple[float, float]:
+        """(least, largest) of a bound."""
+        return getattr(self, f"{name}_least", 0.0), getattr(self, name)
+
+    def relaxed(self, said: Mapping, where: str) -> "Plausible":
+        """These bounds with those of `said` in their place.
+
+        Raises:
+            LogError: a value is no positive number. UnknownName: no such bound.
+        """
+        known = [f.name for f in fields(self)]
+        for name, value in said.items():
+            if name not in known:
+                raise UnknownName(f"bound in {where}", str(name)[:40], known)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise LogError(f"{where}: {name} = {str(value)[:40]!r}; expected a positive number, in SI units")
+        return replace(self, **{name: float(value) for name, value in said.items()})
+
+
+@cache
+def shipped_bounds() -> Plausible:
+    """The table that ships with fishmj.
+
+    Raises:
+        LogError: a bound is missing or no positive number. UnknownName: one that there is not.
+    """
+    path = calib_folder() / "plausible.toml"
+    found, names = read_toml(path), [f.name for f in fields(Plausible)]
+    if missing := [name for name in names if name not in found]:
+        raise LogError(f"{path}: lacks {', '.join(missing)}; install fishmj again")
+    return Plausible(*[1.0] * len(names)).relaxed(found, str(path))
+
+
+_SAID: ContextVar[Mapping | None] = ContextVar("said", default=None)  # on the command line
+
+
+@contextmanager
+def relaxed_bounds(said: Mapping) -> Iterator[None]:
+    """Within: every table is read with these bounds in place of the shipped ones; a trial's own go before them."""
+    shipped_bounds().relaxed(said, "--plausible")
+    token = _SAID.set(said)
+    try:
+        yield
+    finally:
+        _SAID.reset(token)
+
+
+def bounds_of(meta: Mapping, where: str) -> Plausible:
+    """The shipped bounds, relaxed by the command line and by the `[plausible]` table of a trial's meta data."""
+    said = meta.get(PLAUSIBLE, {})
+    if not isinstance(said, Mapping):
+        raise LogError(f"{where}: {PLAUSIBLE} = {str(said)[:40]!r}; expected a table such as [{PLAUSIBLE}] reach = 5000.0")
+    return shipped_bounds().relaxed(_SAID.get() or {}, "--plausible").relaxed(said, f"{where} [{PLAUSIBLE}]")
+
+
+def read_bounds(text: str) -> dict[str, float]:
+    """`reach=1000,speed=30` -> {"reach": 1000.0, "speed": 30.0}; values are checked by `relaxed`."""
+    out = {}
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        name, _, value = part.partition("=")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            raise LogError(f"--plausible {part[:40]!r}: expected NAME=NUMBER, for example reach=1000") from None
+    shipped_bounds().relaxed(out, "--plausible")
+    return out
 
 
 class Implausible(LogError):
@@ -64,7 +155,7 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
     Args:
         bounds: on magnitude; the shipped ones when None.
     """
-    spec, bounds = table_spec(name), bounds or shipped()
+    spec, bounds = table_spec(name), bounds or shipped_bounds()
     _check_shapes(name, table, place)
     extra = check_columns(name, spec, list(table), place)
     for column, values in table.items():

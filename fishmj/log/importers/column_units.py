@@ -11,8 +11,7 @@ import numpy as np
 
 from fishmj.log.importers.sheet import DATE, EPOCH
 from fishmj.log.limits import quoted
-from fishmj.log.plausible import of_meta
-from fishmj.log.trial_check import usual
+from fishmj.log.trial_check import bounds_of, usual
 
 SI = {  # what is measured -> the schema's unit
     **{"time": "s", "angle": "rad", "rate": "rad/s", "length": "m", "speed": "m/s", "voltage": "V", "current": "A"},
@@ -168,7 +167,7 @@ def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     """Of positions (x and y together); the first row's place does not count."""
     spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
     told = f"spread {spread:.3g}"
-    if spread <= of_meta({}, "").tank:
+    if spread <= bounds_of({}, "").tank:
         return "m", told
     return "", f"{told}: m or cm?" if spread <= FLUTTER else f"{told}: mm, cm, px or m?"
 
@@ -207,7 +206,7 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
     """
     if unit == DATE:
         return "", ()
-    bounds = of_meta({}, "")
+    bounds = bounds_of({}, "")
     most = max(map(_most, values), default=0.0)
     if what == "time":
         doubt = _stamps_against(unit, values[0])

@@ -53,7 +53,6 @@ _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m"
 class Header:
     """`words` in lower case without number and unit."""
 
-    raw: str
     words: tuple[str, ...]
     number: int | None = None
     unit: str = ""
@@ -89,7 +88,7 @@ def parse(raw: str) -> Header:
         unit, said = unit_of(said[0]), ["time"]
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
-    return Header(raw, plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
+    return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
 
 
 class Role(NamedTuple):

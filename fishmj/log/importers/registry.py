@@ -8,9 +8,8 @@ from typing import Any
 
 from fishmj import plugins
 from fishmj.errors import FishmjError, LogError, OwnCodeError
-from fishmj.log.plausible import of_meta
 from fishmj.log.trial import Table, Trial
-from fishmj.log.trial_check import Implausible, Place, check_counts, check_table
+from fishmj.log.trial_check import Implausible, Place, bounds_of, check_counts, check_table
 from fishmj.names import is_name, nearest
 
 
@@ -163,7 +162,7 @@ def trial_of(
     Raises:
         LogError: a table breaks the schema; the message begins with the place in the source file.
     """
-    found, bounds = list(notes), of_meta(meta, name)
+    found, bounds = list(notes), bounds_of(meta, name)
     for table, (columns, place) in tables.items():
         try:
             found += check_table(table, columns, place, bounds)
