@@ -81,7 +81,7 @@ def fit(
     before, rounds = residual(theta[None])[0], 0
     weight = _weights(before, blocks)
     for done in range(PASSES):  # weighs by what the pass before could not fit
-        theta, more = _descend(parameters, residual, theta, weight, lambda share, done=done: tick((done + share) / PASSES))
+        theta, more = _descend(parameters, residual, theta, weight, tick, done)
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
     r, jac = _linear(parameters, residual, theta, weight)
@@ -123,8 +123,8 @@ def _prior(parameters: list[FreeParameter], theta: np.ndarray) -> tuple[np.ndarr
     return off / sigma**2, np.diag(1.0 / sigma**2)
 
 
-def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick) -> tuple[np.ndarray, int]:
-    """Levenberg and Marquardt's way down; all dampings of a round are tried in one batch."""
+def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick, done: int) -> tuple[np.ndarray, int]:
+    """Levenberg and Marquardt's way down, after `done` passes; all dampings of a round are tried in one batch."""
     low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
     start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
     sigma = np.array([p.sigma for p in parameters])
@@ -141,7 +141,7 @@ def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight,
         tried = np.clip(theta + np.array(changes) * step, low, high)
         costs = cost(residual(tried) * weight, tried)
         best, now = int(np.argmin(costs)), cost(r[None], theta[None])[0]
-        tick(rounds / ROUNDS)
+        tick((done + rounds / ROUNDS) / PASSES)
         if not costs[best] < now * (1 - ENOUGH):
             return theta, rounds
         theta = tried[best]

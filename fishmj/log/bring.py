@@ -59,45 +59,42 @@ class ImportResult:
 def options() -> console.Parser:
     """The arguments of `log import`."""
     sub = console.parser("log import", ABOUT, examples=EXAMPLE)
-    sub.add_argument(
+    add = sub.add_argument
+    add(
         "source",
         type=console.path,
         nargs="+",
         help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders",
     )
-    sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
-    sub.add_argument(
-        "--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/guide/logs.md); default: guessed"
-    )
-    sub.add_argument(
+    add("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
+    add("--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/guide/logs.md); default: guessed")
+    add(
         "--write-map",
         type=console.out_file,
         metavar="MAP.toml",
         help="write the guess as a map to edit; with no --out nothing else is done; default: none",
     )
-    sub.add_argument(
+    add(
         "--set",
         action="append",
         default=[],
         metavar="COLUMN=TABLE.COLUMN:UNIT",
         help="decide one column, or COLUMN=skip; may be repeated; default: none",
     )
-    sub.add_argument(
-        "--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed"
-    )
+    add("--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed")
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
-    sub.add_argument("--format", type=console.text, help=f"{formats}; table: by its columns")
-    sub.add_argument(
+    add("--format", type=console.text, help=f"{formats}; table: by its columns")
+    add(
         "--robot",
         type=console.text,
         help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said",
     )
-    sub.add_argument("--excitation", help="name of the experiment, such as steps_1; default: not said")
-    sub.add_argument("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
-    sub.add_argument("--medium", choices=("water", "air"), help="default: not said")
-    sub.add_argument("--origin", choices=("measured", "synthetic"), help="default: measured")
-    sub.add_argument("--licence", help="of the data, such as CC-BY-4.0; default: not said")
-    sub.add_argument(
+    add("--excitation", help="name of the experiment, such as steps_1; default: not said")
+    add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
+    add("--medium", choices=("water", "air"), help="default: not said")
+    add("--origin", choices=("measured", "synthetic"), help="default: measured")
+    add("--licence", help="of the data, such as CC-BY-4.0; default: not said")
+    add(
         "--plausible",
         type=_bounds,
         metavar="NAME=NUMBER",
@@ -113,7 +110,7 @@ def options() -> console.Parser:
         action="store_true",
         help="bad files are left out and listed; exit 2 only when nothing came in (the default)",
     )
-    sub.add_argument("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
+    add("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
     return sub
 
 

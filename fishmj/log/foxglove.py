@@ -33,7 +33,7 @@ class Solid(NamedTuple):
 
 
 # ------------------------------------------------------------------------------------------------------------------- schemas
-def _thing(title: str, about: str, **properties: Json) -> Json:
+def _thing(title: str, about: str, /, **properties: Json) -> Json:
     named = {"title": f"foxglove.{title}", "description": about, "type": "object"}
     return {**named, "properties": properties, "required": list(properties)}
 

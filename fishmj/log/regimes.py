@@ -24,9 +24,7 @@ from fishmj.errors import LogError
 from fishmj.log.trial import Trial, stacked
 
 LENGTH = 0.5  # s, one window
-LABELS = (
-    *("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow"),
-)
+LABELS = ("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow")
 # Thresholds, chosen for a fish of half a metre with hobby servos; all of them are keyword arguments of `label`.
 STILL_JOINT = math.radians(1.0)  # rad, peak to peak within a window: a servo's dead band and one count of its encoder
 STILL_BODY = 0.01  # m/s

@@ -101,10 +101,8 @@ def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
     text = [sheet for sheet in sheets for column in lacking if column in sheet.text]
     where = sheets[0].where if sheets else "nothing"
     if not lacking:
-        return (
-            f"{where}: [tables.{table}]: no one file holds all of {', '.join(map(quoted, _sources(entry)))} (file = "
-            f"{quoted(entry.file or '*')})"
-        )
+        names, file = ", ".join(map(quoted, _sources(entry))), quoted(entry.file or "*")
+        return f"{where}: [tables.{table}]: no one file holds all of {names} (file = {file})"
     near = get_close_matches(lacking[0], has, 1, 0.5)
     hint = f"; did you mean {quoted(near[0])}?" if near else ""
     told = "; it holds text" if text else ""

@@ -21,14 +21,6 @@ TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
 _NUMBER = re.compile(r"\d+")
 ROWS = 200_000  # of one file that the statistics look at
-NEEDS = {
-    "pose": ("x", "y", "yaw"),
-    "velocity": ("surge",),
-    "imu": ("ax", "ay"),
-    "power": ("V",),
-    "target": ("x", "y"),
-    "gait": ("amplitude", "bias"),
-}
 
 
 @dataclass(frozen=True)
@@ -420,7 +412,8 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             continue
         for table in {out[i].place.partition(".")[0] for i in mine}:
             have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.place.startswith(f"{table}.")}
-            need = NEEDS.get(table) or tuple(t.replace("#", "1") for t in table_spec(table).numbered)
+            spec = table_spec(table)
+            need = spec.fixed[1:] or tuple(t.replace("#", "1") for t in spec.numbered)
             lacking = [column for column in need if column not in have]
             if lacking:
                 why = f"table {table} also needs {', '.join(lacking)}"

@@ -100,18 +100,16 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
         from mcap.exceptions import McapError
         from mcap.records import Channel as ChannelRecord
         from mcap.records import Chunk, Message, Schema
-        from mcap.stream_reader import StreamReader
+        from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError as error:
         raise MissingExtra("mcap", "logs", "Reading MCAP recordings") from error
     known: dict[int, tuple[str, str, str]] = {}
     kinds: dict[int, str] = {}
     unpacked = 0
 
-    def inside(chunk) -> Iterator:
-        from mcap.stream_reader import breakup_chunk
-
+    def inside(chunk):
         data = _unpacked(path, chunk)
-        yield from breakup_chunk(
+        return breakup_chunk(
             Chunk(
                 **{"compression": "", "data": data, "uncompressed_size": len(data), "uncompressed_crc": chunk.uncompressed_crc},
                 **{"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time},
