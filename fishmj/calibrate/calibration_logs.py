@@ -78,11 +78,9 @@ def unfit(trial: Trial) -> str:
     if "joint" not in trial.tables:
         return "no table joint, a servo is calibrated by its angles"
     span = float(np.ptp(stacked(trial.table("cmd"), "c#"), axis=0).max())
-    return (
-        ""
-        if span >= QUIET
-        else f"its commands stay within {np.degrees(span):.2g} deg, at least {np.degrees(QUIET):.2g} are needed"
-    )
+    if span >= QUIET:
+        return ""
+    return f"its commands stay within {np.degrees(span):.2g} deg, at least {np.degrees(QUIET):.2g} are needed"
 
 
 def angles(record: Record) -> Sensor:

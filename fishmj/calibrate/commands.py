@@ -93,9 +93,8 @@ def run_servo(args) -> Answer:
         kp, kd = estimates["kp"].value, estimates["kd"].value
         values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
         text = calibrated_model.put(text, "servo", {key: calibrated_model.short(value) for key, value in values.items()})
-        text = calibrated_model.put(
-            text, "timing", {"command_latency": calibrated_model.short(estimates["command_latency"].value)}
-        )
+        latency = calibrated_model.short(estimates["command_latency"].value)
+        text = calibrated_model.put(text, "timing", {"command_latency": latency})
         calibrated_model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
     return {
         "estimates": plain(estimates),
@@ -159,9 +158,8 @@ def run_slip(args) -> Answer:
         args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), fit_plots.SLIP_WORDS
     )
     if args.out:
-        calibrated_model.write(
-            args.out, calibrated_model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data
-        )
+        text = calibrated_model.start(args.out, args.model)
+        calibrated_model.write(args.out, text, "slip", {"slip": found.estimate}, {}, args.data)
     return {
         "estimates": plain({"slip": found.estimate}),
         "profile": found.rows(),
@@ -196,9 +194,8 @@ def run_mass(args) -> Answer:
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
         calibrated_model.write(args.out, text, "mass", found.estimates, beyond, args.data)
-    fit_plots.report(
-        args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)]
-    )
+    tables = {"Whole fish": rows(found.estimates), "Links": links}
+    fit_plots.report(args.report, "Mass calibration", tables, None, [str(args.data)])
     return {"estimates": plain(found.estimates), "links": links}
 
 

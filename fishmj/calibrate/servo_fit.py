@@ -19,11 +19,11 @@ import numpy as np
 from scipy.stats import t as student
 
 from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, Logs, angles
-from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, Tick, fit
+from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
 from fishmj.errors import LogError
 from fishmj.gap.models.test_stand import CONSTANTS, ServoStand
 from fishmj.gap.records.records import Record
-from fishmj.gap.watch import Bars, silent
+from fishmj.gap.watch import Bar, Bars, silent
 from fishmj.log.timebase import Audit, audit, lag_between
 
 FREE = ("kp", "kd", "friction", "command_latency")
@@ -74,7 +74,7 @@ def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars =
     fits = {}
     with bars(len(sets), "servo", "fits") as bar:
         for i, (medium, part) in enumerate(sets.items()):
-            fits[medium] = fitted(plant, part, lambda share, i=i: bar.update(i + share))
+            fits[medium] = fitted(plant, part, bar, i)
     whole, apart = fits.pop(""), fits
     if left := open_numbers(plant, whole.estimates):
         raise LogError(
@@ -117,8 +117,8 @@ def row_of(plant: ServoStand, theta) -> np.ndarray:
     return row
 
 
-def fitted(plant: ServoStand, records: list[Record], tick: Tick = lambda share: None) -> LeastSquaresFit:
-    """The fit on some records. tick: share of it that is done."""
+def fitted(plant: ServoStand, records: list[Record], bar: Bar, before: int) -> LeastSquaresFit:
+    """The fit on some records. bar: of all fits; before: of them that are done."""
     blocks, size = [], 0
     for record in records:
         for _ in range(angles(record).values.shape[1]):
@@ -131,7 +131,7 @@ def fitted(plant: ServoStand, records: list[Record], tick: Tick = lambda share: 
         parts = [(angles(r).values - p["joint"]).transpose(0, 2, 1) for r, p in zip(records, predicted, strict=True)]
         return np.concatenate([part.reshape(len(thetas), -1) for part in parts], 1)
 
-    return fit(parameters(plant), residual, blocks, tick)
+    return fit(parameters(plant), residual, blocks, lambda share: bar.update(before + share))
 
 
 class LatencyRow(NamedTuple):

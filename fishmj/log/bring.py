@@ -195,10 +195,8 @@ def robot_of(text: str) -> tuple[str, int]:
     else:
         for name in calib.shipped():
             shipped = calib.calib_folder() / f"{name}.toml"
-            if str(calib.read_toml(shipped).get("schema", "")).startswith("fishmj.fish") and text in (
-                name,
-                calib.read_toml(shipped).get("name"),
-            ):
+            table = calib.read_toml(shipped)
+            if str(table.get("schema", "")).startswith("fishmj.fish") and text in (name, table.get("name")):
                 path = shipped
     if path is None:
         return names.checked(text, "robot", "--robot"), 0

@@ -194,11 +194,8 @@ class _Windows:
         if self.command is not None and self.command[1].shape[1] == q.shape[1]:
             wanted = _held(self.command, t)
             error = np.abs(wanted - q)
-            on = (
-                _held((self.command[0], stacked(self.trial.tables["cmd"], "on#")), t)
-                if "on1" in self.trial.tables["cmd"]
-                else 1.0
-            )
+            sent = self.trial.tables["cmd"]
+            on = _held((self.command[0], stacked(sent, "on#")), t) if "on1" in sent else 1.0
             stuck = np.any((error > behind) & (np.abs(rate) < SLUGGISH) & (np.asarray(on) > 0.5), axis=1)
             out["torque_limited"] = np.nan_to_num(self._over(t, stuck.astype(float), np.mean)) > 0.5
         return out

@@ -69,15 +69,11 @@ class Lag:
         if not self.found:
             interval = f"{1e3 * self.low:.0f} to {1e3 * self.high:.0f} ms"
             return head + f"not told: correlation {self.correlation:.2f}, interval {interval}; record reversals or a chirp"
-        tail = (
-            "; not unique within reach (a steady beat, or the edge of what was looked at): record reversals or a chirp"
-            if self.ambiguous
-            else ""
-        )
+        doubt = "; not unique within reach (a steady beat, or the edge of what was looked at): record reversals or a chirp"
         drift = f", drift {1e3 * self.drift:+.3f} ms/s ({1e3 * self.drift_low:+.3f} to {1e3 * self.drift_high:+.3f})"
         return (
             f"{head}{1e3 * self.lag:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f}), "
-            f"correlation {self.correlation:.2f}{drift}{tail}"
+            f"correlation {self.correlation:.2f}{drift}{doubt if self.ambiguous else ''}"
         )
 
 

@@ -79,13 +79,9 @@ class Column(_Strict):
     @model_validator(mode="before")
     @classmethod
     def _short(cls, value: Any) -> Any:
-        return (
-            {"column": value}
-            if isinstance(value, str)
-            else {"constant": value}
-            if isinstance(value, int | float) and not isinstance(value, bool)
-            else value
-        )
+        if isinstance(value, str):
+            return {"column": value}
+        return {"constant": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
     @model_validator(mode="after")
     def _one(self) -> "Column":

@@ -82,9 +82,8 @@ def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet | None
     if len(fitting) > 1:
         names = ", ".join(quoted(sheet.name) for sheet in fitting[:4])
         raise LogError(
-            f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say "
-            'which with file = "pattern", '
-            "or import each file as a trial of its own with --trial-each"
+            f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say which with "
+            'file = "pattern", or import each file as a trial of its own with --trial-each'
         )
     return fitting[0] if fitting else None
 

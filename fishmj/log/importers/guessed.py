@@ -35,11 +35,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
         stamp = next((g for g in mine if g.place == "t"), None)
         if stamp is None:
             continue
-        t = (
-            {"column": stamp.column}
-            | ({"unit": stamp.unit} if stamp.unit else {})
-            | ({"scale": stamp.scale} if stamp.scale != 1 else {})
-        )
+        t = _source(stamp)
         for g in mine:
             if g is stamp:
                 continue
@@ -48,8 +44,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
                 continue
             table, _, column = g.place.partition(".")
             entry = tables.setdefault(table, {"t": t, "columns": {}, "kind": k})
-            source = {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
-            entry["columns"][column] = source
+            entry["columns"][column] = _source(g)
     for entry in tables.values():
         k = entry.pop("kind")
         used = {entry["t"]["column"], *(c["column"] for c in entry["columns"].values())}
@@ -58,6 +53,11 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
     if not tables:
         raise LogError(_nothing(guesses, where))
     return of_dict({"tables": tables, "meta": meta, "skip": [g.column for g in guesses if g.said and not g.places]}, where)
+
+
+def _source(g: Guess) -> dict:
+    """A column as the map says it."""
+    return {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
 
 
 def _nothing(guesses: Sequence[Guess], where: str) -> str:
@@ -146,8 +146,7 @@ def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
         raise LogError(
             f"{source}: the columns above are guessed; take them with --yes, or write them to a file with "
-            "--write-map MAP.toml, "
-            "mend it, and import with --columns MAP.toml"
+            "--write-map MAP.toml, mend it, and import with --columns MAP.toml"
         )
     console.say("Take these columns? [y/N]")
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):

@@ -218,11 +218,9 @@ def _joint(name: Header, context: set[str]) -> Role | None:
     if not (known or numbered) or said not in ("", "angle", "rate"):
         return Role(why=f"{name.unit} measures no angle") if known and said else None
     if name.has(RATE) or said == "rate":
-        return (
-            Role(("joint.w#",), "the rate of a joint")
-            if not name.has(COMMAND)
-            else Role(why="a commanded rate; the schema has none")
-        )
+        if name.has(COMMAND):
+            return Role(why="a commanded rate; the schema has none")
+        return Role(("joint.w#",), "the rate of a joint")
     if name.has({"load"}):
         return Role(("joint.load#",), "a servo's load")
     if name.has({"enabled", "enable", "torque", "mode", "status"}):
