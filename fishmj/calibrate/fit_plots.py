@@ -85,12 +85,10 @@ def _panel(axis, found: ServoFit, repeats: list[Record], span: tuple[float, floa
     for k, each in enumerate(repeats):
         seen = angles(each)
         now = (seen.t >= span[0]) & (seen.t <= span[1])
-        axis.plot(
-            seen.t[now], np.degrees(seen.values[now, JOINT]), ".", ms=2.5, color=MEASURED, label="measured" if k == 0 else None
-        )
-    fine = record._replace(
-        joint=Sensor(t, np.zeros((len(t), record.commands.shape[1])), angles(record).sigma), pose=None, power=None
-    )
+        label = "measured" if k == 0 else None
+        axis.plot(seen.t[now], np.degrees(seen.values[now, JOINT]), ".", ms=2.5, color=MEASURED, label=label)
+    joint = Sensor(t, np.zeros((len(t), record.commands.shape[1])), angles(record).sigma)
+    fine = record._replace(joint=joint, pose=None, power=None)
     simulated = found.plant.predict([fine], found.row)[0]["joint"][0, :, JOINT]
     axis.plot(t, np.degrees(simulated), color=SIMULATED, lw=1.3, label="simulated")
 

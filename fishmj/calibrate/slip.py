@@ -176,11 +176,7 @@ def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
 
 def grid_of(trials: Iterable[Trial]) -> str:
     """The grid that a trial of the flow solver names; the finest table for logs of anything else."""
-    for trial in trials:
-        name = trial.value("grid.domain", "")
-        if name:
-            return str(name)
-    return "window"
+    return next((str(name) for trial in trials if (name := trial.value("grid.domain", ""))), "window")
 
 
 def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folder: Path) -> dict:

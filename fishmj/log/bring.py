@@ -429,7 +429,7 @@ def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict]
 
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     """What was said on the command line goes before what the file says."""
-    said = {key: value for key, value in meta.items() if key not in ("source",)}
+    said = dict(meta)
     if (bounds := said.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
         said[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
     whole = {"origin": "measured", **trial.meta, **said}

@@ -239,14 +239,9 @@ def _mcap(trial: Trial, path: Path, solids: tuple[Solid, ...], tell: Callable[[f
         os.fsync(file.fileno())
 
 
-_KIND = {
-    "/pose_in_tank": "foxglove.PoseInFrame",
-    "/truth_in_tank": "foxglove.PoseInFrame",
-    "/tf": "foxglove.FrameTransform",
-    "/tf_links": "foxglove.FrameTransforms",
-    "/scene_fish": "foxglove.SceneUpdate",
-    "/scene_target": "foxglove.SceneUpdate",
-}
+_KIND = {"/tf": "foxglove.FrameTransform", "/tf_links": "foxglove.FrameTransforms"}  # topic -> schema
+_KIND |= dict.fromkeys(("/pose_in_tank", "/truth_in_tank"), "foxglove.PoseInFrame")
+_KIND |= dict.fromkeys(("/scene_fish", "/scene_target"), "foxglove.SceneUpdate")
 
 
 def _schemas(trial: Trial) -> dict[str, Json]:

@@ -186,11 +186,8 @@ class _Reader:
 
     def _refuse_odd(self) -> None:
         number, count = self.odd[0]
-        hint = (
-            "decimal commas between comma-separated columns? Save with points or with semicolons"
-            if self.mark == ","
-            else "another separator?"
-        )
+        commas = "decimal commas between comma-separated columns? Save with points or with semicolons"
+        hint = commas if self.mark == "," else "another separator?"
         raise LogError(
             f"{self.path}:{number}:1: {count} values in a row of {len(self.names)} columns, as in {len(self.odd)} "
             f"row(s); is the row cut off, or {hint}"

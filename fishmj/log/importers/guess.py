@@ -41,6 +41,10 @@ class Guess:
     def place(self) -> str:
         return self.places[0] if self.places else ""
 
+    @property
+    def table(self) -> str:
+        return self.place.partition(".")[0]
+
     def left(self, why: str) -> "Guess":
         """It, left out."""
         return replace(self, state=LEFT, places=(), why=why)
@@ -156,12 +160,9 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         name = header.parse(column)
         if column in said:
             place, unit, scale = said[column]
-            state = LEFT if place == "skip" else TAKEN
-            out.append(
-                Guess(
-                    k, column, state, () if place == "skip" else (place,), unit or name.unit, scale, "said with --set", said=True
-                )
-            )
+            places = () if place == "skip" else (place,)
+            state = TAKEN if places else LEFT
+            out.append(Guess(k, column, state, places, unit or name.unit, scale, "said with --set", said=True))
             continue
         told = kind.sheets[0].units.get(column, "")
         name = replace(name, unit=told) if told and told != DATE else name
@@ -294,12 +295,8 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             unit, why = known[family]
             if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
                 unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
-            if (
-                what == "angle"
-                and unit == "rad"
-                and any(o.unit == "deg" for o in guesses)
-                and not why.startswith(("wraps", "all zero"))
-            ):
+            beside = any(o.unit == "deg" for o in guesses) and not why.startswith(("wraps", "all zero"))
+            if what == "angle" and unit == "rad" and beside:
                 unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
@@ -308,7 +305,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
 
 def _sensor(g: Guess, what: str) -> str:
     """What columns have in common whose names say one unit: x and y of one table, joints of one kind; a stamp is alone."""
-    return g.column if what == "time" else g.place.partition(".")[0] if what == "length" else _family(g.place)
+    return g.column if what == "time" else g.table if what == "length" else _family(g.place)
 
 
 def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
@@ -319,13 +316,8 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
     if what == "angle" and g.place.endswith("yaw"):
         return column_units.heading_unit(kind.values(g.column))
     if what == "length":
-        axes = [
-            o
-            for o in guesses
-            if o.state != LEFT
-            and o.place.partition(".")[0] == g.place.partition(".")[0]
-            and measured(*o.place.split(".")) == "length"
-        ]
+        beside = [o for o in guesses if o.state != LEFT and o.table == g.table]
+        axes = [o for o in beside if measured(*o.place.split(".")) == "length"]
         spoken = {o.unit for o in axes if o.unit}
         if len(spoken) == 1:
             return spoken.pop(), "as its other axis"
@@ -410,19 +402,17 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
             out = [g.left("the file has no column of time") if i in mine and not g.said else g for i, g in enumerate(out)]
             continue
-        for table in {out[i].place.partition(".")[0] for i in mine}:
-            have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.place.startswith(f"{table}.")}
+        for table in {out[i].table for i in mine}:
+            have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.table == table}
             spec = table_spec(table)
             need = spec.fixed[1:] or tuple(t.replace("#", "1") for t in spec.numbered)
             lacking = [column for column in need if column not in have]
             if lacking:
                 why = f"table {table} also needs {', '.join(lacking)}"
-                out = [
-                    g.left(why) if i in mine and g.place.startswith(f"{table}.") and not g.said else g for i, g in enumerate(out)
-                ]
+                out = [g.left(why) if i in mine and g.table == table and not g.said else g for i, g in enumerate(out)]
     first: dict[str, int] = {}
     for i, g in enumerate(out):
-        table = g.place.partition(".")[0] if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
+        table = g.table if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
         if table and first.setdefault(table, g.kind) != g.kind:
             why = f"table {table} lies in another file already; a table of ours is one file with one clock"
             out[i] = g.unclear(why) if g.said else g.left(why)

@@ -60,9 +60,8 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
             there.messages += channel.messages
     if not found:
         packed = ", ".join(p.name for p in path.glob("*.zstd")) if path.is_dir() else ""
-        raise LogError(
-            f"{path}: no messages{f' that are not packed ({packed}); unpack them with ros2 bag convert' if packed else ''}"
-        )
+        told = f" that are not packed ({packed}); unpack them with ros2 bag convert" if packed else ""
+        raise LogError(f"{path}: no messages{told}")
     return found
 
 
@@ -88,13 +87,10 @@ def _database(path: Path, needed: set[str] | None) -> Found:
             database.set_progress_handler(look, STEPS)
             tables = {row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
-                raise LogError(
-                    f"{path}: no rosbag2: tables "
-                    f"{', '.join(map(quoted, sorted(map(str, tables))[:6])) or 'none'}; expected topics and messages"
-                )
-            for number, name, kind, encoding in database.execute(
-                "SELECT id, name, type, serialization_format FROM topics LIMIT 10000"
-            ):
+                has = ", ".join(map(quoted, sorted(map(str, tables))[:6])) or "none"
+                raise LogError(f"{path}: no rosbag2: tables {has}; expected topics and messages")
+            told = database.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000")
+            for number, name, kind, encoding in told:
                 if not isinstance(number, int) or not all(isinstance(v, str) for v in (name, kind, encoding)):
                     raise LogError(f"{path}: table topics holds {quoted((number, name, kind, encoding), 80)}; it is damaged")
                 names[number] = name
