@@ -1,7 +1,7 @@
 """How late every channel is: behind the model, and behind the command.
 
-Cross-correlation of rates with its bootstrap interval (log/delay.py), over all records in which the channel moves, set one after
-the other with pauses between.
+Cross-correlation of rates with its bootstrap interval (log/timebase.py), over all records in which the channel moves, set one
+after the other with pauses between.
 """
 
 from typing import NamedTuple
