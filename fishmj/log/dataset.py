@@ -34,9 +34,8 @@ NEEDED = (
     f"needed is a folder with one folder a trial, in each {META_FILE} and tables (cmd, joint, pose ..) or a {FLAT_FILE};"
     " python -m fishmj.log import SRC --out DATASET makes one of other recordings"
 )
-
-BUNDLE = "fishmj.bundle/1"
-KEPT = {"cmd": "tc", "joint": "tj", "pose": "txy", "power": "tVI"}  # first letters of the columns
+BUNDLE = "fishmj.bundle/1"  # schema of many trials in one file
+KEPT = {"cmd": "tc", "joint": "tj", "pose": "txy", "power": "tVI"}  # first letters of the columns in a bundle
 STEPS = {"t": 1e-5, "c": 1e-5}  # s, rad
 FINE = 20.0  # steps in a standard deviation of the noise
 COARSE = 1e-6  # step of a column whose noise nobody states, of its own range
