@@ -160,9 +160,8 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         name = header.parse(column)
         if column in said:
             place, unit, scale = said[column]
-            places = () if place == "skip" else (place,)
-            state = TAKEN if places else LEFT
-            out.append(Guess(k, column, state, places, unit or name.unit, scale, "said with --set", said=True))
+            state, where = (LEFT, ()) if place == "skip" else (TAKEN, (place,))
+            out.append(Guess(k, column, state, where, unit or name.unit, scale, "said with --set", said=True))
             continue
         told = kind.sheets[0].units.get(column, "")
         name = replace(name, unit=told) if told and told != DATE else name
