@@ -14,10 +14,17 @@ pytest.importorskip("numba")
 from fishmj import console, interrupt
 from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import calibrated_model, fit_check, latency, mass, servo_fit
-from fishmj.calibrate.bias import widened
+from fishmj.calibrate import calibrated_model, commands, mass, servo_fit
 from fishmj.calibrate.calibration_logs import Logs
-from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, correlation_length, fit
+from fishmj.calibrate.least_squares import (
+    Block,
+    FreeParameter,
+    LeastSquaresFit,
+    ParameterEstimate,
+    correlation_length,
+    fit,
+    widened,
+)
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.gap.models.test_stand import ServoStand
@@ -101,7 +108,7 @@ def test_servo_numbers_come_back_within_their_intervals(robot, fitted):
 
 def test_latencies_come_back(robot, fitted):
     truth, logs = robot
-    found = latency.calibrate(logs, fitted)
+    found = servo_fit.calibrate_latency(logs, fitted)
     for name, e in found.estimates.items():
         assert e.value == pytest.approx(truth[name], abs=0.012), name
     assert {row.path for row in found.rows} == {"command", "camera"}
@@ -297,7 +304,7 @@ def test_robots_that_were_checked_are_not_checked_again(tmp_path, monkeypatch, c
         return {"kp": [0.1 * len(done), 10.0, True]}
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(fit_check, "one", one)
+    monkeypatch.setattr(commands, "check_one", one)
     monkeypatch.setattr(calibration_trials, "trials", lambda seed: {})
     with pytest.raises(KeyboardInterrupt):
         command.drawn(["--robots", "3"])

@@ -19,7 +19,7 @@ from fishmj import cli, console
 from fishmj.calibrate import calibrated_model
 from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.errors import ConfigError, StoreError
-from fishmj.log.delay import lag_between
+from fishmj.log.timebase import lag_between
 from fishmj.store import read_npz, write_npz
 
 CASES = {**BAD, **HOSTILE}

@@ -12,9 +12,10 @@ from fishmj import console, log
 from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError, UnknownName
 from fishmj.log import __main__ as command
 from fishmj.log import foxglove, importers
-from fishmj.log.columns import unit
-from fishmj.log.compact import write_bundle
-from fishmj.log.export import carried, export
+from fishmj.log.dataset import write_bundle
+from fishmj.log.export import export
+from fishmj.log.importers.mcap import carried
+from fishmj.log.trial import unit
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.solids import solids

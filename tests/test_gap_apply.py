@@ -21,8 +21,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.recorded_null import null_of
 from fishmj.gap.records.datasets import named, trials_in
 from fishmj.gap.verdict import Named, Value, Verdict
-from fishmj.log.compact import write_bundle
-from fishmj.log.dataset import read_dataset
+from fishmj.log.dataset import read_dataset, write_bundle
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
 from fishmj.store import sha256, write_json

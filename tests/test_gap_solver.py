@@ -11,7 +11,7 @@ from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.residual import ResidualLayout
 from fishmj.log import Trial
-from fishmj.log.compact import FINE, read_bundle, write_bundle
+from fishmj.log.dataset import FINE, read_bundle, write_bundle
 from fishmj.studies.gap_benchmark import solver
 
 FOLDER = solver.folder()

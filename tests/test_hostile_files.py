@@ -15,7 +15,7 @@ from fishmj.engines import fast_math, numba_build
 from fishmj.errors import ConfigError, FishmjError, SimDiverged, StoreError
 from fishmj.gap.commands import model_version
 from fishmj.log import read_trial, write_trial
-from fishmj.log.compact import read_bundle, write_bundle
+from fishmj.log.dataset import read_bundle, write_bundle
 from fishmj.log.trial import Trial
 from fishmj.mjcf import build, load_robot
 from fishmj.sim import Sim

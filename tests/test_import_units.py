@@ -9,9 +9,9 @@ from lab_files import WAVE, N, guessed, only
 
 from fishmj import log
 from fishmj.errors import LogError
-from fishmj.log import plausible
+from fishmj.log import trial_check
 from fishmj.log.importers import guess, header
-from fishmj.log.importers.roles import role
+from fishmj.log.importers.header import role
 
 
 @pytest.fixture
@@ -160,7 +160,7 @@ def test_a_wrong_bound_is_one_line(tmp_path, bring, text, message):
 
 
 def test_the_shipped_bounds_are_whole():
-    assert plausible.shipped().reach >= 200 and plausible.shipped().angle == math.pi
+    assert trial_check.shipped_bounds().reach >= 200 and trial_check.shipped_bounds().angle == math.pi
 
 
 def test_a_trials_own_meta_relaxes_a_bound(tmp_path):

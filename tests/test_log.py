@@ -11,7 +11,7 @@ from synthetic import whole_trial
 from fishmj import log
 from fishmj.errors import LogError, StoreError, UnknownName
 from fishmj.log import toml, trial_check
-from fishmj.log.npz_tables import HALF_ERROR, narrow
+from fishmj.log.table_files import HALF_ERROR, narrow
 
 
 @pytest.fixture

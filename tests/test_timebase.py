@@ -9,7 +9,7 @@ import pytest
 from fishmj import log
 from fishmj.errors import LogError
 from fishmj.log import timebase
-from fishmj.log.delay import lag_between
+from fishmj.log.timebase import lag_between
 
 
 def stamps(rng, rate, seconds, jitter=0.3):

@@ -15,22 +15,18 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 def fit(verb: str, argv: list[str]) -> int:
     """One of the calibrations: servo, latency, slip, mass."""
-    again = interrupt.again("start again")
-    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
-        return _fit(verb, argv)
-
-
-def _fit(verb: str, argv: list[str]) -> int:
     from fishmj.calibrate.commands import VERBS
 
-    args = options(verb).parse_args(argv)
-    if args.out and args.out.is_file():
-        load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
-    if verb == "slip":
-        if args.ratios and not args.recompute:
-            raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
-        args.ratios = args.ratios or RATIOS
-    answer = VERBS[verb](args)
+    again = interrupt.again("start again")
+    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+        args = options(verb).parse_args(argv)
+        if args.out and args.out.is_file():
+            load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
+        if verb == "slip":
+            if args.ratios and not args.recompute:
+                raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
+            args.ratios = args.ratios or RATIOS
+        answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
     if "report" in answer:
@@ -80,18 +76,10 @@ def options(verb: str) -> console.Parser:
     return made
 
 
-def score(argv: list[str]) -> int:
-    """Fitted numbers against the sealed ones."""
-    from fishmj.studies.hidden_lbm import score as hidden_score
-
-    return hidden_score.main(argv)
-
-
 def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
-    from fishmj.calibrate.calibration_logs import Logs
-    from fishmj.calibrate.fit_check import gathered, one
-    from fishmj.calibrate.partial_results import PartialResults
+    from fishmj.calibrate.calibration_logs import Logs, PartialResults
+    from fishmj.calibrate.commands import check_one, check_rows
     from fishmj.gap.models.test_stand import ServoStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
@@ -109,10 +97,10 @@ def drawn(argv: list[str]) -> int:
         for done, (name, seed) in enumerate(names.items(), 1):
             off = kept.find(name)
             if off is None:
-                off = kept.keep(name, one(truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed)), plant))
+                off = kept.keep(name, check_one(truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed)), plant))
             robots.append(off)
             bar.update(done)
-    rows = gathered(robots)
+    rows = check_rows(robots)
     console.say(console.table(rows))
     if args.json:
         console.emit_json({"check": rows})
@@ -146,7 +134,7 @@ main = console.CommandGroup(
         ),
         "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
         "score": Command(
-            score,
+            "fishmj.studies.hidden_lbm.score",
             "synthetic trials only: fitted against the sealed values",
             "fishmj calibrate score --model fish.calibrated.toml",
         ),

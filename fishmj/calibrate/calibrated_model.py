@@ -47,24 +47,19 @@ def write(
     trial = out.with_name(f".{out.stem}.{uuid4().hex[:8]}.toml")  # beside it: the files that a fish names lie beside the fish
     try:
         write_text(trial, recorded(text, verb, estimates, source, evidence))
-        _with_effects(trial, verb, effects, source, evidence)
+        kept = {f.name: f for f in calibration.read(trial)}
+        for key, e in effects.items():
+            name, parameter = key.split(".")
+            fitted = {parameter: Interval(e.value, e.low, e.high)}
+            kept[name] = FittedEffect(name, fitted, f"fishmj calibrate {verb}: {source}", evidence)
+        calibration.write(trial, tuple(kept.values()))
+        load_robot(trial)
         write_text(out, trial.read_text(encoding="utf-8"))
     except FishmjError as error:
         raise ConfigError(str(error).replace(str(trial), str(out)).replace(trial.name, out.name)) from error
     finally:
         trial.unlink(missing_ok=True)
     return out
-
-
-def _with_effects(out: Path, verb: str, effects: dict[str, ParameterEstimate], source: str, evidence: str) -> None:
-    kept = {f.name: f for f in calibration.read(out)}
-    for key, e in effects.items():
-        name, parameter = key.split(".")
-        kept[name] = FittedEffect(
-            name, {parameter: Interval(e.value, e.low, e.high)}, f"fishmj calibrate {verb}: {source}", evidence
-        )
-    calibration.write(out, tuple(kept.values()))
-    load_robot(out)
 
 
 def put(text: str, table: str, values: dict[str, float], name: str = "") -> str:

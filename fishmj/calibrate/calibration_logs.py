@@ -1,17 +1,27 @@
-"""The trials that a calibration reads: sorted by signal, medium and repeat; what is missing is said in one line."""
+"""What a calibration reads, and what it keeps.
 
+trials      sorted by signal, medium and repeat; what is missing is said in one line
+parts       finished swims of the solver, robots drawn anew: one JSON file each, so that the same command goes on with the rest;
+            a part of other settings or another version of this package is done again
+"""
+
+import hashlib
+import json
 from collections import Counter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj import interrupt
 from fishmj.calib import calib_folder
-from fishmj.errors import LogError
+from fishmj.errors import LogError, StoreError
 from fishmj.gap.records.records import Record, Sensor, record_of
 from fishmj.log import Trial
 from fishmj.log.dataset import take
 from fishmj.log.trial import stacked
+from fishmj.source import package_sha256
+from fishmj.store import plain, read_json, write_json
 
 SIGNALS = ("sine", "square", "impulse")  # the paper's
 MEDIA = ("air", "water")
@@ -68,11 +78,9 @@ def unfit(trial: Trial) -> str:
     if "joint" not in trial.tables:
         return "no table joint, a servo is calibrated by its angles"
     span = float(np.ptp(stacked(trial.table("cmd"), "c#"), axis=0).max())
-    return (
-        ""
-        if span >= QUIET
-        else f"its commands stay within {np.degrees(span):.2g} deg, at least {np.degrees(QUIET):.2g} are needed"
-    )
+    if span >= QUIET:
+        return ""
+    return f"its commands stay within {np.degrees(span):.2g} deg, at least {np.degrees(QUIET):.2g} are needed"
 
 
 def angles(record: Record) -> Sensor:
@@ -86,3 +94,30 @@ def read(folder: "str | Path") -> Logs:
     """All trials of a data set that can be read; what cannot be is in `broken`. Raises LogError, StoreError: none there."""
     found = take(folder)
     return Logs(Path(folder), found.trials, found.broken, found.notes)
+
+
+class PartialResults:
+    """The parts of one command. folder: where they are; about: what all of them depend on, besides the package's own code."""
+
+    def __init__(self, folder: Path, about: dict):
+        self.folder = folder
+        self.key = hashlib.sha256(json.dumps(plain([about, package_sha256()]), sort_keys=True).encode()).hexdigest()
+
+    def find(self, name: str) -> Any:
+        """What a finished part gave, as JSON has it; None where it is not finished."""
+        path = self.folder / f"{name}.json"
+        try:
+            row = read_json(path) if path.is_file() else {}
+        except StoreError:  # damaged: done again
+            return None
+        return row.get("found") if isinstance(row, dict) and row.get("key") == self.key else None
+
+    def keep(self, name: str, found: Any) -> Any:
+        """Write what a part gave; returns it as `find` would."""
+        write_json(self.folder / f"{name}.json", {"key": self.key, "found": found})
+        return self.find(name)
+
+    def words(self, names: list[str], what: str) -> str:
+        """What an interrupted command says. names: of all its parts; what: they are."""
+        done = sum(self.find(name) is not None for name in names)
+        return f"{self.folder} holds {done} of {len(names)} {what}; {interrupt.again()}"

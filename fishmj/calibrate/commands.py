@@ -1,13 +1,15 @@
-"""The four calibrations as the command line calls them: fit, tables, report, fish file."""
+"""The four calibrations as the command line calls them: fit, tables, report, fish file. And how far off they are where the truth
+is known: the systematic part of every interval comes from there."""
 
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fishmj import console
-from fishmj.calibrate import calibrated_model, fit_plots, latency, mass, servo_fit, slip, slip_picture
-from fishmj.calibrate.bias import widened
+from fishmj.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip
 from fishmj.calibrate.calibration_logs import Logs, read
-from fishmj.calibrate.least_squares import ParameterEstimate
+from fishmj.calibrate.least_squares import ParameterEstimate, widened
 from fishmj.errors import LogError
 from fishmj.gap.commands.doors import of_this_robot
 from fishmj.gap.models.test_stand import ServoStand
@@ -17,6 +19,7 @@ from fishmj.gap.workflow import compiled
 from fishmj.mjcf.description import Robot, load_robot
 
 Answer = dict[str, Any]
+Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 
 
 def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
@@ -90,9 +93,8 @@ def run_servo(args) -> Answer:
         kp, kd = estimates["kp"].value, estimates["kd"].value
         values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
         text = calibrated_model.put(text, "servo", {key: calibrated_model.short(value) for key, value in values.items()})
-        text = calibrated_model.put(
-            text, "timing", {"command_latency": calibrated_model.short(estimates["command_latency"].value)}
-        )
+        latency = calibrated_model.short(estimates["command_latency"].value)
+        text = calibrated_model.put(text, "timing", {"command_latency": latency})
         calibrated_model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
     return {
         "estimates": plain(estimates),
@@ -110,7 +112,7 @@ def run_latency(args) -> Answer:
     robot = load_robot(args.model)
     logs, plant = benched(args, robot)
     fitted = servo_fit.calibrate(logs, plant, alone=False, bars=shown)
-    found = latency.calibrate(logs, fitted)
+    found = servo_fit.calibrate_latency(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
     every = {finding for audit in found.audits.values() for finding in audit.findings}
@@ -119,7 +121,7 @@ def run_latency(args) -> Answer:
     tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
     page = fit_plots.report(args.report, "Latency calibration", tables, None, said(logs))
     if "camera_latency" not in estimates:
-        needs = " and ".join(latency.ABRUPT)
+        needs = " and ".join(servo_fit.ABRUPT)
         console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
     if args.out:
         values = {name: calibrated_model.short(e.value) for name, e in estimates.items()}
@@ -151,14 +153,13 @@ def run_slip(args) -> Answer:
             f"{args.data}: slip: {found.doubt}. Nothing is written; record {needs} as well, or check the robot's masses"
         )
     tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
-    picture = slip_picture.draw(found, args.report / "slip.png")
+    picture = fit_plots.draw_slip(found, args.report / "slip.png")
     page = fit_plots.report(
-        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), slip_picture.WORDS
+        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), fit_plots.SLIP_WORDS
     )
     if args.out:
-        calibrated_model.write(
-            args.out, calibrated_model.start(args.out, args.model), "slip", {"slip": found.estimate}, {}, args.data
-        )
+        text = calibrated_model.start(args.out, args.model)
+        calibrated_model.write(args.out, text, "slip", {"slip": found.estimate}, {}, args.data)
     return {
         "estimates": plain({"slip": found.estimate}),
         "profile": found.rows(),
@@ -193,15 +194,14 @@ def run_mass(args) -> Answer:
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
         calibrated_model.write(args.out, text, "mass", found.estimates, beyond, args.data)
-    fit_plots.report(
-        args.report, "Mass calibration", {"Whole fish": rows(found.estimates), "Links": links}, None, [str(args.data)]
-    )
+    tables = {"Whole fish": rows(found.estimates), "Links": links}
+    fit_plots.report(args.report, "Mass calibration", tables, None, [str(args.data)])
     return {"estimates": plain(found.estimates), "links": links}
 
 
 def plain(estimates: dict[str, ParameterEstimate]) -> dict[str, dict]:
     """For JSON."""
-    return {name: e.plain() for name, e in estimates.items()}
+    return {name: e._asdict() for name, e in estimates.items()}
 
 
 VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": run_mass}
@@ -210,3 +210,30 @@ VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": r
 def default_report(verb: str) -> Path:
     """Where the report goes unless it is said."""
     return Path("runs") / "calibrate" / verb
+
+
+def check_one(true: dict[str, float], logs: Logs, plant: ServoStand) -> Off:
+    """Calibrate servo and latencies of a robot whose numbers are given."""
+    found = servo_fit.calibrate(logs, plant, alone=False)
+    fitted = found.estimates | {"camera_latency": servo_fit.calibrate_latency(logs, found).estimates["camera_latency"]}
+    wide = {name: widened(e) for name, e in fitted.items()}
+    return {
+        name: [e.value - true[name], true[name], bool(wide[name].low <= true[name] <= wide[name].high)]
+        for name, e in fitted.items()
+    }
+
+
+def check_rows(robots: list[Off]) -> list[dict]:
+    """Of all robots: mean and RMS error, share inside the 90 % interval."""
+    off = {name: [robot[name] for robot in robots] for name in robots[0]}
+    return [
+        {
+            "number": name,
+            "robots": len(cases),
+            "mean error": float(np.mean([a for a, _, _ in cases])),
+            "RMS error": float(np.sqrt(np.mean([a * a for a, _, _ in cases]))),
+            "RMS error %": float(100 * np.sqrt(np.mean([(a / b) ** 2 for a, b, _ in cases]))),
+            "inside": float(np.mean([c for _, _, c in cases])),
+        }
+        for name, cases in off.items()
+    ]

@@ -10,13 +10,16 @@ Standard deviation of a parameter, the largest of three, because a model is neve
     signals     the same over kinds of trial (signal and medium): what another experiment would have said
 
 theta_-l is one Gauss-Newton step from theta* (Efron & Stein 1981). The interval is 90 %, with Student's t of the groups' number.
+What a calibration is off by although its fit is good (`data/calib/calibrate.toml`) widens every interval.
 """
 
 from collections.abc import Callable
-from functools import partial
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
+
+from fishmj.calib import read_toml, resolve
 
 PASSES, ROUNDS = 3, 15
 DAMPINGS = (1e-6, 1e-2, 1e-1, 1.0, 10.0)
@@ -53,11 +56,7 @@ class ParameterEstimate(NamedTuple):
     low: float
     high: float
     sd: float
-    widest: str  # curvature, trials or signals
-
-    def plain(self) -> dict:
-        """For JSON."""
-        return self._asdict()
+    widest: str  # curvature, trials or signals; "model" where the systematic part is wider
 
 
 class LeastSquaresFit(NamedTuple):
@@ -71,8 +70,6 @@ class LeastSquaresFit(NamedTuple):
 
 
 Residual = Callable[[np.ndarray], np.ndarray]  # (R, K) -> (R, m)
-
-
 Tick = Callable[[float], None]  # share of a fit that is done, at the least
 
 
@@ -84,16 +81,11 @@ def fit(
     before, rounds = residual(theta[None])[0], 0
     weight = _weights(before, blocks)
     for done in range(PASSES):  # weighs by what the pass before could not fit
-        theta, more = _descend(parameters, residual, theta, weight, partial(_within, tick, done))
+        theta, more = _descend(parameters, residual, theta, weight, tick, done)
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
     r, jac = _linear(parameters, residual, theta, weight)
     return LeastSquaresFit(theta, _estimates(parameters, theta, r, jac, blocks), before, after, rounds)
-
-
-def _within(tick: Tick, done: int, share: float) -> None:
-    """A share of the pass after `done` passes, as one of all."""
-    tick((done + share) / PASSES)
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
@@ -131,8 +123,8 @@ def _prior(parameters: list[FreeParameter], theta: np.ndarray) -> tuple[np.ndarr
     return off / sigma**2, np.diag(1.0 / sigma**2)
 
 
-def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick) -> tuple[np.ndarray, int]:
-    """Levenberg and Marquardt's way down; all dampings of a round are tried in one batch."""
+def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick, done: int) -> tuple[np.ndarray, int]:
+    """Levenberg and Marquardt's way down, after `done` passes; all dampings of a round are tried in one batch."""
     low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
     start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
     sigma = np.array([p.sigma for p in parameters])
@@ -149,7 +141,7 @@ def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight,
         tried = np.clip(theta + np.array(changes) * step, low, high)
         costs = cost(residual(tried) * weight, tried)
         best, now = int(np.argmin(costs)), cost(r[None], theta[None])[0]
-        tick(rounds / ROUNDS)
+        tick((done + rounds / ROUNDS) / PASSES)
         if not costs[best] < now * (1 - ENOUGH):
             return theta, rounds
         theta = tried[best]
@@ -207,3 +199,20 @@ def correlation_length(r: np.ndarray) -> float:
     tau = 1.0 + 2.0 * np.cumsum(rho[1:])
     stop = np.flatnonzero(np.arange(1, n) > 5 * tau)
     return float(max(1.0, tau[stop[0]] if len(stop) else tau[-1]))
+
+
+def calibration_table() -> dict:
+    """The whole of `calibrate.toml`."""
+    return read_toml(resolve("calibrate"))
+
+
+def widened(estimate: ParameterEstimate) -> ParameterEstimate:
+    """The estimate with the systematic part of its name in sd and interval, added in squares."""
+    entry = calibration_table()["systematic"].get(estimate.name)
+    if entry is None:
+        return estimate
+    more = entry["value"] * (abs(estimate.value) if entry["of"] == "value" else 1.0)
+    low, high = (hypot(end - estimate.value, NORMAL * more) for end in (estimate.low, estimate.high))
+    widest = "model" if NORMAL * more > max(estimate.value - estimate.low, estimate.high - estimate.value) else estimate.widest
+    bottom = max(estimate.value - low, 0.0)
+    return estimate._replace(low=bottom, high=estimate.value + high, sd=hypot(estimate.sd, more), widest=widest)

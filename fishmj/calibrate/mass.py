@@ -75,9 +75,8 @@ def described_as(robot: Robot, masses: np.ndarray, com: float) -> Robot:
     behind = sum(float(m) * (f + c[0]) for m, f, c in list(zip(masses, fronts, place, strict=True))[1:])
     head = (float(masses.sum()) * com - behind) / float(masses[0])
     places = [(head, *place[0][1:]), *place[1:]]
-    return replace(
-        robot, links=tuple(replace(k, mass=float(m), com=c) for k, m, c in zip(robot.links, masses, places, strict=True))
-    )
+    links = [replace(k, mass=float(m), com=c) for k, m, c in zip(robot.links, masses, places, strict=True)]
+    return replace(robot, links=tuple(links))
 
 
 def _yaw_inertia(robot: Robot) -> float:

@@ -18,9 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import console, interrupt
-from fishmj.calibrate.bias import table
-from fishmj.calibrate.least_squares import ParameterEstimate
-from fishmj.calibrate.partial_results import PartialResults
+from fishmj.calibrate.calibration_logs import PartialResults
+from fishmj.calibrate.least_squares import ParameterEstimate, calibration_table
 from fishmj.errors import LogError, UnknownName
 from fishmj.log import Trial
 from fishmj.log.trial import Table
@@ -117,7 +116,7 @@ def metric(name: str, pose: Table) -> float:
 def least_slip(grid: str, metrics: Iterable[str]) -> float:
     """Roughest hull for which the table of a grid has all of the metrics that it has; beyond it nothing is known."""
     least = 0.0
-    for entry in table()["solver"]:
+    for entry in calibration_table()["solver"]:
         for name in metrics if entry["grid"] == grid else ():
             known = [s for s, value in zip(entry["slip"], entry.get(name, ()), strict=False) if np.isfinite(value)]
             least = max([least, *([min(known)] if known else [])])
@@ -130,7 +129,7 @@ def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
     Raises:
         UnknownName: no table of that grid.
     """
-    tables = {entry["grid"]: entry for entry in table()["solver"]}
+    tables = {entry["grid"]: entry for entry in calibration_table()["solver"]}
     if grid not in tables:
         raise UnknownName("grid of the slip table (made by: calibrate slip --recompute --grid NAME)", grid, tables)
     entry, out = tables[grid], {}
@@ -156,7 +155,7 @@ def _between(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
     """The likelihood of the slip ratio, thrust left free within its tolerance."""
-    tolerance, s = table()["slip"], 1.0 - GRID[::-1]
+    tolerance, s = calibration_table()["slip"], 1.0 - GRID[::-1]
     s = s[s >= least_slip(grid, found) - 1e-9]
     predicted = {name: values for name, values in predictions(grid, s).items() if name in found}
     if not predicted:
@@ -177,11 +176,7 @@ def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
 
 def grid_of(trials: Iterable[Trial]) -> str:
     """The grid that a trial of the flow solver names; the finest table for logs of anything else."""
-    for trial in trials:
-        name = trial.value("grid.domain", "")
-        if name:
-            return str(name)
-    return "window"
+    return next((str(name) for trial in trials if (name := trial.value("grid.domain", ""))), "window")
 
 
 def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folder: Path) -> dict:

@@ -2,8 +2,7 @@
 
 from fishmj.log.dataset import Dataset, read_dataset, write_dataset
 from fishmj.log.folder import read_trial, write_trial
-from fishmj.log.table_schema import SCHEMA, TABLES, TableSpec
-from fishmj.log.trial import Table, Trial, gaps, numbered, segments, stacked
+from fishmj.log.trial import SCHEMA, TABLES, Table, TableSpec, Trial, gaps, numbered, segments, stacked
 
 __all__ = [
     "SCHEMA",

@@ -1,10 +1,92 @@
 """`python -m fishmj.log`: bring recordings in, check data sets, state what they hold, hand them to other programs."""
 
 import sys
+from pathlib import Path
 
 from fishmj import console
 from fishmj.console import Command
-from fishmj.log.look import check, state
+from fishmj.errors import FishmjError, LogError
+from fishmj.log.dataset import read_dataset
+from fishmj.log.folder import META_FILE, faults, read_trial
+from fishmj.log.importers import gather
+from fishmj.log.limits import bare
+from fishmj.log.timebase import audit
+from fishmj.store import Manifest
+from fishmj.store.manifest import MANIFEST
+
+
+def check(argv: list[str]) -> int:
+    """The command `log check`. Exit 0: everything reads; 1: some trials or files are not as they should be (one line each)."""
+    parser = console.parser("log check", "Read a data set or a trial, audit its clocks; one line a problem, and exit 1.")
+    parser.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
+    args = parser.parse_args(argv)
+    if not args.data.exists():
+        raise LogError(f"{args.data}: no such file or folder; expected a data set, a trial folder or a samples.csv")
+    audits, broken = [], {}
+    found, changed = _trials(args.data)
+    for name, path in found.items():
+        try:
+            trial = read_trial(path)
+            audits.append(audit(trial))
+        except (FishmjError, OSError) as error:
+            problems = faults(path) or [str(error)]
+            broken[name] = "; ".join(problems)
+            for problem in problems:
+                console.warn(f"{bare(name)}: {problem}")
+            continue
+        console.say(audits[-1].text(), *(f"  note: {note}" for note in trial.notes), "")
+    for line in changed:
+        console.warn(line)
+    console.say(f"{len(audits)} trials read, {len(broken)} refused" + (f", {len(changed)} files changed" if changed else ""))
+    if args.json:
+        console.emit_json({"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed})
+    return console.FAILED_CHECK if broken or changed else console.OK
+
+
+def manifest(argv: list[str]) -> int:
+    """The command `log manifest`. Every trial is read first: a data set states only what is sound."""
+    parser = console.parser("log manifest", "Write manifest.json into a folder of trial folders, in place; each is read first.")
+    parser.add_argument("folder", type=console.path, help="folder of trial folders; a manifest that is there is replaced")
+    args = parser.parse_args(argv)
+    if not args.folder.is_dir():
+        raise LogError(f"{args.folder}: no such folder; expected a folder of trial folders")
+    if gather.is_own(args.folder):
+        raise LogError(f"{args.folder}: is one trial; name the folder that holds the trial folders")
+    trials = sorted(
+        path.parent for path in args.folder.rglob(META_FILE) if gather.is_own(path.parent) and _plain(path, args.folder)
+    )
+    if not trials:
+        raise LogError(f"{args.folder}: no trial folder in it; for other recordings see fishmj log import")
+    for trial in trials:
+        read_trial(trial)
+    meta = Manifest.read(args.folder).meta if (args.folder / MANIFEST).is_file() else {}
+    made = Manifest.of(args.folder, meta)
+    made.write(args.folder)
+    console.say(f"{args.folder / MANIFEST}: {len(trials)} trials, {len(made.files)} files")
+    if args.json:
+        names = [path.relative_to(args.folder).as_posix() for path in trials]
+        console.emit_json({"folder": args.folder, "trials": names, "files": len(made.files)})
+    return console.OK
+
+
+def _plain(path: Path, root: Path) -> bool:
+    """Neither hidden nor led to by a link from elsewhere."""
+    parts = path.relative_to(root).parts
+    return not any(part.startswith(".") for part in parts) and path.resolve().is_relative_to(root.resolve())
+
+
+def _trials(path: Path) -> tuple[dict[str, Path], list[str]]:
+    """Trials by name; and the files that are not as the manifest says."""
+    if path.is_dir() and (path / MANIFEST).is_file() and not (path / META_FILE).is_file():
+        changed = [f"{path}: {change}" for change in Manifest.read(path).check(path)]
+        return {name: path / name for name in read_dataset(path, verify=False).names}, changed
+    if path.is_dir() and not gather.is_own(path) and not (path / META_FILE).is_file():
+        inside = sorted(sub for sub in path.iterdir() if sub.is_dir() and not sub.name.startswith(".") and gather.is_own(sub))
+        if inside:
+            console.warn(f"{path}: has no {MANIFEST}; write it with fishmj log manifest {path}")
+            return {sub.name: sub for sub in inside}, []
+    return {path.name: path}, []
+
 
 main = console.CommandGroup(
     "log",
@@ -16,7 +98,7 @@ main = console.CommandGroup(
             "fishmj log import commands.csv camera.csv battery.csv --out data/monday --robot swift",
         ),
         "check": Command(check, "read a data set or a trial, audit its clocks", "fishmj log check data/monday"),
-        "manifest": Command(state, "write manifest.json into a folder of trial folders", "fishmj log manifest data/monday"),
+        "manifest": Command(manifest, "write manifest.json into a folder of trial folders", "fishmj log manifest data/monday"),
         "export": Command(
             "fishmj.replay.export_command",
             "a trial or a data set -> MCAP (Foxglove), CSV or Parquet",

@@ -1,27 +1,24 @@
 """`fishmj log import`: recordings come in, whatever a laboratory calls its columns."""
 
-import re
 import shutil
-import sys
-from argparse import Namespace
+from argparse import ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partial
+from itertools import chain
 from pathlib import Path
+from typing import NoReturn
 
-from fishmj import console
+from fishmj import calib, console, names
 from fishmj.errors import FishmjError, LogError, UsageError
-from fishmj.log import about, importers, measurements, plausible
+from fishmj.log import importers, measurements
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, guessed, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
-from fishmj.log.importers.guess import LEFT, UNCLEAR, FileKind, Guess
-from fishmj.log.importers.sheet import DATE
-from fishmj.log.limits import quoted
 from fishmj.log.trial import Trial
+from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
 from fishmj.store import Manifest, write_text
 from fishmj.store.manifest import MANIFEST
 
@@ -41,7 +38,6 @@ examples:
   fishmj log import lab/ --write-map MAP.toml        then edit it, and
   fishmj log import lab/ --out data/lab --columns MAP.toml"""
 TABLE = "table"  # the format of what is read by its columns
-SHOWN = 3  # first values of a column
 NOTES = 20  # of one import that are shown
 SOON = 5.0  # s before progress shows
 LONGEST = 1000  # characters of a message
@@ -55,7 +51,7 @@ class ImportResult:
     trials: list[tuple[str, Callable[[], Trial]]] = field(default_factory=list)  # (name, function that gives the trial)
     skipped: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    guesses: list[tuple[Sequence[FileKind], list[Guess]]] = field(default_factory=list)
+    guesses: guessed.Guesses = field(default_factory=list)
     maps: list[ColumnMap] = field(default_factory=list)
     page: dict = field(default_factory=dict)
 
@@ -63,47 +59,44 @@ class ImportResult:
 def options() -> console.Parser:
     """The arguments of `log import`."""
     sub = console.parser("log import", ABOUT, examples=EXAMPLE)
-    sub.add_argument(
+    add = sub.add_argument
+    add(
         "source",
         type=console.path,
         nargs="+",
         help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders",
     )
-    sub.add_argument("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
-    sub.add_argument(
-        "--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/guide/logs.md); default: guessed"
-    )
-    sub.add_argument(
+    add("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
+    add("--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/guide/logs.md); default: guessed")
+    add(
         "--write-map",
         type=console.out_file,
         metavar="MAP.toml",
         help="write the guess as a map to edit; with no --out nothing else is done; default: none",
     )
-    sub.add_argument(
+    add(
         "--set",
         action="append",
         default=[],
         metavar="COLUMN=TABLE.COLUMN:UNIT",
         help="decide one column, or COLUMN=skip; may be repeated; default: none",
     )
-    sub.add_argument(
-        "--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed"
-    )
+    add("--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed")
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
-    sub.add_argument("--format", type=console.text, help=f"{formats}; table: by its columns")
-    sub.add_argument(
+    add("--format", type=console.text, help=f"{formats}; table: by its columns")
+    add(
         "--robot",
         type=console.text,
         help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said",
     )
-    sub.add_argument("--excitation", help="name of the experiment, such as steps_1; default: not said")
-    sub.add_argument("--start", type=about.start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
-    sub.add_argument("--medium", choices=("water", "air"), help="default: not said")
-    sub.add_argument("--origin", choices=("measured", "synthetic"), help="default: measured")
-    sub.add_argument("--licence", help="of the data, such as CC-BY-4.0; default: not said")
-    sub.add_argument(
+    add("--excitation", help="name of the experiment, such as steps_1; default: not said")
+    add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
+    add("--medium", choices=("water", "air"), help="default: not said")
+    add("--origin", choices=("measured", "synthetic"), help="default: measured")
+    add("--licence", help="of the data, such as CC-BY-4.0; default: not said")
+    add(
         "--plausible",
-        type=about.bounds,
+        type=_bounds,
         metavar="NAME=NUMBER",
         help="relax a bound on magnitude, such as reach=5000 (m); default: data/calib/plausible.toml",
     )
@@ -117,18 +110,14 @@ def options() -> console.Parser:
         action="store_true",
         help="bad files are left out and listed; exit 2 only when nothing came in (the default)",
     )
-    sub.add_argument("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
+    add("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
     return sub
 
 
 def main(argv: list[str]) -> int:
-    """The command `log import`. Returns the exit code."""
-    return run(options().parse_args(argv))
-
-
-def run(args: Namespace) -> int:
-    """Import, write, and say what came in and what did not."""
-    with plausible.relaxing(args.plausible or {}):
+    """The command `log import`: import, write, and say what came in and what did not. Returns the exit code."""
+    args = options().parse_args(argv)
+    with relaxed_bounds(args.plausible or {}):
         try:
             return _run(args)
         except LogError as error:  # names from files stand in it
@@ -147,19 +136,19 @@ def _run(args: Namespace) -> int:
     for source in args.source:
         if args.out is not None and source.is_dir() and args.out.resolve().is_relative_to(source.resolve()):
             raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
-    meta = about.of_options(args)
+    meta = _meta(args)
     found = _found(args)
     if args.strict and found.skipped:
         raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + _line("; ".join(list(found.skipped.values())[:3])))
-    _show(found)
+    guessed.show(found.guesses)
     if args.write_map is not None:
         _write_map(args, found)
         if args.out is None:
             if args.json:
-                console.emit_json({"map": args.write_map, "guess": _rows(found)})
+                console.emit_json({"map": args.write_map, "guess": guessed.rows(found.guesses)})
             return console.OK
     if found.guesses:
-        _agreed(args, found)
+        guessed.check_agreed(found.guesses, args.source[0], args.yes)
     rows, notes, told = _write(args, found, meta)
     for where, message in found.skipped.items():
         console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
@@ -172,10 +161,64 @@ def _run(args: Namespace) -> int:
         console.emit_json(
             {
                 **{"format": found.format, "out": str(args.out), "meta": told, "trials": rows},
-                **{"notes": notes, "skipped": found.skipped, "guess": _rows(found)},
+                **{"notes": notes, "skipped": found.skipped, "guess": guessed.rows(found.guesses)},
             }
         )
     return console.OK
+
+
+# --------------------------------------------------------------------------------------------------------- what is said
+def _meta(args: Namespace) -> dict:
+    """What is said of the recordings: robot, experiment, where the fish was put, bounds on magnitude."""
+    meta: dict = {
+        key: value for key in ("excitation", "medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None
+    }
+    if args.excitation is not None:
+        names.checked(args.excitation, "excitation", "--excitation")
+    if args.robot is not None:
+        meta["robot"], joints = robot_of(args.robot)
+        meta |= {"joints": joints} if joints else {}
+    if args.plausible:
+        meta[PLAUSIBLE] = args.plausible
+    return meta
+
+
+def robot_of(text: str) -> tuple[str, int]:
+    """Name and number of joints (0: not known) of a robot: its TOML, a shipped one's file or its own name, or any name.
+
+    Raises:
+        ConfigError: no such file, not TOML, or no name that may stand in a path.
+    """
+    path = None
+    if text.endswith(".toml"):
+        path = Path(text)
+    else:
+        for name in calib.shipped():
+            shipped = calib.calib_folder() / f"{name}.toml"
+            table = calib.read_toml(shipped)
+            if str(table.get("schema", "")).startswith("fishmj.fish") and text in (name, table.get("name")):
+                path = shipped
+    if path is None:
+        return names.checked(text, "robot", "--robot"), 0
+    table = calib.read_toml(path)
+    links = table.get("link")
+    said = table.get("name", table.get("robot", {}).get("name") if isinstance(table.get("robot"), dict) else None)
+    return names.checked(said, "robot", str(path)), max(len(links) - 1, 0) if isinstance(links, list) else 0
+
+
+def _start(text: str) -> list[float]:
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected three numbers x,y,yaw [m, m, rad], such as 0,0,1.57")
+    reach = shipped_bounds().start
+    return [console.number(-reach, reach)(part) for part in parts[:2]] + [console.number(-6.3, 6.3)(parts[2])]
+
+
+def _bounds(text: str) -> dict[str, float]:
+    try:
+        return read_bounds(text)
+    except FishmjError as error:
+        raise ArgumentTypeError(str(error)) from error
 
 
 # ------------------------------------------------------------------------------------------------------------ what there is
@@ -290,10 +333,7 @@ def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial
 
 def _page(sources: Sequence[Path]) -> dict:
     """What was weighed, where it lies beside the trials."""
-    for source in sources:
-        if source.is_dir() and (source / measurements.FILE).is_file():
-            return measurements.read(source)
-    return {}
+    return next((page for source in sources if source.is_dir() and (page := measurements.read(source))), {})
 
 
 def _changed(sources: Sequence[Path]) -> list[str]:
@@ -319,7 +359,7 @@ def _told(notes: dict[str, list[str]]) -> list[str]:
     return [*map(_line, lines[:NOTES]), *more]
 
 
-def _nothing(args: Namespace, found: ImportResult) -> None:
+def _nothing(args: Namespace, found: ImportResult) -> NoReturn:
     why = "; ".join(list(found.skipped.values())[:3])
     more = f"; and {len(found.skipped) - 3} more" if len(found.skipped) > 3 else ""
     if why:
@@ -331,41 +371,12 @@ def _nothing(args: Namespace, found: ImportResult) -> None:
     )
 
 
-# ----------------------------------------------------------------------------------------------------------------- the guess
-def _show(found: ImportResult) -> None:
-    for kinds, made in found.guesses:
-        rows = [_as_row(kinds, g) for g in made]
-        console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
-
-
-def _rows(found: ImportResult) -> list[dict]:
-    return [_as_row(kinds, g) for kinds, made in found.guesses for g in made]
-
-
-def _as_row(kinds: Sequence[FileKind], g: Guess) -> dict:
-    sheet = kinds[g.kind].sheets[0]
-    values = sheet.columns[g.column]
-    first = values[values == values][:SHOWN]
-    becomes = f"UNCLEAR: {guessed.choices(g)}" if g.state == UNCLEAR else "left out" if g.state == LEFT else g.place
-    more = f" (and {len(kinds[g.kind].sheets) - 1} more)" if len(kinds[g.kind].sheets) > 1 else ""
-    unit = g.unit + (f"*{g.scale:g}" if g.scale != 1 else "")
-    return {
-        **{"file": quoted(sheet.name)[1:-1] + more, "column": quoted(g.column)[1:-1], "becomes": becomes},
-        **{"unit": unit if g.state != LEFT else "", "first values": ", ".join(_shown(v, g.unit) for v in first), "why": g.why},
-    }
-
-
-def _shown(value: float, unit: str) -> str:
-    if unit == DATE and abs(value) < 1e11:
-        return f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
-    return f"{value:.6g}"
-
-
+# --------------------------------------------------------------------------------------------------------------- writing
 def _write_map(args: Namespace, found: ImportResult) -> None:
     if not found.maps:
         raise LogError(
             f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set "
-            f"{_first_unclear(found)}"
+            f"{guessed.first_unclear(found.guesses)}"
         )
     if len(found.maps) > 1:
         raise LogError(
@@ -378,48 +389,6 @@ def _write_map(args: Namespace, found: ImportResult) -> None:
     console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
 
 
-def _first_unclear(found: ImportResult) -> str:
-    g = next((g for _, made in found.guesses for g in guessed.unclear(made)), None)
-    return f"{quoted(g.column)[1:-1]}={guessed.choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
-
-
-def _agreed(args: Namespace, found: ImportResult) -> None:
-    """Nothing unclear is left, and the user agrees."""
-    doubts = [g for _, made in found.guesses for g in guessed.unclear(made)]
-    if doubts:
-        told = "; ".join(
-            f"{quoted(g.column)[1:-1]}: {g.why}, --set {quoted(g.column)[1:-1]}={guessed.choices(g)}" for g in doubts[:4]
-        )
-        more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
-        raise LogError(
-            f"{args.source[0]}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "
-            "MAP.toml, mend it, --columns MAP.toml"
-        )
-    if args.yes or all(_certain(g) for _, made in found.guesses for g in made):
-        return
-    if sys.stdin is None or not sys.stdin.isatty():
-        raise LogError(
-            f"{args.source[0]}: the columns above are guessed; take them with --yes, or write them to a file with "
-            "--write-map MAP.toml, "
-            "mend it, and import with --columns MAP.toml"
-        )
-    console.say("Take these columns? [y/N]")
-    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise LogError(
-            f"{args.source[0]}: nothing imported; write the guess with --write-map MAP.toml, mend it, and import "
-            "with --columns MAP.toml"
-        )
-
-
-def _certain(g: Guess) -> bool:
-    """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
-    own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (
-        not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s")
-    )
-    return g.said or own
-
-
-# --------------------------------------------------------------------------------------------------------------- writing
 def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict], dict[str, list[str]], dict]:
     """Write the trials that convert; what does not is remembered in `found.skipped`. Rows, notes, the manifest's meta."""
     rows: list[dict] = []
@@ -447,29 +416,22 @@ def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict]
                     bar.update(i + 1)
         told.update({"format": found.format} | {key: "; ".join(sorted(values))[:500] for key, values in said.items() if values})
 
+    made = trials()
+    if (first := next(made, None)) is None:
+        _nothing(args, found)
     try:
-        write_dataset(args.out, _any(trials(), args, found), meta=told, page=found.page or None)
+        write_dataset(args.out, chain([first], made), meta=told, page=found.page or None)
     except BaseException:
         shutil.rmtree(args.out, ignore_errors=True)  # it did not exist before
         raise
     return rows, notes, told
 
 
-def _any(trials: Iterator[tuple[str, Trial]], args: Namespace, found: ImportResult) -> Iterator[tuple[str, Trial]]:
-    """The trials, or the reasons where there is none."""
-    first = next(trials, None)
-    if first is None:
-        _nothing(args, found)
-        return
-    yield first
-    yield from trials
-
-
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     """What was said on the command line goes before what the file says."""
-    said = {key: value for key, value in meta.items() if key not in ("source",)}
-    if (bounds := said.get(plausible.KEY)) and isinstance(trial.meta.get(plausible.KEY), dict):
-        said[plausible.KEY] = {**trial.meta[plausible.KEY], **bounds}
+    said = dict(meta)
+    if (bounds := said.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
+        said[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
     whole = {"origin": "measured", **trial.meta, **said}
     notes = list(trial.notes)
     joints = said.get("joints")

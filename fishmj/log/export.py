@@ -11,8 +11,6 @@ import json
 import os
 import re
 import shutil
-import struct
-import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -26,14 +24,11 @@ import numpy as np
 from fishmj import __version__, names
 from fishmj.errors import LogError, MissingExtra, StoreError
 from fishmj.log import foxglove, measurements, toml, trial_check
-from fishmj.log.columns import unit
-from fishmj.log.compact import read_bundle
-from fishmj.log.dataset import read_dataset
+from fishmj.log.dataset import read_bundle, read_dataset
 from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
-from fishmj.log.npz_tables import row_place
-from fishmj.log.table_schema import SCHEMA, TABLES, table_spec
-from fishmj.log.trial import Trial, stacked
+from fishmj.log.table_files import row_place
+from fishmj.log.trial import SCHEMA, TABLES, Trial, stacked, table_spec, unit
 from fishmj.store import put_in_place, write_text
 from fishmj.store.manifest import MANIFEST, Manifest
 
@@ -126,33 +121,6 @@ def check_place(source: Path, out: Path, *, folder: bool, force: bool) -> None:
         raise StoreError(f"{out}: no export wrote it (no {MARK} in it); not replaced. Choose another place")
     if not folder and out.read_bytes()[: len(MAGIC)] != MAGIC:
         raise StoreError(f"{out}: is no MCAP file; not replaced. Choose another place")
-
-
-def carried(path: Path) -> dict | None:
-    """The meta data that an MCAP file of `export` carries; None in any other file, and without the library."""
-    try:
-        from mcap.exceptions import McapError
-        from mcap.reader import SeekingReader
-    except ImportError:
-        return None
-
-    damage = (McapError, OSError, ValueError, RecursionError, EOFError, KeyError, TypeError, RuntimeError, struct.error)
-    try:
-        with open(path, "rb") as file:
-            reader = SeekingReader(file, record_size_limit=path.stat().st_size)  # a damaged length cannot ask for all memory
-            for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
-                if attachment.name == META_FILE:
-                    meta = tomllib.loads(attachment.data.decode("utf-8"))
-                    trial_check.check_meta(meta, str(path))
-                    return meta if meta.get("schema") == SCHEMA else None
-    except (*damage, MemoryError, OverflowError, IndexError, AttributeError):  # whoever reads the messages says what is damaged
-        return None
-    return None
-
-
-def as_written(stamps: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    """Stamps [ns] of the messages of such a file in s, on the trial's own clock."""
-    return {name: np.array(values, dtype=float) / 1e9 for name, values in stamps.items()}
 
 
 # -------------------------------------------------------------------------------------------------------------------- source
@@ -271,14 +239,9 @@ def _mcap(trial: Trial, path: Path, solids: tuple[Solid, ...], tell: Callable[[f
         os.fsync(file.fileno())
 
 
-_KIND = {
-    "/pose_in_tank": "foxglove.PoseInFrame",
-    "/truth_in_tank": "foxglove.PoseInFrame",
-    "/tf": "foxglove.FrameTransform",
-    "/tf_links": "foxglove.FrameTransforms",
-    "/scene_fish": "foxglove.SceneUpdate",
-    "/scene_target": "foxglove.SceneUpdate",
-}
+_KIND = {"/tf": "foxglove.FrameTransform", "/tf_links": "foxglove.FrameTransforms"}  # topic -> schema
+_KIND |= dict.fromkeys(("/pose_in_tank", "/truth_in_tank"), "foxglove.PoseInFrame")
+_KIND |= dict.fromkeys(("/scene_fish", "/scene_target"), "foxglove.SceneUpdate")
 
 
 def _schemas(trial: Trial) -> dict[str, Json]:
@@ -297,10 +260,10 @@ def _streams(trial: Trial, solids: tuple[Solid, ...], zero: float) -> list[Itera
     seen = next((tables[name] for name in ("pose", "truth") if name in tables), None)
     for name in ("pose", "truth"):
         if name in tables:
-            out.append(_poses(f"/{name}_in_tank", tables[name], zero, lambda at, *p: foxglove.pose(at, *p)))
+            out.append(_drawn(f"/{name}_in_tank", tables[name], "x y yaw", zero, foxglove.pose))
     if seen is not None:
         tank, fish = foxglove.TANK, foxglove.FISH
-        out.append(_poses("/tf", seen, zero, lambda at, *p: foxglove.frame(at, tank, fish, *p)))
+        out.append(_drawn("/tf", seen, "x y yaw", zero, lambda at, *p: foxglove.frame(at, tank, fish, *p)))
         bends = next(((tables[n], c) for n, c in (("joint", "j#"), ("truth", "j#"), ("cmd", "c#")) if n in tables), None)
         angles = None if bends is None else stacked(*bends)
         fits = angles is not None and angles.shape[1] == len(solids) - 1
@@ -315,7 +278,7 @@ def _streams(trial: Trial, solids: tuple[Solid, ...], zero: float) -> list[Itera
             first = _ns(float(seen["t"][0]), zero)
             out.append(iter([(first, 0, "/scene_target", foxglove.target(first, float(at[0]), float(at[1])))]))
     if "target" in tables:
-        out.append(_targets(tables["target"], zero))
+        out.append(_drawn("/scene_target", tables["target"], "x y", zero, foxglove.target))
     return out
 
 
@@ -326,24 +289,18 @@ def _rows(name: str, table: dict, zero: float) -> Iterator[Entry]:
         yield _ns(message["t"], zero), row, f"/{name}", message
 
 
-def _poses(topic: str, table: dict, zero: float, made: Callable[..., Json]) -> Iterator[Entry]:
-    for row, (t, x, y, yaw) in enumerate(
-        zip(*(np.asarray(table[c], float).tolist() for c in ("t", "x", "y", "yaw")), strict=True)
-    ):
+def _drawn(topic: str, table: dict, columns: str, zero: float, made: Callable[..., Json]) -> Iterator[Entry]:
+    """What `made` makes of the values of some columns, names with blanks between, row by row."""
+    values = (np.asarray(table[c], float).tolist() for c in columns.split())
+    for row, (t, *rest) in enumerate(zip(np.asarray(table["t"], float).tolist(), *values, strict=True)):
         at = _ns(t, zero)
-        yield at, row, topic, made(at, x, y, yaw)
+        yield at, row, topic, made(at, *rest)
 
 
 def _bent(stamps, angles: np.ndarray, solids: tuple[Solid, ...], zero: float) -> Iterator[Entry]:
     for row, (t, bend) in enumerate(zip(np.asarray(stamps, float).tolist(), angles.tolist(), strict=True)):
         at = _ns(t, zero)
         yield at, row, "/tf_links", foxglove.links(at, solids, bend)
-
-
-def _targets(table: dict, zero: float) -> Iterator[Entry]:
-    for row, (t, x, y) in enumerate(zip(*(np.asarray(table[c], float).tolist() for c in ("t", "x", "y")), strict=True)):
-        at = _ns(t, zero)
-        yield at, row, "/scene_target", foxglove.target(at, x, y)
 
 
 def _zero(trial: Trial) -> float:

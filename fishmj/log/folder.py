@@ -14,26 +14,17 @@ import numpy as np
 from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import toml, trial_check
-from fishmj.log.csv_tables import read_csv, read_text, write_csv
 from fishmj.log.limits import listed, quoted
-from fishmj.log.npz_tables import read_archive, row_place, write_archive
-from fishmj.log.plausible import of_meta
-from fishmj.log.table_schema import SCHEMA, TABLES
-from fishmj.log.trial import Table, Trial
+from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
+from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
+from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
 FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
 FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd", "on#": "cmd", "temp#": "joint"}
-FLAT |= {
-    "amplitude": "gait",
-    "bias": "gait",
-    "frequency": "gait",
-    "surge": "velocity",
-    "sway": "velocity",
-    "yaw_rate": "velocity",
-}
+FLAT |= dict.fromkeys(("amplitude", "bias", "frequency"), "gait") | dict.fromkeys(("surge", "sway", "yaw_rate"), "velocity")
 
 
 def read_trial(path: str | Path) -> Trial:
@@ -49,14 +40,13 @@ def read_trial(path: str | Path) -> Trial:
     if path.is_file() and path.suffix == ".csv":
         return _read_flat(path)
     if not path.is_dir():
-        if (why := trouble(path)).startswith("is "):
-            raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
-        raise LogError(f"{path}: no such trial; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
+        why = why if (why := trouble(path)).startswith("is ") else "no such trial"
+        raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
     _inside(path, path / FLAT_FILE)
     if (path / FLAT_FILE).is_file():
         return _read_flat(path / FLAT_FILE)
     meta, notes = read_meta(path / META_FILE, required=True)
-    bounds = of_meta(meta, str(path / META_FILE))
+    bounds = bounds_of(meta, str(path / META_FILE))
     tables: dict[str, Table] = {}
     for file in sorted(path.iterdir()):
         if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
@@ -66,14 +56,19 @@ def read_trial(path: str | Path) -> Trial:
             continue
         if file.stem in tables:
             raise LogError(f"{path}: table {file.stem!r} is there as .csv and as .npz; remove one of them")
-        _inside(path, file)
-        table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-        notes += trial_check.check_table(file.stem, table, place, bounds)
-        tables[file.stem] = table
+        tables[file.stem], told = _read_table(file, bounds)
+        notes += told
     if not tables:
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += trial_check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
+
+
+def _read_table(file: Path, bounds: Plausible) -> tuple[Table, list[str]]:
+    """One table of a trial folder, checked, and the notes of its check."""
+    _inside(file.parent, file)
+    table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
+    return table, trial_check.check_table(file.stem, table, place, bounds)
 
 
 def _inside(folder: Path, file: Path) -> None:
@@ -87,16 +82,14 @@ def faults(path: Path) -> list[str]:
     out: list[str] = []
     try:
         meta, _ = read_meta(path / META_FILE, required=True)
-        bounds = of_meta(meta, str(path / META_FILE))
+        bounds = bounds_of(meta, str(path / META_FILE))
         files = sorted(path.iterdir())
     except (FishmjError, OSError) as error:
         return [str(error)] if path.is_dir() else []
     for file in files:
         if file.suffix in (".csv", ".npz") and file.stem in TABLES:
             try:
-                _inside(path, file)
-                table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-                trial_check.check_table(file.stem, table, place, bounds)
+                _read_table(file, bounds)
             except FishmjError as error:
                 out.append(str(error))
     return out
@@ -110,14 +103,14 @@ def write_trial(
     Args:
         overwrite: replace an existing trial folder (never a folder that is no trial).
         form: "csv", "npz", or "auto" (npz for synthetic trials, csv for measured ones).
-        precision: of npz columns: "auto" (see `archive.narrow`), "float32" or "float64".
+        precision: of npz columns: "auto" (see `table_files.narrow`), "float32" or "float64".
 
     Raises:
         LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.
     """
     folder = Path(folder)
     meta_text = checked_meta(folder, trial.meta)
-    bounds = of_meta(trial.meta, str(folder / META_FILE))
+    bounds = bounds_of(trial.meta, str(folder / META_FILE))
     tables = {name: {c: np.asarray(v) for c, v in table.items()} for name, table in trial.tables.items()}
     for name, table in tables.items():
         trial_check.check_table(name, table, row_place(folder / name), bounds)
@@ -202,7 +195,7 @@ def flat_trial(samples: Table, place: trial_check.Place, path: Path, meta: dict,
             notes.append(f"{path.name}: column {quoted(column)} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
         raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
-    bounds = of_meta(meta, str(path.with_name(META_FILE)))
+    bounds = bounds_of(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
         notes += trial_check.check_table(name, table, place, bounds)
     return Trial(meta, tables, name=path.parent.name, notes=(*notes, *trial_check.check_counts(tables)))

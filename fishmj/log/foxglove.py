@@ -8,6 +8,7 @@ Field names, required keys and titles are those of github.com/foxglove/foxglove-
 every message against its schema. Positions m, angles rad, stamps {sec, nsec}.
 """
 
+from functools import partial
 from math import cos, pi, sin
 from typing import Any, NamedTuple
 
@@ -32,21 +33,16 @@ class Solid(NamedTuple):
 
 
 # ------------------------------------------------------------------------------------------------------------------- schemas
-def _thing(title: str, about: str, **properties: Json) -> Json:
+def _thing(title: str, about: str, /, **properties: Json) -> Json:
     named = {"title": f"foxglove.{title}", "description": about, "type": "object"}
     return {**named, "properties": properties, "required": list(properties)}
 
 
-def _number(about: str) -> Json:
-    return {"type": "number", "description": about}
+def _of_type(kind: str, about: str) -> Json:
+    return {"type": kind, "description": about}
 
 
-def _text(about: str) -> Json:
-    return {"type": "string", "description": about}
-
-
-def _truth(about: str) -> Json:
-    return {"type": "boolean", "description": about}
+_number, _text, _truth = (partial(_of_type, kind) for kind in ("number", "string", "boolean"))
 
 
 def _list(items: Json, about: str) -> Json:
@@ -70,6 +66,9 @@ COLOUR = _thing("Color", "0 to 1", **{part: _number(part) for part in "rgba"})
 _POINTS = _list(_vector("Point3"), "m")
 _COLOURS = _list(COLOUR, "one for each point, or none")
 _INDICES = _list({"type": "integer", "minimum": 0}, "into points, or none")
+_VERTICES = {"points": _POINTS, "color": COLOUR, "colors": _COLOURS, "indices": _INDICES}
+_BOX = {"pose": POSE, "size": _vector()}
+_LENGTHS = {name: _number("m") for name in ("shaft_length", "shaft_diameter", "head_length", "head_diameter")}
 FRAME_TRANSFORM = _thing(
     "FrameTransform",
     "where a frame is in its parent: first the translation, then the rotation",
@@ -79,75 +78,32 @@ FRAME_TRANSFORM = _thing(
     translation=_vector(),
     rotation=QUATERNION,
 )
-_ENTITY = _thing(
-    "SceneEntity",
-    "a visual element in a 3D scene",
-    timestamp=TIME,
-    frame_id=_text("frame of reference"),
-    id=_text("an entity replaces the one before it with the same id"),
-    lifetime=DURATION,
-    frame_locked=_truth("whether it follows its frame"),
-    metadata=_list(_thing("KeyValuePair", "a key with its value", key=_text("key"), value=_text("value")), "more about it"),
-    arrows=_list(
+_SHAPES = {  # field of an entity -> what it holds, and what that is called
+    "arrows": (_thing("ArrowPrimitive", "an arrow along +x of its pose", pose=POSE, **_LENGTHS, color=COLOUR), "arrows"),
+    "cubes": (_thing("CubePrimitive", "a box", **_BOX, color=COLOUR), "boxes"),
+    "spheres": (_thing("SpherePrimitive", "an ellipsoid; size: diameters", **_BOX, color=COLOUR), "ellipsoids"),
+    "cylinders": (
         _thing(
-            "ArrowPrimitive",
-            "an arrow along +x of its pose",
-            pose=POSE,
-            shaft_length=_number("m"),
-            shaft_diameter=_number("m"),
-            head_length=_number("m"),
-            head_diameter=_number("m"),
-            color=COLOUR,
-        ),
-        "arrows",
-    ),
-    cubes=_list(_thing("CubePrimitive", "a box", pose=POSE, size=_vector(), color=COLOUR), "boxes"),
-    spheres=_list(
-        _thing("SpherePrimitive", "an ellipsoid; size: diameters", pose=POSE, size=_vector(), color=COLOUR), "ellipsoids"
-    ),
-    cylinders=_list(
-        _thing(
-            "CylinderPrimitive",
-            "a cylinder or cone",
-            pose=POSE,
-            size=_vector(),
-            bottom_scale=_number("0 to 1"),
-            top_scale=_number("0 to 1"),
-            color=COLOUR,
+            *("CylinderPrimitive", "a cylinder or cone"),
+            **{**_BOX, "bottom_scale": _number("0 to 1"), "top_scale": _number("0 to 1"), "color": COLOUR},
         ),
         "cylinders",
     ),
-    lines=_list(
+    "lines": (
         _thing(
-            "LinePrimitive",
-            "a line",
+            *("LinePrimitive", "a line"),
             type=_choice("LineType", "LINE_STRIP", "LINE_LOOP", "LINE_LIST"),
             pose=POSE,
             thickness=_number("m, or pixels"),
             scale_invariant=_truth("whether the thickness is in pixels"),
-            points=_POINTS,
-            color=COLOUR,
-            colors=_COLOURS,
-            indices=_INDICES,
+            **_VERTICES,
         ),
         "lines",
     ),
-    triangles=_list(
+    "triangles": (_thing("TriangleListPrimitive", "triangles", pose=POSE, **_VERTICES), "triangles"),
+    "texts": (
         _thing(
-            "TriangleListPrimitive",
-            "triangles",
-            pose=POSE,
-            points=_POINTS,
-            color=COLOUR,
-            colors=_COLOURS,
-            indices=_INDICES,
-        ),
-        "triangles",
-    ),
-    texts=_list(
-        _thing(
-            "TextPrimitive",
-            "a label",
+            *("TextPrimitive", "a label"),
             pose=POSE,
             billboard=_truth("whether it faces the viewer"),
             font_size=_number("m, or pixels"),
@@ -157,10 +113,9 @@ _ENTITY = _thing(
         ),
         "labels",
     ),
-    models=_list(
+    "models": (
         _thing(
-            "ModelPrimitive",
-            "a 3D model",
+            *("ModelPrimitive", "a 3D model"),
             pose=POSE,
             scale=_vector(),
             color=COLOUR,
@@ -171,6 +126,17 @@ _ENTITY = _thing(
         ),
         "models",
     ),
+}
+_ENTITY = _thing(
+    "SceneEntity",
+    "a visual element in a 3D scene",
+    timestamp=TIME,
+    frame_id=_text("frame of reference"),
+    id=_text("an entity replaces the one before it with the same id"),
+    lifetime=DURATION,
+    frame_locked=_truth("whether it follows its frame"),
+    metadata=_list(_thing("KeyValuePair", "a key with its value", key=_text("key"), value=_text("value")), "more about it"),
+    **{name: _list(shape, about) for name, (shape, about) in _SHAPES.items()},
 )
 _DELETION = _thing(
     "SceneEntityDeletion",
@@ -260,9 +226,8 @@ def target(at: int, x: float, y: float) -> Json:
 
 
 def _entity(at: int, where: str, name: str, locked: bool = True, **shapes: list[Json]) -> Json:
-    kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     about = {"timestamp": stamp(at), "frame_id": where, "id": name, "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": locked}
-    return {**about, "metadata": [], **{kind: shapes.get(kind, []) for kind in kinds}}
+    return {**about, "metadata": [], **{kind: shapes.get(kind, []) for kind in _SHAPES}}
 
 
 def _xyz(x: float, y: float, z: float = 0.0) -> Json:

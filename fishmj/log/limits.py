@@ -1,6 +1,7 @@
 """What a foreign file may cost: its kind, its size unpacked, and how much of it a message may repeat."""
 
 import os
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,6 +12,10 @@ VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
 DEFAULT_GB = 2.0
 LINE = 1 << 20  # characters of one line of text
 COLUMNS = 4096
+DAMAGE = (  # what a damaged file raises in a library that reads it, besides the library's own errors
+    *(struct.error, OSError, ValueError, TypeError, AttributeError, AssertionError, LookupError, ArithmeticError),
+    *(EOFError, MemoryError, RuntimeError),
+)
 
 
 def most_bytes() -> int:
@@ -51,13 +56,18 @@ def regular(path: Path, *, empty: bool = False) -> int:
     return size
 
 
-def listed(names: Iterable[object], most: int = 60) -> str:
+def listed(names: Iterable[object]) -> str:
     """Names of columns for a message, with commas between them and shortened: a foreign file's first line is not repeated."""
     clean = "".join(c if c.isprintable() else "?" for c in ", ".join(map(str, names)))
-    return clean if len(clean) <= most else clean[: most - 2] + ".."
+    return clean if len(clean) <= 60 else clean[:58] + ".."
 
 
 def quoted(text: object, most: int = 40) -> str:
     """`text` in quotes for a message: control characters out, shortened."""
     clean = "".join(c if c.isprintable() else "?" for c in str(text)[: most + 1])
     return repr(clean if len(clean) <= most else clean[: most - 2] + "..")
+
+
+def bare(text: object, most: int = 40) -> str:
+    """The same without the quotes."""
+    return quoted(text, most)[1:-1]

@@ -24,9 +24,7 @@ from fishmj.errors import LogError
 from fishmj.log.trial import Trial, stacked
 
 LENGTH = 0.5  # s, one window
-LABELS = (
-    *("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow"),
-)
+LABELS = ("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow")
 # Thresholds, chosen for a fish of half a metre with hobby servos; all of them are keyword arguments of `label`.
 STILL_JOINT = math.radians(1.0)  # rad, peak to peak within a window: a servo's dead band and one count of its encoder
 STILL_BODY = 0.01  # m/s
@@ -196,11 +194,8 @@ class _Windows:
         if self.command is not None and self.command[1].shape[1] == q.shape[1]:
             wanted = _held(self.command, t)
             error = np.abs(wanted - q)
-            on = (
-                _held((self.command[0], stacked(self.trial.tables["cmd"], "on#")), t)
-                if "on1" in self.trial.tables["cmd"]
-                else 1.0
-            )
+            sent = self.trial.tables["cmd"]
+            on = _held((self.command[0], stacked(sent, "on#")), t) if "on1" in sent else 1.0
             stuck = np.any((error > behind) & (np.abs(rate) < SLUGGISH) & (np.asarray(on) > 0.5), axis=1)
             out["torque_limited"] = np.nan_to_num(self._over(t, stuck.astype(float), np.mean)) > 0.5
         return out

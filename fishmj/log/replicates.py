@@ -18,12 +18,12 @@ The second bound is what scatter alone exceeds one time in twenty: with few effe
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.delay import lag_between
+from fishmj.log.timebase import lag_between
 from fishmj.log.trial import Trial, stacked
 
 RATIO = 1.5  # a gap up to this many times the scatter of replicates is none
@@ -67,9 +67,6 @@ class Group:
             if channel.name == name:
                 return channel
         raise LogError(f"{self.key}: no channel {name!r} in its replicates; there are {', '.join(c.name for c in self.channels)}")
-
-    def as_dict(self) -> dict:
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -168,7 +165,7 @@ def judge(gap: Mapping[str, float], group: Group) -> Repeatability:
     return Repeatability(ratio > limit, ratio, limit, float(fisher.sf(ratio, top, bottom)), by_channel)
 
 
-def autocorrelation_time(residuals: np.ndarray, window: float = 5.0) -> float:
+def autocorrelation_time(residuals: np.ndarray) -> float:
     """Integrated autocorrelation time of the squares of `(R, T)` residuals, in samples; rows are averaged first; 1 to T."""
     residuals = np.atleast_2d(np.asarray(residuals, float))
     n = residuals.shape[1]
@@ -178,7 +175,7 @@ def autocorrelation_time(residuals: np.ndarray, window: float = 5.0) -> float:
     if not cover[0] > 0:
         return 1.0
     running = 2 * np.cumsum((cover / cover[0]) ** 2) - 1
-    enough = np.flatnonzero(np.arange(n) > window * running)
+    enough = np.flatnonzero(np.arange(n) > 5.0 * running)
     return float(np.clip(running[enough[0] if len(enough) else -1], 1.0, n))
 
 

@@ -1,6 +1,18 @@
 """Audit of a trial's clocks: rate, jitter, lost and repeated rows of every table; lags and drifts between tables.
 
 A shift of 2 ms in the stamps looks like 24 % of damping, so this comes before any identification. Nothing is mended here.
+
+How late one channel is behind another: cross-correlation of rates, peak between samples, bootstrap interval, drift. For signals
+a, b on their own irregular stamps and rates a', b' on a common fine grid (for this comparison only),
+
+    R(l) = sum_w sum_t a'_w(t) b'_w(t + l) / sqrt(sum_w sum_t a'_w(t)^2  sum_w sum_t b'_w(t + l)^2),   lag = argmax R
+
+with the sum over windows w, and the peak from the parabola through the three highest points. (The energy of b' is that of the
+shifted stretch: with a fixed one, a motion that grows would pull the lag.) A positive lag says that b comes later. The interval
+resamples windows with replacement. The drift is the slope of the windows' own lags over the session.
+
+Both rates get the same Gaussian, which shifts nothing. What the estimate cannot tell: whether the delay is of the clocks, of the
+transport or of the mechanism between the two channels; a first-order servo with time constant T shows up as about T.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -9,15 +21,217 @@ from itertools import combinations
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.delay import Lag, lag_between
 from fishmj.log.trial import Table, Trial, gaps, stacked
 
+REACH = 0.4  # s, largest lag looked for
+LONGEST = 5_000_000  # points of the common grid: 83 minutes at 1 ms
+WINDOW = 2.0  # s, one bootstrap unit
+MIN_WINDOWS = 4
+DRAWS = 400
+WEAK = 0.5  # peak correlation below which no lag is claimed
+WIDE = 0.1  # s, width of the interval above which none is claimed either
+RIVAL = 0.95  # a second peak this close to the first makes a periodic signal ambiguous
 PAUSE = 10.0  # s; a longer step is a pause: no rate and no lost row is counted in it
 LOST = 1.5  # steps longer than this many usual steps lack rows
 LOCAL = 10  # steps on either side that say what is usual
 COUNTED = 5e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
 DRIFT = 5e-5  # s/s; less is what two quartz clocks do
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
+
+
+@dataclass(frozen=True)
+class Lag:
+    """`later` behind `earlier` by `lag` s, 90 % interval [low, high]; `drift` in s per s of session, with its interval."""
+
+    earlier: str
+    later: str
+    lag: float
+    low: float
+    high: float
+    correlation: float  # at the peak; negative where the channels move against each other
+    drift: float
+    drift_low: float
+    drift_high: float
+    windows: int
+    ambiguous: bool  # another lag within reach fits as well (a steady beat), or the best one lies at the edge
+
+    @property
+    def found(self) -> bool:
+        """Whether the correlation is strong enough, and the interval narrow enough, to speak of a lag at all."""
+        return abs(self.correlation) >= WEAK and self.high - self.low <= WIDE
+
+    def as_dict(self) -> dict:
+        return {**asdict(self), "found": self.found}
+
+    def text(self) -> str:
+        """One line."""
+        head = f"{self.later} behind {self.earlier}: "
+        if not self.found:
+            interval = f"{1e3 * self.low:.0f} to {1e3 * self.high:.0f} ms"
+            return head + f"not told: correlation {self.correlation:.2f}, interval {interval}; record reversals or a chirp"
+        doubt = "; not unique within reach (a steady beat, or the edge of what was looked at): record reversals or a chirp"
+        drift = f", drift {1e3 * self.drift:+.3f} ms/s ({1e3 * self.drift_low:+.3f} to {1e3 * self.drift_high:+.3f})"
+        return (
+            f"{head}{1e3 * self.lag:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f}), "
+            f"correlation {self.correlation:.2f}{drift}{doubt if self.ambiguous else ''}"
+        )
+
+
+def lag_between(
+    earlier: tuple[str, np.ndarray, np.ndarray],
+    later: tuple[str, np.ndarray, np.ndarray],
+    *,
+    either_sign: bool = False,
+    reach: float = REACH,
+    seed: int = 0,
+) -> Lag:
+    """Lag of `later` behind `earlier`, each (name, t (T,) [s], values (T, N)); the N channels are paired in order.
+
+    Raises:
+        LogError: less than `MIN_WINDOWS` windows in common, or a channel that never moves.
+    """
+    (name_a, ta, a), (name_b, tb, b) = earlier, later
+    n = min(a.shape[1], b.shape[1])
+    if min(len(ta), len(tb)) < 8 or not n:
+        raise LogError(f"{name_b} behind {name_a}: {len(ta)} and {len(tb)} rows; at least 8 of each are needed")
+    step = float(np.clip(min(np.median(np.diff(ta)), np.median(np.diff(tb))) / 4, 1e-3, 5e-3))
+    ta, tb = _without_pauses(np.asarray(ta, float), np.asarray(tb, float), WINDOW)
+    start, end = max(ta[0], tb[0]), min(ta[-1], tb[-1])
+    count = int((end - start) / step)
+    size = max(int(min(WINDOW, (end - start) / MIN_WINDOWS) / step), 1)
+    shift = round(reach / step)
+    if count < MIN_WINDOWS * size or size < 2 * shift:
+        need = MIN_WINDOWS * 2 * reach
+        raise LogError(
+            f"{name_b} behind {name_a}: {max(end - start, 0):.2f} s in common; at least {need:g} s are needed for a lag"
+        )
+    if count > LONGEST:
+        raise LogError(
+            f"{name_b} behind {name_a}: {end - start:.0f} s in common; a lag is looked for in {LONGEST * step:.0f} s at most; "
+            "split the trial"
+        )
+    grid = start + step * np.arange(count)
+    blur = 1.5 * max(np.median(np.diff(ta)), np.median(np.diff(tb))) / step
+    rate_a, rate_b = (_rates(t, v[:, :n], grid, blur) for t, v in ((ta, a), (tb, b)))
+    if not (np.any(rate_a) and np.any(rate_b)):
+        raise LogError(f"{name_b} behind {name_a}: one of them never moves, so there is no lag to see")
+    products, energy_a, energy_b = _windows(rate_a, rate_b, size, shift)
+
+    def curve_of(index) -> np.ndarray:
+        total = np.sqrt(energy_a[index].sum() * energy_b[index].sum(axis=0))
+        return products[index].sum(axis=0) / np.maximum(total, 1e-300)
+
+    curve = curve_of(slice(None))
+    sign = -1.0 if either_sign and -curve.min() > curve.max() else 1.0
+    at, peak = _peak(sign * curve)
+    draws = np.random.default_rng(seed).integers(0, len(products), (DRAWS, len(products)))
+    near = max(round(0.5 * shift), 3)  # resampled peaks are looked for around the peak of the whole
+    low, high = np.quantile([_near(sign * curve_of(d), at, near) for d in draws], [0.05, 0.95])
+    own = np.stack([sign * curve_of([w]) for w in range(len(products))])
+    drift, bounds = _drift(own, np.clip(own.max(axis=1), 0, 1) * energy_a, at, near, size * step, draws)
+    where = lambda k: float((k - shift) * step)  # index on the curve -> lag [s]
+    return Lag(
+        *(name_a, name_b, where(at), where(low), where(high), float(sign * peak)),
+        *(drift * step, bounds[0] * step, bounds[1] * step),
+        *(len(products), _rival(sign * curve, at)),
+    )
+
+
+def _without_pauses(ta: np.ndarray, tb: np.ndarray, keep: float) -> tuple[np.ndarray, np.ndarray]:
+    """Both stamps with every pause that the two share cut to `keep` s, by the same amount for both, so that no lag changes.
+
+    The grid is then as long as the motion, however long the logger slept. A drift is one per second of what is left.
+    """
+    cut_a, cut_b = ta.copy(), tb.copy()
+    ends = [(ta[i], ta[i + 1]) for i in np.flatnonzero(np.diff(ta) > keep)]
+    for start, end in ends:
+        row = int(np.searchsorted(tb, 0.5 * (start + end)))
+        if not 0 < row < len(tb):
+            continue
+        pause, resume = max(start, tb[row - 1]), min(end, tb[row])
+        if (spare := resume - pause - keep) > 0:
+            cut_a[ta >= resume] -= spare
+            cut_b[tb >= resume] -= spare
+    return cut_a, cut_b
+
+
+def _rates(t: np.ndarray, values: np.ndarray, grid: np.ndarray, blur: float) -> np.ndarray:
+    """(G, N) smoothed rates on the grid; zero inside gaps and without their mean."""
+    reach = int(np.ceil(4 * blur))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(blur, 1e-9)) ** 2)
+    kernel /= kernel.sum()
+    step = grid[1] - grid[0]
+    out = np.zeros((len(grid), values.shape[1]))
+    for k in range(values.shape[1]):
+        curve = np.interp(grid, t, values[:, k])
+        smooth = np.convolve(np.pad(curve, reach, mode="edge"), kernel, mode="valid")
+        out[:, k] = np.gradient(smooth, step)
+    for i in gaps(t):
+        out[(grid > t[i] - 4 * blur * step) & (grid < t[i + 1] + 4 * blur * step)] = 0.0
+    return out - out.mean(axis=0)
+
+
+def _windows(a: np.ndarray, b: np.ndarray, size: int, shift: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Per window and lag: sums of a(t) b(t + l) (W, L), of a(t)^2 (W,) and of b(t + l)^2 (W, L), with L = 2 shift + 1.
+
+    b is taken beyond the window's ends, so that every lag sums over the same stretch of a.
+    """
+    count = len(a) // size
+    padded = np.pad(b, ((shift, shift), (0, 0)))
+    products, energy_b = np.zeros((2, count, 2 * shift + 1))
+    energy_a = np.sum(a[: count * size].reshape(count, -1) ** 2, axis=1)
+    length = 1 << int(np.ceil(np.log2(2 * size + 4 * shift)))
+    for w in range(count):
+        one, two = a[w * size : (w + 1) * size], padded[w * size : (w + 1) * size + 2 * shift]
+        spectrum = np.conj(np.fft.rfft(one, length, axis=0)) * np.fft.rfft(two, length, axis=0)
+        products[w] = np.fft.irfft(spectrum, length, axis=0)[: 2 * shift + 1].sum(axis=1)
+        running = np.concatenate([[0.0], np.cumsum(np.sum(two**2, axis=1))])
+        energy_b[w] = running[size : size + 2 * shift + 1] - running[: 2 * shift + 1]
+    return products, energy_a, energy_b
+
+
+def _peak(curve: np.ndarray) -> tuple[float, float]:
+    """Index between samples and height of the highest point."""
+    i = int(np.argmax(curve))
+    if not 0 < i < len(curve) - 1:
+        return float(i), float(curve[i])
+    left, top, right = curve[i - 1 : i + 2]
+    bend = left - 2 * top + right
+    offset = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    return i + offset, float(top - 0.25 * (left - right) * offset)
+
+
+def _near(curve: np.ndarray, at: float, reach: int) -> float:
+    """The peak within `reach` samples of index `at`."""
+    start = max(round(at) - reach, 0)
+    return start + _peak(curve[start : round(at) + reach + 1])[0]
+
+
+def _drift(
+    curves: np.ndarray, weights: np.ndarray, at: float, near: int, spacing: float, draws: np.ndarray
+) -> tuple[float, tuple[float, float]]:
+    """Slope of the windows' own lags [samples/s], weighted, and its 90 % bootstrap interval."""
+    lags = np.array([_near(row, at, near) for row in curves])
+    times = spacing * (np.arange(len(curves)) + 0.5)
+
+    def slope(index: np.ndarray) -> float:
+        t, y, w = times[index], lags[index], weights[index]
+        if not w.sum():
+            return 0.0
+        t = t - np.average(t, weights=w)
+        spread = np.sum(w * t**2)
+        return float(np.sum(w * t * y) / spread) if spread > 1e-12 else 0.0
+
+    low, high = np.quantile([slope(d) for d in draws], [0.05, 0.95])
+    return slope(np.arange(len(curves))), (float(low), float(high))
+
+
+def _rival(curve: np.ndarray, at: float) -> bool:
+    """Is there another local maximum almost as high, or is the highest point at the edge of what was looked at?"""
+    inner = np.flatnonzero((curve[1:-1] >= curve[:-2]) & (curve[1:-1] > curve[2:])) + 1
+    others = inner[np.abs(inner - at) > 3]
+    edge = round(at) in (0, len(curve) - 1)
+    return bool(edge or np.any(curve[others] >= RIVAL * curve.max()))
 
 
 @dataclass(frozen=True)
@@ -72,13 +286,13 @@ class Audit:
         return "\n".join(lines + [f"  ! {finding}" for finding in self.findings])
 
 
-def audit(trial: Trial, *, seed: int = 0) -> Audit:
+def audit(trial: Trial) -> Audit:
     """Audit every table and every pair of channels that can be compared."""
     clocks = tuple(clock_of(name, table) for name, table in sorted(trial.tables.items()) if name != "target")
     lags, findings = [], []
     for earlier, later, either in _pairs(trial):
         try:
-            lags.append(lag_between(earlier, later, either_sign=either, seed=seed))
+            lags.append(lag_between(earlier, later, either_sign=either))
         except LogError as error:
             findings.append(str(error))
     shared = _by_stamps(trial, clocks)

@@ -1,12 +1,163 @@
-"""One trial in memory: a dictionary of meta data and event tables, each with its own time stamps."""
+"""One trial in memory, a dictionary of meta data and event tables with their own stamps; and the schema `fishmj.log/1`: which
+tables a trial may hold, their columns, units and meta keys.
+
+A template such as `j#` stands for `j1, j2, .. jN`; all templates of one table share N. Angles are radians, times seconds
+on the clock that `clock.<table>` names, positions metres in the tank frame.
+"""
 
 import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fishmj.errors import ConfigError, LogError
-from fishmj.log.table_schema import GAP, look_up, table_spec
+from fishmj.errors import ConfigError, LogError, UnknownName
+
+SCHEMA = "fishmj.log/1"
+ORIGINS = ("measured", "synthetic")
+GAP = 0.1  # s; a longer pause in a measured table splits the trial
+YEAR = 366 * 86_400.0  # s; a longer step is no pause: the clock was set
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableSpec:
+    """Columns of one table. `kinds` maps a template to the check its values get."""
+
+    about: str
+    fixed: tuple[str, ...]
+    numbered: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    kinds: dict[str, str]
+    continuous: bool = False  # sampled without pauses: a gap splits the trial
+
+    def describe(self) -> str:
+        """The required columns in words, for messages."""
+        return ", ".join([*self.fixed, *(f"{t.replace('#', '1')}..{t.replace('#', 'N')}" for t in self.numbered)])
+
+    def kind(self, column: str) -> str:
+        """The check of one column: angle, heading, rate, position, speed or "" for none."""
+        return self.kinds.get(re.sub(r"\d+", "#", column), "")
+
+
+_POSE = {"x": "position", "y": "position", "yaw": "heading"}
+TABLES = {
+    "cmd": TableSpec(
+        about="commanded joint angles at the time of sending, rad",
+        fixed=("t",),
+        numbered=("c#",),
+        optional=("seq", "t_rx", "on#"),  # on: 1 while the servo's torque is on
+        kinds={"c#": "angle"},
+        continuous=True,
+    ),
+    "joint": TableSpec(
+        about="measured joint angles, rad; w rad/s; load as the servo reports it",
+        fixed=("t",),
+        numbered=("j#",),
+        optional=("w#", "load#", "temp#"),
+        kinds={"j#": "angle", "w#": "rate"},
+        continuous=True,
+    ),
+    "pose": TableSpec(
+        about="measured pose of the reference point, tank frame, m and rad",
+        fixed=("t", "x", "y", "yaw"),
+        optional=("quality",),
+        kinds=_POSE,
+        continuous=True,
+    ),
+    "power": TableSpec(
+        about="electrical supply, V and A; a bus that tells no current leaves I out", fixed=("t", "V"), optional=("I",), kinds={}
+    ),
+    "gait": TableSpec(
+        about="parameters of a tail beat that the robot makes by itself, rad and Hz; hold until the next row",
+        fixed=("t", "amplitude", "bias"),
+        optional=("frequency",),
+        kinds={"amplitude": "angle", "bias": "angle"},
+    ),
+    "velocity": TableSpec(
+        about="measured velocity over ground in the body frame, m/s and rad/s",
+        fixed=("t", "surge"),
+        optional=("sway", "yaw_rate"),
+        kinds={"surge": "speed", "sway": "speed", "yaw_rate": "rate"},
+        continuous=True,
+    ),
+    "imu": TableSpec(
+        about="inertial sensor in its own frame, m/s^2 and rad/s; az, wx, wy, wz where the sensor has them",
+        fixed=("t", "ax", "ay"),
+        optional=("az", "wx", "wy", "wz"),
+        kinds={"wx": "rate", "wy": "rate", "wz": "rate"},
+        continuous=True,
+    ),
+    "markers": TableSpec(
+        about="points tracked on the body, numbered from the nose, m",
+        fixed=("t",),
+        numbered=("p#x", "p#y"),
+        kinds={"p#x": "position", "p#y": "position"},
+        continuous=True,
+    ),
+    "truth": TableSpec(
+        about="simulator's exact state: pose, its rates in the tank frame, joint angles j and rates k",
+        fixed=("t", "x", "y", "yaw", "vx", "vy", "wz"),
+        numbered=("j#", "k#"),
+        kinds={**_POSE, "vx": "speed", "vy": "speed", "wz": "rate", "j#": "angle", "k#": "rate"},
+        continuous=True,
+    ),
+    "obs": TableSpec(about="what the policy saw", fixed=("t",), numbered=("o#",), kinds={}),
+    "action": TableSpec(about="what the policy answered, in [-1, 1]", fixed=("t",), numbered=("a#",), kinds={}),
+    "target": TableSpec(
+        about="where the fish should be, tank frame, m; holds until the next row",
+        fixed=("t", "x", "y"),
+        kinds={"x": "position", "y": "position"},
+    ),
+    "flow": TableSpec(
+        about="water velocity at each link's centre without the fish, tank frame, m/s",
+        fixed=("t",),
+        numbered=("u#x", "u#y"),
+        kinds={"u#x": "speed", "u#y": "speed"},
+    ),
+    "wrench": TableSpec(
+        about="water force on each link in the tank frame, N, and moment about its front joint (head: reference point), N m",
+        fixed=("t",),
+        numbered=("f#x", "f#y", "m#"),
+        optional=("r#x", "r#y", "n#"),  # the flow solver's raw exchange, the interior water's momentum not yet added
+        kinds={},
+    ),
+}
+
+BY_KIND = {"angle": "rad", "heading": "rad", "rate": "rad/s", "position": "m", "speed": "m/s"}
+BY_NAME = {
+    **{"t": "s", "t_rx": "s", "V": "V", "I": "A", "frequency": "Hz", "ax": "m/s^2", "ay": "m/s^2", "az": "m/s^2"},
+    **{"temp#": "deg C", "f#x": "N", "f#y": "N", "m#": "N m", "r#x": "N", "r#y": "N", "n#": "N m", "a#": "1"},
+}
+META = (  # dotted keys that a complete meta.toml has; sigma and clock are tables with one entry a channel or table
+    *("schema", "origin", "robot", "medium", "flow.speed", "flow.direction", "flow.known", "excitation", "replicate_of"),
+    *("sigma", "clock", "target", "controller", "policy_sha256", "water", "seed", "versions", "commit", "notes", "licence"),
+    "source",
+)
+
+
+def table_spec(name: str) -> TableSpec:
+    """The specification of table `name`, or an error that lists the known ones."""
+    if name not in TABLES:
+        raise UnknownName("table", name, TABLES)
+    return TABLES[name]
+
+
+def unit(table: str, column: str) -> str:
+    """Unit of a column; "" where the schema names none (counts, qualities, observations, columns beyond the schema).
+
+    Raises:
+        UnknownName: no such table.
+    """
+    return BY_KIND.get(table_spec(table).kind(column), "") or BY_NAME.get(re.sub(r"\d+", "#", column), "")
+
+
+def look_up(meta: dict, key: str, default=None):
+    """The value behind a dotted key such as `flow.speed`."""
+    for part in key.split("."):
+        if not isinstance(meta, dict) or part not in meta:
+            return default
+        meta = meta[part]
+    return meta
+
 
 Table = dict[str, np.ndarray]  # column name -> (T,) values; "t" is always there
 

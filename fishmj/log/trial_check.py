@@ -1,33 +1,39 @@
 """Is a table or a meta dictionary what the schema says? The same checks run on reading and on writing.
 
 A breach is a `LogError` that begins with file:line:column (row number and column number for binary tables) and ends
-with the fix. What is merely absent or unusual is returned as notes.
+with the fix. What is merely absent or unusual is returned as notes. How large a value may be before its unit is doubted says
+`data/calib/plausible.toml`, relaxed by a trial's `[plausible]`.
 """
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.calib import calib_folder, read_toml
+from fishmj.errors import LogError, UnknownName
 from fishmj.log.limits import listed, quoted
-from fishmj.log.plausible import Plausible, shipped
-from fishmj.log.table_schema import META, ORIGINS, SCHEMA, YEAR, TableSpec, look_up, table_spec
-from fishmj.log.trial import Table, gaps
+from fishmj.log.trial import META, ORIGINS, SCHEMA, YEAR, Table, TableSpec, gaps, look_up, table_spec
 
+PLAUSIBLE = "plausible"  # of meta.toml
 Place = Callable[[int, str], str]  # (row from 0 or -1 for the header, column name) -> "file:line:column"
 
+_BOUNDS = {  # bound -> what a value does that is beyond it, and its unit
+    **{"angle": ("is", "rad"), "turns": ("is", "rad"), "rate": ("is", "rad/s"), "speed": ("is", "m/s")},
+    **{"start": ("starts at", "m"), "reach": ("goes away from its first row by", "m")},
+    **{"period": ("has a median step of", "s"), "voltage": ("is usually", "V"), "current": ("is usually", "A")},
+}
 _LIMITS = {
-    "angle": ("angle", "rad", "degrees; the schema says rad.", "Multiply the column by pi/180"),
-    "rate": ("rate", "rad/s", "degrees per second; the schema says rad/s.", "Multiply the column by pi/180"),
-    "speed": ("speed", "m/s", "mm/s; the schema says m/s.", "Divide the column by 1000"),
+    "angle": ("degrees; the schema says rad.", "Multiply the column by pi/180"),
+    "rate": ("degrees per second; the schema says rad/s.", "Multiply the column by pi/180"),
+    "speed": ("mm/s; the schema says m/s.", "Divide the column by 1000"),
 }
-_SUPPLY = {"V": ("voltage", "V"), "I": ("current", "A")}  # of the table power: bound, unit
-VERBS = {  # what a bound is about
-    **{"start": "starts at", "reach": "goes away from its first row by", "period": "has a median step of"},
-    **{"voltage": "is usually", "current": "is usually"},
-}
+_SUPPLY = {"V": "voltage", "I": "current"}  # of the table power: bound
 _MILLIMETRES = "looks like millimetres or pixels; the schema says m."
 _METRES = "Divide the column by 1000, or multiply it by the metres of a pixel"
 SCALED = 0.1  # of a decade: how near to a factor of 10, 100, 1000 a change of units is
@@ -37,18 +43,103 @@ STEP = 1e-3  # s; shorter steps of stamps are jitter
 _STAMPS = ((3e3, "milliseconds", "1000"), (3e6, "microseconds", "1e6"), (math.inf, "nanoseconds", "1e9"))  # by the median step
 
 
+@dataclass(frozen=True)
+class Plausible:
+    """Bounds on magnitude, SI units and radians; a value outside is taken for a mistake of units."""
+
+    angle: float  # rad, a joint
+    rate: float  # rad/s
+    reach: float  # m from the first row
+    start: float  # m, the first row
+    speed: float  # m/s
+    turns: float  # of a heading before the first row
+    period: float  # s, median time step
+    tank: float  # m, a position in cm or mm
+    voltage: float  # V, a supply
+    voltage_least: float
+    current: float  # A, of a supply
+    current_least: float
+
+    def span(self, name: str) -> tuple[float, float]:
+        """(least, largest) of a bound."""
+        return getattr(self, f"{name}_least", 0.0), getattr(self, name)
+
+    def relaxed(self, said: Mapping, where: str) -> "Plausible":
+        """These bounds with those of `said` in their place.
+
+        Raises:
+            LogError: a value is no positive number. UnknownName: no such bound.
+        """
+        known = [f.name for f in fields(self)]
+        for name, value in said.items():
+            if name not in known:
+                raise UnknownName(f"bound in {where}", str(name)[:40], known)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise LogError(f"{where}: {name} = {str(value)[:40]!r}; expected a positive number, in SI units")
+        return replace(self, **{name: float(value) for name, value in said.items()})
+
+
+@cache
+def shipped_bounds() -> Plausible:
+    """The table that ships with fishmj.
+
+    Raises:
+        LogError: a bound is missing or no positive number. UnknownName: one that there is not.
+    """
+    path = calib_folder() / "plausible.toml"
+    found, names = read_toml(path), [f.name for f in fields(Plausible)]
+    if missing := [name for name in names if name not in found]:
+        raise LogError(f"{path}: lacks {', '.join(missing)}; install fishmj again")
+    return Plausible(*[1.0] * len(names)).relaxed(found, str(path))
+
+
+_SAID: ContextVar[Mapping | None] = ContextVar("said", default=None)  # on the command line
+
+
+@contextmanager
+def relaxed_bounds(said: Mapping) -> Iterator[None]:
+    """Within: every table is read with these bounds in place of the shipped ones; a trial's own go before them."""
+    shipped_bounds().relaxed(said, "--plausible")
+    token = _SAID.set(said)
+    try:
+        yield
+    finally:
+        _SAID.reset(token)
+
+
+def bounds_of(meta: Mapping, where: str) -> Plausible:
+    """The shipped bounds, relaxed by the command line and by the `[plausible]` table of a trial's meta data."""
+    said = meta.get(PLAUSIBLE, {})
+    if not isinstance(said, Mapping):
+        raise LogError(f"{where}: {PLAUSIBLE} = {str(said)[:40]!r}; expected a table such as [{PLAUSIBLE}] reach = 5000.0")
+    return shipped_bounds().relaxed(_SAID.get() or {}, "--plausible").relaxed(said, f"{where} [{PLAUSIBLE}]")
+
+
+def read_bounds(text: str) -> dict[str, float]:
+    """`reach=1000,speed=30` -> {"reach": 1000.0, "speed": 30.0}; values are checked by `relaxed`."""
+    out = {}
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        name, _, value = part.partition("=")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            raise LogError(f"--plausible {part[:40]!r}: expected NAME=NUMBER, for example reach=1000") from None
+    shipped_bounds().relaxed(out, "--plausible")
+    return out
+
+
 class Implausible(LogError):
     """A value beyond what a log may hold: its unit is doubted.
 
     column: of the schema. value: what `verb` says of it, in `si`; span: what a log may hold; bound: its name in plausible.toml.
     """
 
-    def __init__(
-        self, place: str, fault: str, fix: str, *, column: str, value: float, span: tuple[float, float], si: str, bound: str
-    ):
+    def __init__(self, place: str, fault: str, fix: str, column: str, value: float, bound: str, bounds: Plausible):
         super().__init__(f"{place}: {fault} {fix}")
-        self.place, self.column, self.value, self.span, self.si = place, column, value, span, si
-        self.verb, self.bound = VERBS.get(bound, "is"), f"{bound}_least" if abs(value) < span[0] else bound
+        low, high = bounds.span(bound)
+        self.place, self.column, self.value = place, column, value
+        self.span = (low, high * 2 * math.pi if bound == "turns" else high)
+        (self.verb, self.si), self.bound = _BOUNDS[bound], f"{bound}_least" if abs(value) < low else bound
 
     @property
     def told(self) -> str:
@@ -64,7 +155,7 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
     Args:
         bounds: on magnitude; the shipped ones when None.
     """
-    spec, bounds = table_spec(name), bounds or shipped()
+    spec, bounds = table_spec(name), bounds or shipped_bounds()
     _check_shapes(name, table, place)
     extra = check_columns(name, spec, list(table), place)
     for column, values in table.items():
@@ -186,11 +277,7 @@ def _check_time(t: np.ndarray, place: Place, bounds: Plausible) -> list[str]:
             place(1, "t"),
             f"the median step is {middle:g} s, which looks like {unit}; the schema says s.",
             f"Divide the column by {factor}",
-            column="t",
-            value=middle,
-            span=(0.0, bounds.period),
-            si="s",
-            bound="period",
+            *("t", middle, "period", bounds),
         )
     if 0 < middle < FAST:
         notes.append(f"the median step is {middle:.3g} s, {1 / middle:.3g} rows a second: are the stamps in s?")
@@ -210,38 +297,25 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
     elif kind == "position":
         _check_position(column, np.asarray(values, float), np.asarray(t, float), place, bounds)
     elif kind:
-        bound, si, looks, fix = _LIMITS[kind]
-        most = getattr(bounds, bound)
-        bad = np.flatnonzero(np.abs(values) > most)
+        looks, fix = _LIMITS[kind]
+        bad = np.flatnonzero(np.abs(values) > getattr(bounds, kind))
         if len(bad):
-            value = float(values[bad[0]])
-            raise Implausible(
-                place(int(bad[0]), column),
-                f"column {column!r}: {value:g} looks like {looks}",
-                fix,
-                column=column,
-                value=value,
-                span=(0.0, most),
-                si=si,
-                bound=bound,
-            )
+            row, value = int(bad[0]), float(values[bad[0]])
+            fault = f"column {column!r}: {value:g} looks like {looks}"
+            raise Implausible(place(row, column), fault, fix, column, value, kind, bounds)
 
 
 def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausible) -> None:
     """A supply by its usual value: one that is off, or an inrush, tells nothing of the unit."""
-    bound, si = _SUPPLY[column]
-    value, span = usual(values), bounds.span(bound)
-    if value and not span[0] <= value <= span[1]:
-        looks, fix = (f"k{si}", "Multiply") if value < span[0] else (f"m{si}", "Divide")
+    value, (low, high) = usual(values), bounds.span(_SUPPLY[column])
+    if value and not low <= value <= high:
+        si = _BOUNDS[_SUPPLY[column]][1]
+        looks, fix = (f"k{si}", "Multiply") if value < low else (f"m{si}", "Divide")
         raise Implausible(
             place(int(np.argmax(np.abs(values) >= value)), column),
             f"column {column!r}: usually {value:g}, which looks like {looks}; the schema says {si}.",
             f"{fix} the column by 1000",
-            column=column,
-            value=value,
-            span=span,
-            si=si,
-            bound=bound,
+            *(column, value, _SUPPLY[column], bounds),
         )
 
 
@@ -273,11 +347,7 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
         place(bad, column),
         f"column {column!r}: {told}, which {_MILLIMETRES}",
         f"{_METRES}; if it is m, allow it with a larger {name} in [plausible] of meta.toml, or --plausible {name}=... on import",
-        column=column,
-        value=value,
-        span=(0.0, getattr(bounds, name)),
-        si="m/s" if name == "speed" else "m",
-        bound=name,
+        *(column, value, name, bounds),
     )
 
 
@@ -330,9 +400,5 @@ def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bo
             place(bad, column),
             f"column {column!r}: {yaw[bad]:g} looks like degrees; the schema says rad.",
             "Multiply the column by pi/180",
-            column=column,
-            value=float(yaw[bad]),
-            span=(0.0, most),
-            si="rad",
-            bound="turns",
+            *(column, float(yaw[bad]), "turns", bounds),
         )

@@ -10,8 +10,7 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.log import export
 from fishmj.log.foxglove import Solid
-from fishmj.log.table_schema import TABLES
-from fishmj.log.trial import Trial, stacked
+from fishmj.log.trial import TABLES, Trial, stacked
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.solids import solids
 from fishmj.replay.scene import named_robot

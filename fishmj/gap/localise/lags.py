@@ -1,7 +1,7 @@
 """How late every channel is: behind the model, and behind the command.
 
-Cross-correlation of rates with its bootstrap interval (log/delay.py), over all records in which the channel moves, set one after
-the other with pauses between.
+Cross-correlation of rates with its bootstrap interval (log/timebase.py), over all records in which the channel moves, set one
+after the other with pauses between.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.gap.localise.comparison import Comparison
-from fishmj.log.delay import Lag, lag_between
+from fishmj.log.timebase import Lag, lag_between
 
 PAUSE = 3.0  # s between records
 SAME = 0.006  # s, lags closer than this are not told apart: what a servo within its tolerance makes

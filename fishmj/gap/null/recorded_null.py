@@ -20,7 +20,7 @@ from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model_digest
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.records.residual import WINDOW
 from fishmj.log import Trial
-from fishmj.log.compact import read_bundle
+from fishmj.log.dataset import read_bundle
 from fishmj.mjcf.description import Robot
 from fishmj.store import sha256
 
@@ -70,7 +70,7 @@ class RecordedNull(SimulatedNull):
         return out
 
     def _key(self, model, record: Record, what: Excitation) -> str:
-        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model_digest(model)]
+        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.dataset"), model_digest(model)]
         text = json.dumps([*made, model.fingerprint, what.id, *WINDOW, record.dt, *what.start])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 

@@ -5,9 +5,8 @@ from pathlib import Path
 from fishmj.errors import FishmjError, LogError, StoreError
 from fishmj.gap.records.records import record_of
 from fishmj.log import Trial, measurements, trial_check
-from fishmj.log.compact import read_bundle
-from fishmj.log.dataset import Taken, take
-from fishmj.log.npz_tables import row_place
+from fishmj.log.dataset import Taken, read_bundle, take
+from fishmj.log.table_files import row_place
 from fishmj.store import sha256
 from fishmj.store.manifest import MANIFEST
 

@@ -30,8 +30,8 @@ from fishmj.errors import LogError
 from fishmj.log import toml
 from fishmj.log.importers.column_units import SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
-from fishmj.log.limits import quoted, regular
-from fishmj.log.table_schema import TABLES, TableSpec, table_spec
+from fishmj.log.limits import bare, quoted, regular
+from fishmj.log.trial import TABLES, TableSpec, table_spec
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 _KINDS = {"angle": "angle", "heading": "angle", "rate": "rate", "position": "length", "speed": "speed"}
@@ -79,13 +79,9 @@ class Column(_Strict):
     @model_validator(mode="before")
     @classmethod
     def _short(cls, value: Any) -> Any:
-        return (
-            {"column": value}
-            if isinstance(value, str)
-            else {"constant": value}
-            if isinstance(value, int | float) and not isinstance(value, bool)
-            else value
-        )
+        if isinstance(value, str):
+            return {"column": value}
+        return {"constant": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
     @model_validator(mode="after")
     def _one(self) -> "Column":
@@ -148,7 +144,7 @@ class ColumnMap(_Strict):
     def _schema(self) -> "ColumnMap":
         for name, entry in self.tables.items():
             if name not in TABLES:
-                raise ValueError(f"[tables.{_short(name)}]: no such table{_near(name, TABLES)}; known: {', '.join(TABLES)}")
+                raise ValueError(f"[tables.{bare(name)}]: no such table{_near(name, TABLES)}; known: {', '.join(TABLES)}")
             spec = table_spec(name)
             known = [*spec.fixed[1:], *(t.replace("#", "1") for t in (*spec.numbered, *spec.optional))]
             for column, source in entry.columns.items():
@@ -164,10 +160,6 @@ class ColumnMap(_Strict):
                         f"{SI.get(what) or 'no unit'} or its kin"
                     )
         return self
-
-
-def _short(name: str) -> str:
-    return quoted(name)[1:-1]
 
 
 def _near(name: str, known) -> str:
@@ -186,7 +178,7 @@ def read_map(path: Path) -> ColumnMap:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError, OSError) as error:
-        raise LogError(f"{path}: not valid TOML: {quoted(error, 160)[1:-1]}") from error
+        raise LogError(f"{path}: not valid TOML: {bare(error, 160)}") from error
     return of_dict(raw, str(path))
 
 
@@ -196,7 +188,7 @@ def of_dict(raw: dict, where: str) -> ColumnMap:
         return ColumnMap.model_validate(raw)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        at = ".".join(_short(str(part)) for part in first["loc"])
+        at = ".".join(bare(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
             models: dict[int, type[BaseModel]] = {1: ColumnMap, 3: TableMap, 4: Stamp}
             model = models.get(len(first["loc"]), Column)

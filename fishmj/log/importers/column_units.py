@@ -1,6 +1,17 @@
-"""Units that laboratories write, what they measure, and their factor to SI."""
+"""Units that laboratories write, what they measure, and their factor to SI.
+
+Where no name says it, the numbers do: by size, by spread from the first row, by the step of the stamps. Each verdict is
+(unit or "" where the values allow two, why). A bound between two units has a grey zone around it, never a line.
+"""
 
 import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fishmj.log.importers.sheet import DATE, EPOCH
+from fishmj.log.limits import quoted
+from fishmj.log.trial_check import bounds_of, usual
 
 SI = {  # what is measured -> the schema's unit
     **{"time": "s", "angle": "rad", "rate": "rad/s", "length": "m", "speed": "m/s", "voltage": "V", "current": "A"},
@@ -52,6 +63,13 @@ _SPELLED = {
     **dict.fromkeys(("ticks", "tick", "counts", "raw"), "count"),
 }
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"mv": "mV", "ma": "mA"}
+TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
+RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
+COUNTS = 400.0
+APART = (20.0, 170.0)  # times that two joints' largest angles differ when one is in rad, one in deg: 57.3, and 3 either way
+SHORT = 2e-4  # s; a median step below is a rate that no servo, camera or battery has
+TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
+FLUTTER = 30.0  # a spread beyond is cm, mm or px
 
 
 def unit_of(text: str) -> str:
@@ -80,3 +98,163 @@ def fitting(what: str, value: float, unit: str, span: tuple[float, float]) -> li
     """The likely units in which a value [SI] that was read in `unit` lies within `span`."""
     raw = abs(value) / UNITS[unit or SI[what]][1]
     return [u for u in likely(what) if u != unit and span[0] <= raw * UNITS[u][1] <= span[1]]
+
+
+def time_unit(t: np.ndarray) -> tuple[str, str]:
+    """Of time stamps, in the order of the file."""
+    t = t[np.isfinite(t)]
+    if len(t) < 2:
+        return "", "fewer than two stamps"
+    for scale, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")):
+        if 1e9 * scale < t[0] < 4e9 * scale:
+            return unit, f"{unit} since 1970"
+    step = np.diff(t)
+    step = step[step > 0]
+    middle = float(np.median(step)) if len(step) else 0.0
+    if not middle:
+        return "", "it never rises"
+    for low, high, unit in ((5e-4, 0.4, "s"), (2.0, 400.0, "ms"), (2e3, 4e5, "us"), (2e6, 4e8, "ns")):
+        if low <= middle <= high:
+            return unit, f"steps of {middle:.4g}"
+    allowed = [
+        unit for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if 1e-4 * scale <= middle <= 100 * scale
+    ]
+    return "", f"steps of {middle:.4g} may be {' or '.join(allowed) or 'none of s, ms, us, ns'}"
+
+
+def angle_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of joint angles (all of one family together)."""
+    most = _most(values)
+    told = f"up to {most:.3g}"
+    if most == 0:
+        return "rad", "all zero"
+    if most < TINY_ANGLE:
+        return "", f"{told}: rad or deg?"
+    if most <= RAD:
+        return "rad", told
+    if most <= DEG:
+        return "", f"{told}: rad or deg?"
+    return ("deg", told) if most <= COUNTS else ("", f"{told}: a servo's counts? Say the scale in a map")
+
+
+def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
+    """Why joints of one table cannot have one unit; "" where they can. One that hardly moves tells nothing."""
+    most = {name: _most(values) for name, values in found.items() if _most(values) >= TINY_ANGLE}
+    low, high = min(most, key=most.__getitem__, default=""), max(most, key=most.__getitem__, default="")
+    if not most or most[low] > RAD or most[high] <= DEG or not APART[0] <= most[high] / most[low] <= APART[1]:
+        return ""
+    return f"{quoted(low)} goes up to {most[low]:.3g}, {quoted(high)} to {most[high]:.3g}: one in rad, one in deg?"
+
+
+def heading_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of a heading, wrapped or not."""
+    values = values[np.isfinite(values)]
+    most = _most(values)
+    jump = float(np.max(np.abs(np.diff(values)), initial=0.0))
+    if 5.5 < jump <= 6.4 and most <= 6.4:
+        return "rad", f"wraps by {jump:.3g}"
+    if 300 < jump <= 361:
+        return "deg", f"wraps by {jump:.3g}"
+    if most == 0:
+        return "rad", "all zero"
+    if most <= 3.2:
+        turn = float(np.quantile(np.abs(np.diff(values)), 0.9)) if len(values) > 1 else 0.0
+        return ("", f"turns by {turn:.2g} between rows: rad or deg?") if turn > TURN else ("rad", f"up to {most:.3g}")
+    return ("deg", f"up to {most:.4g}") if most > 40 else ("", f"up to {most:.3g}: rad or deg?")
+
+
+def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
+    """Of positions (x and y together); the first row's place does not count."""
+    spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
+    told = f"spread {spread:.3g}"
+    if spread <= bounds_of({}, "").tank:
+        return "m", told
+    return "", f"{told}: m or cm?" if spread <= FLUTTER else f"{told}: mm, cm, px or m?"
+
+
+def rate_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of angular rates."""
+    most = _most(values)
+    if most <= 12:
+        return "rad/s", f"up to {most:.3g}"
+    return ("deg/s", f"up to {most:.4g}") if most > 40 else ("", f"up to {most:.3g}: rad/s or deg/s?")
+
+
+def voltage_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of a supply."""
+    values = np.abs(values[np.isfinite(values)])
+    middle = float(np.median(values)) if len(values) else 0.0
+    if 2 <= middle <= 100:
+        return "V", f"about {middle:.3g}"
+    return ("mV", f"about {middle:.5g}") if 2000 <= middle <= 1e5 else ("", f"about {middle:.3g}: V or mV?")
+
+
+def current_unit(values: np.ndarray) -> tuple[str, str]:
+    """Of a supply."""
+    most = _most(values)
+    if most <= 15:
+        return "A", f"up to {most:.3g}"
+    return ("mA", f"up to {most:.5g}") if most > 120 else ("", f"up to {most:.3g}: A or mA?")
+
+
+def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Sequence[str]]:
+    """Why the unit that a name says cannot be, and the units that could; ("", ()) where it can.
+
+    Args:
+        what: it measures; "joint" for the angle of one. values: of the column, and of those that share its unit: the joints of
+            one kind, x beside y.
+    """
+    if unit == DATE:
+        return "", ()
+    bounds = bounds_of({}, "")
+    most = max(map(_most, values), default=0.0)
+    if what == "time":
+        doubt = _stamps_against(unit, values[0])
+        return doubt, likely(what) if doubt else ()
+    if what in ("angle", "joint") and unit == "rad" and most > 2 * math.pi:
+        return f"the name says rad, but {most:.4g} rad is more than a turn", ("deg",)
+    if what == "joint" and unit == "deg" and TINY_ANGLE <= most <= 0.5 * RAD:
+        return f"the name says deg, but no joint goes beyond {math.radians(most):.2g} rad; {most:.3g} may be rad", ("rad", "deg")
+    if what in ("voltage", "current"):
+        value, span = max(map(usual, values)) * UNITS[unit][1], bounds.span(what)
+    elif what == "length" and unit in ("mm", "cm"):
+        value, span = max(map(_extent, values)) * UNITS[unit][1], (0.0, bounds.tank)
+    else:
+        return "", ()
+    fits = fitting(what, value, unit, span)
+    if not value or span[0] <= value <= span[1] or not fits:
+        return "", ()
+    allowed = f"{span[0]:g} to {span[1]:g}" if span[0] else f"at most {span[1]:g}"
+    told = f'the name says {unit}, which makes it {value:.4g} {SI[what]}, plausible is {allowed}; in a map unit = "{fits[0]}"'
+    return told, (*fits, unit)
+
+
+def _stamps_against(unit: str, t: np.ndarray) -> str:
+    """Why stamps [unit] cannot be in the unit that their name says; "" where they can."""
+    seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
+    finite = t[np.isfinite(t)]
+    if seconds:
+        step = np.diff(finite)
+        middle = seconds * float(np.median(step[step > 0])) if (step > 0).any() else SHORT
+        if middle < 0.999 * SHORT:
+            return f"the name says {unit}, but the steps are {middle:.3g} s, {1 / middle:.3g} rows a second"
+    if unit == "s":
+        step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
+        if step > 5 and abs(finite[0]) < EPOCH:
+            return f"the name says s, but the steps are {step:.4g}"
+    return ""
+
+
+def _extent(values: np.ndarray) -> float:
+    """How far a position goes from its first row, or starts from zero."""
+    values = values[np.isfinite(values)]
+    return max(_most(values - values[0]), abs(float(values[0]))) if len(values) else 0.0
+
+
+def _most(values: np.ndarray) -> float:
+    """The largest size; of spikes that fewer than one cell in a thousand has, none."""
+    values = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(values, 0.999)) if len(values) > 2000 else float(values.max(initial=0.0))
+
+
+BY_VALUE = {"angle": angle_unit, "rate": rate_unit, "voltage": voltage_unit, "current": current_unit}

@@ -8,21 +8,18 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.log import toml
-from fishmj.log.importers.assemble import Place, renamed, trial_of
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
-from fishmj.log.importers.rows import STRAY
-from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.limits import quoted
-from fishmj.log.table_schema import table_spec
-from fishmj.log.trial import Table, Trial
-from fishmj.log.trial_check import Implausible
+from fishmj.log.importers.registry import renamed, trial_of
+from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
+from fishmj.log.limits import bare, quoted
+from fishmj.log.trial import Table, Trial, table_spec
+from fishmj.log.trial_check import Implausible, Place
 
-EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start
 DAY = 86_400.0  # s; clocks further apart than this are different clocks
 SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
-SPARSE = 0.5  # share of rows that must hold numbers when the file was not written at several rates
+STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
 def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -> Trial:
@@ -51,7 +48,7 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     for sheet in sheets:
         if rest := [column for column in sheet.columns if column not in used]:
             more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
-            notes.append(f"{sheet.name}: not read: {', '.join(quoted(c)[1:-1] for c in rest[:8])}{more}")
+            notes.append(f"{sheet.name}: not read: {', '.join(bare(c) for c in rest[:8])}{more}")
     return trial_of(name, meta, found, notes, lambda table, doubt: _advised(table, doubt, wanted.tables[table]))
 
 
@@ -85,9 +82,8 @@ def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet | None
     if len(fitting) > 1:
         names = ", ".join(quoted(sheet.name) for sheet in fitting[:4])
         raise LogError(
-            f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say "
-            'which with file = "pattern", '
-            "or import each file as a trial of its own with --trial-each"
+            f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say which with "
+            'file = "pattern", or import each file as a trial of its own with --trial-each'
         )
     return fitting[0] if fitting else None
 
@@ -104,22 +100,18 @@ def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
     text = [sheet for sheet in sheets for column in lacking if column in sheet.text]
     where = sheets[0].where if sheets else "nothing"
     if not lacking:
-        return (
-            f"{where}: [tables.{table}]: no one file holds all of {', '.join(map(quoted, _sources(entry)))} (file = "
-            f"{quoted(entry.file or '*')})"
-        )
+        names, file = ", ".join(map(quoted, _sources(entry))), quoted(entry.file or "*")
+        return f"{where}: [tables.{table}]: no one file holds all of {names} (file = {file})"
     near = get_close_matches(lacking[0], has, 1, 0.5)
     hint = f"; did you mean {quoted(near[0])}?" if near else ""
     told = "; it holds text" if text else ""
-    return (
-        f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has "
-        f"{', '.join(quoted(c)[1:-1] for c in has[:12])}"
-    )
+    return f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has {', '.join(bare(c) for c in has[:12])}"
 
 
 def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
     """(columns in SI, their places, notes, whether the stamps count from 1970)."""
-    t, absolute, notes = _seconds(table, sheet, entry.t)
+    t, absolute = _seconds(sheet, entry.t)
+    notes = []
     out: Table = {"t": t}
     names = {"t": entry.t.column}
     for column, source in entry.columns.items():
@@ -132,7 +124,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
                 what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
                 raise LogError(
                     f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
-                    f"leave it out of the map, or --set {quoted(source.column)[1:-1]}=skip"
+                    f"leave it out of the map, or --set {bare(source.column)}=skip"
                 )
     keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)
     if not keep.any():
@@ -188,8 +180,8 @@ def _switched(table: str, columns: Table) -> int:
     return int(found[0] + 1) * reach if len(found) and len(size) > 1 else 0
 
 
-def _seconds(table: str, sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool, list[str]]:
-    """Stamps in s, whether they count from 1970, notes."""
+def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
+    """Stamps in s, and whether they count from 1970."""
     raw = sheet.columns[stamp.column]
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
     t = raw * (1.0 if dated else stamp.factor)
@@ -198,8 +190,7 @@ def _seconds(table: str, sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool, 
     finite = t[np.isfinite(t)]
     if not len(finite):
         raise LogError(f"{sheet.place(0, stamp.column)}: column {quoted(stamp.column)} of time stamps holds no number")
-    absolute = dated or abs(float(finite[0])) > EPOCH
-    return t, absolute, []
+    return t, dated or abs(float(finite[0])) > EPOCH
 
 
 def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: str) -> tuple[np.ndarray, list[str]]:

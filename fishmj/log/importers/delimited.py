@@ -18,7 +18,7 @@ from fishmj import console
 from fishmj.errors import LogError
 from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
-from fishmj.log.limits import COLUMNS, LINE, check_size, quoted, regular
+from fishmj.log.limits import COLUMNS, LINE, bare, check_size, quoted, regular
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 BAD_ROWS = 0.01  # share of rows of another length that are left out with a note; more is another format
@@ -60,7 +60,8 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
                 return name, [f"read as {_NAMES[name]}"]
         file.seek(0)
         decoder, valid, line = codecs.getincrementaldecoder("utf-8")(), True, 1
-        while block := file.read(1 << 20):
+        while True:
+            block = file.read(1 << 20)
             if (at := block.find(b"\0")) >= 0:
                 line += block.count(b"\n", 0, at)
                 raise LogError(
@@ -68,20 +69,18 @@ def _encoding(path: Path) -> tuple[str, list[str]]:
                 )
             line += block.count(b"\n")
             try:
-                valid and decoder.decode(block)
+                valid and decoder.decode(block, final=not block)
             except UnicodeDecodeError:
                 valid = False
-        try:
-            valid and decoder.decode(b"", final=True)
-        except UnicodeDecodeError:
-            valid = False
+            if not block:
+                break
     return ("utf-8", []) if valid else ("latin-1", ["not UTF-8, read as Latin-1"])
 
 
 def _lines(path: Path, file) -> Iterator[tuple[int, str]]:
     """(number from 1, text) of every line that is not blank."""
     number, done = 0, 0
-    bar = console.Progress(path.stat().st_size, f"read {quoted(path.name)[1:-1]}", unit="B")
+    bar = console.Progress(path.stat().st_size, f"read {bare(path.name)}", unit="B")
     while line := file.readline(LINE + 1):
         number += 1
         done += len(line)
@@ -187,11 +186,8 @@ class _Reader:
 
     def _refuse_odd(self) -> None:
         number, count = self.odd[0]
-        hint = (
-            "decimal commas between comma-separated columns? Save with points or with semicolons"
-            if self.mark == ","
-            else "another separator?"
-        )
+        commas = "decimal commas between comma-separated columns? Save with points or with semicolons"
+        hint = commas if self.mark == "," else "another separator?"
         raise LogError(
             f"{self.path}:{number}:1: {count} values in a row of {len(self.names)} columns, as in {len(self.odd)} "
             f"row(s); is the row cut off, or {hint}"
@@ -299,9 +295,6 @@ def _date(text: str) -> float | None:
         return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3].replace(",", "."))
     try:
         found = datetime.fromisoformat(text.replace(",", "."))
-    except ValueError:
-        return None
-    try:
         return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
     except (OverflowError, ValueError):
         return None

@@ -8,41 +8,22 @@ import re
 from pathlib import Path
 
 from fishmj.errors import LogError
-from fishmj.log.csv_tables import read_csv
 from fishmj.log.folder import FLAT, META_FILE, flat_trial, read_meta
-from fishmj.log.table_schema import table_spec
-from fishmj.log.trial import Trial
+from fishmj.log.table_files import read_csv
+from fishmj.log.trial import BY_KIND, Trial, table_spec
 
 _HEADER = re.compile(r"(?P<name>[^\[\]()]+?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
-UNITS = {"angle": "rad", "heading": "rad", "rate": "rad/s", "position": "m", "speed": "m/s"}
 SPELLED = {
-    "radian": "rad",
-    "radians": "rad",
-    "rads": "rad",
-    "sec": "s",
-    "seconds": "s",
-    "metre": "m",
-    "meter": "m",
-    "metres": "m",
+    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
+    **dict.fromkeys(("sec", "seconds"), "s"),
+    **dict.fromkeys(("metre", "meter", "metres"), "m"),
 }
 FACTORS = {
-    **{("deg", "rad"): "multiply the column by pi/180", ("deg/s", "rad/s"): "multiply the column by pi/180"},
-    **{
-        ("°", "rad"): "multiply the column by pi/180",
-        ("mm", "m"): "divide the column by 1000",
-        ("cm", "m"): "divide the column by 100",
-    },
-    **{("mm/s", "m/s"): "divide the column by 1000", ("cm/s", "m/s"): "divide the column by 100"},
-    **{
-        ("ms", "s"): "divide the column by 1000",
-        ("us", "s"): "divide the column by 1e6",
-        ("ns", "s"): "divide the column by 1e9",
-    },
-    **{
-        ("mV", "V"): "divide the column by 1000",
-        ("mA", "A"): "divide the column by 1000",
-        ("rpm", "rad/s"): "multiply by 2 pi/60",
-    },
+    **dict.fromkeys((("deg", "rad"), ("deg/s", "rad/s"), ("°", "rad")), "multiply the column by pi/180"),
+    **dict.fromkeys((("mm", "m"), ("mm/s", "m/s"), ("ms", "s"), ("mV", "V"), ("mA", "A")), "divide the column by 1000"),
+    **dict.fromkeys((("cm", "m"), ("cm/s", "m/s")), "divide the column by 100"),
+    **{("us", "s"): "divide the column by 1e6", ("ns", "s"): "divide the column by 1e9"},
+    ("rpm", "rad/s"): "multiply by 2 pi/60",
 }
 _NAMED = {"t": "s", "t_rx": "s", "V": "V", "I": "A", "frequency": "Hz"}
 
@@ -84,7 +65,7 @@ def _check_unit(name: str, unit: str, where: str) -> None:
     template = re.sub(r"\d+\Z", "#", name)
     table = FLAT.get(name) or FLAT.get(template)
     kind = table_spec(table).kind(name) if table else ""
-    expected = _NAMED.get(name) or UNITS.get(kind, "")
+    expected = _NAMED.get(name) or BY_KIND.get(kind, "")
     unit = SPELLED.get(unit.lower(), unit)
     if not unit or not expected or unit == expected:
         return

@@ -14,16 +14,16 @@ from pathlib import Path
 from fishmj import console, names
 from fishmj.errors import FishmjError, LogError
 from fishmj.log.folder import FLAT_FILE, META_FILE
-from fishmj.log.importers import columnar, delimited, guess, mcap, messages, rosbag2
-from fishmj.log.importers.sheet import Sheet
+from fishmj.log.importers import delimited, guess, mcap, messages, rosbag2
+from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_table
 from fishmj.log.importers.topics import by_name
-from fishmj.log.limits import most_bytes, quoted
-from fishmj.log.table_schema import TABLES
+from fishmj.log.limits import bare, most_bytes, quoted
+from fishmj.log.trial import TABLES
 
 SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders
 MANY = 100_000  # files
-TABLE_FILES = (*delimited.SUFFIXES, *columnar.PARQUET, *columnar.NPZ)
+TABLE_FILES = (*delimited.SUFFIXES, *PARQUET, *NPZ)
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ def read_sheets(path: Path) -> list[Sheet]:
     if is_recording(path):
         return messages.sheets(path, rosbag2.channels(path) if rosbag2.sniff(path) else mcap.channels(path))
     suffix = path.suffix.lower()
-    if suffix in columnar.PARQUET:
-        return [columnar.read_parquet(path)]
-    if suffix in columnar.NPZ:
-        return [columnar.read_table(path)]
+    if suffix in PARQUET:
+        return [read_parquet(path)]
+    if suffix in NPZ:
+        return [read_table(path)]
     if suffix in delimited.SUFFIXES or not suffix:
         return [delimited.read(path)]
     raise LogError(
@@ -161,9 +161,7 @@ def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: 
         elif entry.name not in ("manifest.json", "measurements.toml"):
             other.append(entry.name)
     if other and not depth:
-        notes.append(
-            f"{folder}: passed over: {', '.join(quoted(name)[1:-1] for name in other[:6])}{' ..' if len(other) > 6 else ''}"
-        )
+        notes.append(f"{folder}: passed over: {', '.join(bare(name) for name in other[:6])}{' ..' if len(other) > 6 else ''}")
     items = _heap(files, shelf, together, name=here, top=not depth) if files else []
     for sub in folders:
         items += _walk(sub, root, shelf, together, notes, "" if not depth else here, depth + 1)
@@ -220,7 +218,7 @@ def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: s
         return [*out, Item(name if not top and len(files) == 1 else _joined("" if top else name, tables[0].stem), (tables[0],))]
     different = len(guess.kinds(sheet for file in tables for sheet in shelf.sheets(file)))
     if together if together is not None else _is_one(tables, different):
-        return [*out, Item(name or _common(tables), tuple(tables))]
+        return [*out, Item(name or tables[0].parent.resolve().name or "trial", tuple(tables))]
     return [*out, *(Item(_joined("" if top else name, file.stem), (file,)) for file in tables)]
 
 
@@ -232,13 +230,9 @@ def _is_one(tables: Sequence[Path], different: int) -> bool:
         return False
     raise LogError(
         f"{tables[0].parent}: {len(tables)} files with {different} sets of columns "
-        f"({', '.join(quoted(p.name)[1:-1] for p in tables[:4])}, ..): "
+        f"({', '.join(bare(p.name) for p in tables[:4])}, ..): "
         "are they one trial or many? Say --one-trial or --trial-each, or put the files of each trial into a folder of its own"
     )
-
-
-def _common(files: Sequence[Path]) -> str:
-    return files[0].parent.resolve().name or "trial"
 
 
 def _joined(prefix: str, name: str) -> str:

@@ -4,30 +4,23 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from glob import escape
+from typing import Any
 
 import numpy as np
 
 from fishmj.errors import LogError, UnknownName
-from fishmj.log.importers import header, values
+from fishmj.log.importers import column_units, header
 from fishmj.log.importers.column_map import is_column, measured
 from fishmj.log.importers.column_units import SI, measures, unit_of
-from fishmj.log.importers.roles import Role, role
+from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.limits import quoted
-from fishmj.log.table_schema import TABLES, table_spec
+from fishmj.log.limits import bare, quoted
+from fishmj.log.trial import TABLES, table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
 _NUMBER = re.compile(r"\d+")
 ROWS = 200_000  # of one file that the statistics look at
-NEEDS = {
-    "pose": ("x", "y", "yaw"),
-    "velocity": ("surge",),
-    "imu": ("ax", "ay"),
-    "power": ("V",),
-    "target": ("x", "y"),
-    "gait": ("amplitude", "bias"),
-}
 
 
 @dataclass(frozen=True)
@@ -47,6 +40,18 @@ class Guess:
     @property
     def place(self) -> str:
         return self.places[0] if self.places else ""
+
+    @property
+    def table(self) -> str:
+        return self.place.partition(".")[0]
+
+    def left(self, why: str) -> "Guess":
+        """It, left out."""
+        return replace(self, state=LEFT, places=(), why=why)
+
+    def unclear(self, why: str, **changes: Any) -> "Guess":
+        """It, left to the user."""
+        return replace(self, state=UNCLEAR, why=why, **changes)
 
 
 @dataclass(frozen=True)
@@ -107,7 +112,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     for k, kind in enumerate(found):
         out += _roles(k, kind, said)
     if unknown := [name for name in said if name not in {g.column for g in out}]:
-        raise UnknownName("column in --set", quoted(unknown[0])[1:-1], {quoted(g.column)[1:-1] for g in out})
+        raise UnknownName("column in --set", bare(unknown[0]), {bare(g.column) for g in out})
     out = _commanded_or_measured(out)
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
@@ -155,12 +160,8 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         name = header.parse(column)
         if column in said:
             place, unit, scale = said[column]
-            state = LEFT if place == "skip" else TAKEN
-            out.append(
-                Guess(
-                    k, column, state, () if place == "skip" else (place,), unit or name.unit, scale, "said with --set", said=True
-                )
-            )
+            state, where = (LEFT, ()) if place == "skip" else (TAKEN, (place,))
+            out.append(Guess(k, column, state, where, unit or name.unit, scale, "said with --set", said=True))
             continue
         told = kind.sheets[0].units.get(column, "")
         name = replace(name, unit=told) if told and told != DATE else name
@@ -184,15 +185,11 @@ def _silent(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     dead = [_of_a_joint(g.places) and not np.isfinite(found[g.kind].values(g.column)).any() for g in guesses]
     alive = {(g.kind, _family(p)) for g, no in zip(guesses, dead, strict=True) if not no for p in g.places}
     why = "holds no number, other joints of its table do: was it unplugged?"
-    lost = lambda g: any((g.kind, _family(p)) in alive for p in g.places)
-    return [
-        g
-        if not no or g.said
-        else replace(g, state=UNCLEAR, why=why)
-        if lost(g)
-        else replace(g, state=LEFT, places=(), why=why[:15])
-        for g, no in zip(guesses, dead, strict=True)
-    ]
+    out = []
+    for g, no in zip(guesses, dead, strict=True):
+        lost = any((g.kind, _family(p)) in alive for p in g.places)
+        out.append(g if not no or g.said else g.unclear(why) if lost else g.left("holds no number"))
+    return out
 
 
 def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
@@ -204,12 +201,8 @@ def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
     for g in guesses:
         if g.state == UNCLEAR and len(g.places) == 2 and g.places[0].startswith("cmd.c"):
             if commanded != measured_:
-                i, why = (
-                    (1, "an angle beside commanded ones: measured")
-                    if commanded
-                    else (0, "an angle beside measured ones: commanded")
-                )
-                g = replace(g, state=TAKEN, places=(g.places[i],), why=why)
+                why = "an angle beside commanded ones: measured" if commanded else "an angle beside measured ones: commanded"
+                g = replace(g, state=TAKEN, places=(g.places[1 if commanded else 0],), why=why)
             elif g.column in servo and not any(
                 o.column not in servo and o.state == UNCLEAR and o.places[:1] == g.places[:1] for o in guesses
             ):
@@ -225,7 +218,7 @@ def _from_one(guesses: list[Guess]) -> list[Guess]:
         if not g.said and g.place and (found := _NUMBER.search(g.place)):
             families.setdefault(_NUMBER.sub("#", g.place).rstrip("xy"), []).append(i)
             if int(found[0]) > 999:
-                guesses[i] = replace(g, state=LEFT, places=(), why="its number is beyond any joint's")
+                guesses[i] = g.left("its number is beyond any joint's")
     for mine in families.values():
         if any(_NUMBER.search(guesses[i].place)[0] == "0" for i in mine if guesses[i].place):  # type: ignore[index]
             for i in mine:
@@ -249,9 +242,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
             out[bare[0]] = replace(out[bare[0]], places=(template + "1",), why=out[bare[0]].why + "; the only one")
         elif bare:
             for n, i in enumerate(bare, start=1):
-                out[i] = replace(
-                    out[i], state=UNCLEAR, places=(f"{template}{n}",), why="which joint is it, counted from the nose?"
-                )
+                out[i] = out[i].unclear("which joint is it, counted from the nose?", places=(f"{template}{n}",))
         numbers = [int(out[i].place.removeprefix(template)) for i in mine if i not in bare]
         if (
             numbers
@@ -260,14 +251,9 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
             and len(set(numbers)) == len(numbers)
         ):
             for i in (i for i in mine if i not in bare):
-                out[i] = replace(
-                    out[i], state=UNCLEAR, why=f"numbers {', '.join(map(str, sorted(numbers)))} have holes: which joint is it?"
-                )
+                out[i] = out[i].unclear(f"numbers {', '.join(map(str, sorted(numbers)))} have holes: which joint is it?")
     if any(g.place.endswith("#") for g in out):
-        out = [
-            replace(g, state=LEFT, places=(), why="needs a number") if g.place.endswith("#") and g.state == TAKEN else g
-            for g in out
-        ]
+        out = [g.left("needs a number") if g.place.endswith("#") and g.state == TAKEN else g for g in out]
     return [replace(g, places=tuple(p.replace("#", "1") for p in g.places)) for g in out]
 
 
@@ -287,18 +273,18 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 raise LogError(
                     f"--set {quoted(g.column)}: {g.unit} measures {measures(g.unit)}; {g.place} is in {SI.get(what) or 'no unit'}"
                 )
-            out.append(replace(g, state=UNCLEAR, why=f"{g.unit} is no unit of {g.place}"))
+            out.append(g.unclear(f"{g.unit} is no unit of {g.place}"))
             continue
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
         elif g.unit:
             if (shared := (g.unit, _sensor(g, what))) not in doubts:
                 alike = [kind.values(o.column) for o in guesses if o.state != LEFT and (o.unit, _sensor(o, what)) == shared]
-                doubts[shared] = values.against(g.unit, "joint" if _of_a_joint(g.places) else what, alike)
+                doubts[shared] = column_units.against(g.unit, "joint" if _of_a_joint(g.places) else what, alike)
             doubt, fits = doubts[shared]
             if g.unit == "px":
                 doubt = "px: say the metres of a pixel, and y's direction, in a map"
-            out.append(replace(g, state=UNCLEAR, why=doubt, fits=tuple(fits)) if doubt else g)
+            out.append(g.unclear(doubt, fits=tuple(fits)) if doubt else g)
         elif not what:
             out.append(g)
         else:
@@ -308,12 +294,8 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             unit, why = known[family]
             if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
                 unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
-            if (
-                what == "angle"
-                and unit == "rad"
-                and any(o.unit == "deg" for o in guesses)
-                and not why.startswith(("wraps", "all zero"))
-            ):
+            beside = any(o.unit == "deg" for o in guesses) and not why.startswith(("wraps", "all zero"))
+            if what == "angle" and unit == "rad" and beside:
                 unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
@@ -322,35 +304,30 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
 
 def _sensor(g: Guess, what: str) -> str:
     """What columns have in common whose names say one unit: x and y of one table, joints of one kind; a stamp is alone."""
-    return g.column if what == "time" else g.place.partition(".")[0] if what == "length" else _family(g.place)
+    return g.column if what == "time" else g.table if what == "length" else _family(g.place)
 
 
 def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
     family = _family(g.place)
     mine = [o for o in guesses if o.state != LEFT and not o.unit and _family(o.place) == family]
     if what == "time":
-        return values.time_unit(kind.sheets[0].columns[g.column])
+        return column_units.time_unit(kind.sheets[0].columns[g.column])
     if what == "angle" and g.place.endswith("yaw"):
-        return values.heading_unit(kind.values(g.column))
+        return column_units.heading_unit(kind.values(g.column))
     if what == "length":
-        axes = [
-            o
-            for o in guesses
-            if o.state != LEFT
-            and o.place.partition(".")[0] == g.place.partition(".")[0]
-            and measured(*o.place.split(".")) == "length"
-        ]
+        beside = [o for o in guesses if o.state != LEFT and o.table == g.table]
+        axes = [o for o in beside if measured(*o.place.split(".")) == "length"]
         spoken = {o.unit for o in axes if o.unit}
         if len(spoken) == 1:
             return spoken.pop(), "as its other axis"
-        return values.length_unit([s.columns[o.column] for o in axes for s in kind.sheets[:16]])
+        return column_units.length_unit([s.columns[o.column] for o in axes for s in kind.sheets[:16]])
     if what == "acceleration":
         middle = float(np.nanmedian(np.abs(kind.values(g.column))))
         return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
-    if what == "angle" and (doubt := values.mixed_angles({o.column: kind.values(o.column) for o in mine})):
+    if what == "angle" and (doubt := column_units.mixed_angles({o.column: kind.values(o.column) for o in mine})):
         return "", doubt
-    if what in values.BY_VALUE:
-        return values.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
+    if what in column_units.BY_VALUE:
+        return column_units.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
     return SI.get(what, ""), "no unit said"
 
 
@@ -382,9 +359,9 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             tied = [r[-1] for r in rank if r[:-1] == best[:-1]]
             for i in stamps:
                 if len(tied) > 1 and i in tied:
-                    out[i] = replace(out[i], state=UNCLEAR, why=f"{len(tied)} columns of time: which stamps the row?")
+                    out[i] = out[i].unclear(f"{len(tied)} columns of time: which stamps the row?")
                 elif i != best[-1]:
-                    out[i] = replace(out[i], state=LEFT, places=(), why="another column of time is taken")
+                    out[i] = out[i].left("another column of time is taken")
     places: dict[str, list[int]] = {}
     for i, g in enumerate(out):
         if g.place and g.place not in ("t", NANOSECONDS) and g.state == TAKEN:
@@ -393,10 +370,10 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
         said = [i for i in mine if out[i].said]
         for i in mine if len(mine) > 1 else []:
             if said and i not in said:
-                out[i] = replace(out[i], state=LEFT, places=(), why=f"another column was said to be {place}")
+                out[i] = out[i].left(f"another column was said to be {place}")
             elif not said or len(said) > 1:
                 others = ", ".join(quoted(out[o].column) for o in mine if o != i)
-                out[i] = replace(out[i], state=UNCLEAR, why=f"{place} is also {others}: which?")
+                out[i] = out[i].unclear(f"{place} is also {others}: which?")
     return out
 
 
@@ -422,27 +399,20 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     for k in range(len(found)):
         mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place not in ("t", NANOSECONDS)]
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
-            out = [
-                replace(g, state=LEFT, places=(), why="the file has no column of time") if i in mine and not g.said else g
-                for i, g in enumerate(out)
-            ]
+            out = [g.left("the file has no column of time") if i in mine and not g.said else g for i, g in enumerate(out)]
             continue
-        for table in {out[i].place.partition(".")[0] for i in mine}:
-            have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.place.startswith(f"{table}.")}
-            need = NEEDS.get(table) or tuple(t.replace("#", "1") for t in table_spec(table).numbered)
+        for table in {out[i].table for i in mine}:
+            have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.table == table}
+            spec = table_spec(table)
+            need = spec.fixed[1:] or tuple(t.replace("#", "1") for t in spec.numbered)
             lacking = [column for column in need if column not in have]
             if lacking:
                 why = f"table {table} also needs {', '.join(lacking)}"
-                out = [
-                    replace(g, state=LEFT, places=(), why=why)
-                    if i in mine and g.place.startswith(f"{table}.") and not g.said
-                    else g
-                    for i, g in enumerate(out)
-                ]
+                out = [g.left(why) if i in mine and g.table == table and not g.said else g for i, g in enumerate(out)]
     first: dict[str, int] = {}
     for i, g in enumerate(out):
-        table = g.place.partition(".")[0] if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
+        table = g.table if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
         if table and first.setdefault(table, g.kind) != g.kind:
             why = f"table {table} lies in another file already; a table of ours is one file with one clock"
-            out[i] = replace(g, state=UNCLEAR if g.said else LEFT, places=g.places if g.said else (), why=why)
+            out[i] = g.unclear(why) if g.said else g.left(why)
     return out

@@ -1,12 +1,21 @@
-"""What is made of a guess: a map, comments on what the map leaves out, and the choices that are left to the user."""
+"""What is made of a guess: a map, comments on what it leaves out, a table to look at, and the choices left to the user."""
 
+import re
+import sys
 from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
 
+from fishmj import console
 from fishmj.errors import LogError
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.guess import LEFT, NANOSECONDS, TAKEN, UNCLEAR, FileKind, Guess
-from fishmj.log.limits import quoted
+from fishmj.log.importers.sheet import DATE
+from fishmj.log.limits import bare
+
+Guesses = list[tuple[Sequence[FileKind], list[Guess]]]  # one for each layout of files
+SHOWN = 3  # first values of a column
 
 
 def unclear(guesses: Iterable[Guess]) -> list[Guess]:
@@ -26,11 +35,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
         stamp = next((g for g in mine if g.place == "t"), None)
         if stamp is None:
             continue
-        t = (
-            {"column": stamp.column}
-            | ({"unit": stamp.unit} if stamp.unit else {})
-            | ({"scale": stamp.scale} if stamp.scale != 1 else {})
-        )
+        t = _source(stamp)
         for g in mine:
             if g is stamp:
                 continue
@@ -39,8 +44,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
                 continue
             table, _, column = g.place.partition(".")
             entry = tables.setdefault(table, {"t": t, "columns": {}, "kind": k})
-            source = {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
-            entry["columns"][column] = source
+            entry["columns"][column] = _source(g)
     for entry in tables.values():
         k = entry.pop("kind")
         used = {entry["t"]["column"], *(c["column"] for c in entry["columns"].values())}
@@ -51,14 +55,19 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
     return of_dict({"tables": tables, "meta": meta, "skip": [g.column for g in guesses if g.said and not g.places]}, where)
 
 
+def _source(g: Guess) -> dict:
+    """A column as the map says it."""
+    return {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
+
+
 def _nothing(guesses: Sequence[Guess], where: str) -> str:
     if all(g.place != "t" for g in guesses):
-        names = ", ".join(quoted(g.column)[1:-1] for g in guesses[:8])
+        names = ", ".join(bare(g.column) for g in guesses[:8])
         return (
             f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = '
             f'{{ column = "frame", scale = 0.01 }}'
         )
-    told = "; ".join(f"{quoted(g.column)[1:-1]}: {g.why}" for g in guesses if g.place != "t")[:300]
+    told = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
     return f"{where}: no column was recognised ({told}); write a map (docs/guide/logs.md) and import with --columns MAP.toml"
 
 
@@ -74,8 +83,81 @@ def choices(g: Guess) -> str:
 def remarks(found: Sequence[FileKind], guesses: Iterable[Guess]) -> Iterator[str]:
     """Comments of a map: every column of the files that no line of it takes."""
     for g in guesses:
-        name = f"{quoted(found[g.kind].sheets[0].name)[1:-1]}: {quoted(g.column)[1:-1]}"
+        name = f"{bare(found[g.kind].sheets[0].name)}: {bare(g.column)}"
         if g.state == UNCLEAR:
             yield f"# unclear: {name} may be {choices(g)} ({g.why})\n"
         elif g.state == LEFT and not g.said:
             yield f"# left out: {name} ({g.why})\n"
+
+
+def show(found: Guesses) -> None:
+    """Every column on the terminal, a table for each layout of files."""
+    for kinds, made in found:
+        rows = [_as_row(kinds, g) for g in made]
+        console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
+
+
+def rows(found: Guesses) -> list[dict]:
+    """Every column, for JSON."""
+    return [_as_row(kinds, g) for kinds, made in found for g in made]
+
+
+def _as_row(kinds: Sequence[FileKind], g: Guess) -> dict:
+    sheet = kinds[g.kind].sheets[0]
+    values = sheet.columns[g.column]
+    first = values[values == values][:SHOWN]
+    becomes = f"UNCLEAR: {choices(g)}" if g.state == UNCLEAR else "left out" if g.state == LEFT else g.place
+    more = f" (and {len(kinds[g.kind].sheets) - 1} more)" if len(kinds[g.kind].sheets) > 1 else ""
+    unit = g.unit + (f"*{g.scale:g}" if g.scale != 1 else "")
+    return {
+        **{"file": bare(sheet.name) + more, "column": bare(g.column), "becomes": becomes},
+        **{"unit": unit if g.state != LEFT else "", "first values": ", ".join(_shown(v, g.unit) for v in first), "why": g.why},
+    }
+
+
+def _shown(value: float, unit: str) -> str:
+    if unit == DATE and abs(value) < 1e11:
+        return f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
+    return f"{value:.6g}"
+
+
+def first_unclear(found: Guesses) -> str:
+    """What --set could say of the first of them, as an example."""
+    g = next((g for _, made in found for g in unclear(made)), None)
+    return f"{bare(g.column)}={choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
+
+
+def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
+    """Nothing unclear is left, and the user agrees, by `yes` or on the terminal.
+
+    Raises:
+        LogError: a column is unclear, or the user does not agree.
+    """
+    doubts = [g for _, made in found for g in unclear(made)]
+    if doubts:
+        told = "; ".join(f"{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for g in doubts[:4])
+        more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
+        raise LogError(
+            f"{source}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "
+            "MAP.toml, mend it, --columns MAP.toml"
+        )
+    if yes or all(_certain(g) for _, made in found for g in made):
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise LogError(
+            f"{source}: the columns above are guessed; take them with --yes, or write them to a file with "
+            "--write-map MAP.toml, mend it, and import with --columns MAP.toml"
+        )
+    console.say("Take these columns? [y/N]")
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise LogError(
+            f"{source}: nothing imported; write the guess with --write-map MAP.toml, mend it, and import with --columns MAP.toml"
+        )
+
+
+def _certain(g: Guess) -> bool:
+    """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
+    own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (
+        not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s")
+    )
+    return g.said or own

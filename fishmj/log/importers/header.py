@@ -1,9 +1,10 @@
-"""What the name of a column says: its words, its number, its unit."""
+"""What the name of a column says: its words, its number, its unit; and what the column may be by its name alone."""
 
 import re
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from fishmj.log.importers.column_units import UNITS, unit_of
+from fishmj.log.importers.column_units import UNITS, measures, unit_of
 
 # In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
 # and `cap` (a capacity) are left to the user.
@@ -31,46 +32,20 @@ NOWHERE = set(
 )
 _GLUED = {  # names without a mark between their words; a unit comes last, so no quantity does
     **{"posx": "pos x", "posy": "pos y", "xpos": "pos x", "ypos": "pos y", "camx": "cam x", "camy": "cam y"},
-    **{
-        "vbat": "volt battery",
-        "vbatt": "volt battery",
-        "vin": "volt supply",
-        "ibat": "current battery",
-        "ibatt": "current battery",
-    },
-    **{
-        "akkuspannung": "spannung akku",
-        "batteriespannung": "spannung akku",
-        "akkustrom": "strom akku",
-        "batteriestrom": "strom akku",
-    },
-    **{
-        "sollwinkel": "soll winkel",
-        "stellwinkel": "soll winkel",
-        "istwinkel": "ist winkel",
-        "sollwert": "soll",
-        "istwert": "ist",
-    },
-    **{"setpoint": "target", "zeitstempel": "zeit stempel", "motorstrom": "motor strom"},
-    **{
-        "yawrate": "yaw rate",
-        "gierrate": "yaw rate",
-        "rollrate": "roll rate",
-        "yawangle": "yaw angle",
-        "gierwinkel": "yaw angle",
-    },
-    **{"winkelgeschwindigkeit": "winkel rate", "accx": "acc x", "accy": "acc y", "accz": "acc z"},
-    **{
-        "gyrox": "gyro x",
-        "gyroy": "gyro y",
-        "gyroz": "gyro z",
-        "ψ": "psi",
-        "θ": "theta",
-        "easting": "x east",
-        "northing": "y north",
-    },
+    **{"vbat": "volt battery", "vbatt": "volt battery", "vin": "volt supply"},
+    **{"ibat": "current battery", "ibatt": "current battery", "motorstrom": "motor strom"},
+    **{"akkuspannung": "spannung akku", "batteriespannung": "spannung akku"},
+    **{"akkustrom": "strom akku", "batteriestrom": "strom akku", "sollwert": "soll", "istwert": "ist"},
+    **{"sollwinkel": "soll winkel", "stellwinkel": "soll winkel", "istwinkel": "ist winkel"},
+    **{"setpoint": "target", "zeitstempel": "zeit stempel", "winkelgeschwindigkeit": "winkel rate"},
+    **{"yawrate": "yaw rate", "gierrate": "yaw rate", "rollrate": "roll rate"},
+    **{"yawangle": "yaw angle", "gierwinkel": "yaw angle", "easting": "x east", "northing": "y north"},
+    **{"accx": "acc x", "accy": "acc y", "accz": "acc z", "gyrox": "gyro x", "gyroy": "gyro y", "gyroz": "gyro z"},
+    **{"ψ": "psi", "θ": "theta"},
 }
+AXES = {"x", "y", "z"}
 _BRACKET = re.compile(r"(.*?)\s*[\[(<{]([^\])>}]*)[\])>}]\s*\Z", re.DOTALL)
+_SPANS = set("ms us ns sec secs seconds millis micros msec usec nanos s".split())  # a unit alone: a stamp in it
 _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m", "s2")}
 
 
@@ -78,7 +53,6 @@ _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m"
 class Header:
     """`words` in lower case without number and unit."""
 
-    raw: str
     words: tuple[str, ...]
     number: int | None = None
     unit: str = ""
@@ -110,21 +84,155 @@ def parse(raw: str) -> Header:
         unit, said = unit_of(last), words(rest)  # as it is written: mV is no m V
     elif not unit and len(said) > 1 and unit_of(said[-1]) and said[-1] not in ("g", "min"):
         unit, said = unit_of(said[-1]), said[:-1]
-    elif len(said) == 1 and said[0] in (
-        "ms",
-        "us",
-        "ns",
-        "sec",
-        "secs",
-        "seconds",
-        "millis",
-        "micros",
-        "msec",
-        "usec",
-        "nanos",
-        "s",
-    ):
+    elif len(said) == 1 and said[0] in _SPANS:
         unit, said = unit_of(said[0]), ["time"]
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
-    return Header(raw, plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
+    return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
+
+
+class Role(NamedTuple):
+    """`places`: "cmd.c#" and the like, # for the column's number; none: left out because of `why`; several: unclear."""
+
+    places: tuple[str, ...] = ()
+    why: str = ""
+
+
+def role(name: Header, context: set[str]) -> Role:
+    """The places that a column's name allows.
+
+    Args:
+        context: words of the file's name or the topic: `commands.csv` tells what its columns are.
+    """
+    for rule in (_force, _exact, _time, _power, _imu, _velocity, _place, _heading, _joint):
+        if found := rule(name, context):
+            return found
+    return Role(why="the name says nothing that the log's schema knows")
+
+
+def _exact(name: Header, context: set[str]) -> Role | None:
+    """Names of the schema itself."""
+    if name.words in (("c",), ("j",)) and name.number is not None and measures(name.unit) in ("", "angle"):
+        return Role(("cmd.c#" if name.words == ("c",) else "joint.j#",), "the schema's own name")
+    if name.words in (("w",), ("on",)) and name.number is not None:
+        return Role(("joint.w#" if name.words == ("w",) else "cmd.on#",), "the schema's own name")
+    if name.words in (("amplitude",), ("bias",)) and measures(name.unit) in ("", "angle"):
+        return Role((f"gait.{name.words[0]}",), "the schema's own name")
+    return None
+
+
+def _force(name: Header, context: set[str]) -> Role | None:
+    if name.has(FORCE) or measures(name.unit) in ("force", "torque") or (context & FORCE and not name.has(TIME)):
+        return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
+    if measures(name.unit) in ("mass", "power", "share", "count") and not name.has(SERVO | JOINT):
+        return Role(why=f"{name.unit}: the schema has no such column")
+    if name.has(NOWHERE):
+        return Role(why="the schema has no such column")
+    return None
+
+
+def _time(name: Header, context: set[str]) -> Role | None:
+    if not name.has(TIME) or name.has(AXES | SERVO | JOINT) or measures(name.unit) not in ("", "time"):
+        return None
+    if name.has({"rx", "arrival", "received", "delay", "delta", "dt", "duration", "since"}):
+        return Role(why="a time, but not the stamp of the row")
+    return Role(("t",), "a word for time" + (" and its unit" if name.unit else ""))
+
+
+def _power(name: Header, context: set[str]) -> Role | None:
+    if name.has(CAMERA):  # cam_u, cam_v
+        return None
+    said, alone = measures(name.unit), not name.has(SERVO | JOINT) and name.number is None
+    battery = name.has(BATTERY) or not context.isdisjoint(BATTERY)
+    volts = name.has(VOLT - {"u"}) or name.words in (("v",), ("u",)) or (battery and name.has({"v", "u"}))
+    if said == "voltage" or (volts and not said):
+        return Role(("power.V",), "a word or unit of voltage") if alone else Role(why="the voltage of one servo")
+    amps = name.has(CURRENT) or (name.words == ("i",) and alone) or (battery and name.has({"i"}))
+    if said == "current" or (amps and not said):
+        return Role(("power.I",), "a word or unit of current") if alone else Role(why="the current of one servo")
+    if name.has(BATTERY - {"bus", "power", "supply"}) and alone:
+        return Role(("power.V", "power.I"), "a battery's voltage or its current?")
+    if name.has(TEMPERATURE):
+        if name.number is not None:
+            return Role(("joint.temp#",), "a servo's temperature")
+        return Role(why="a temperature of no servo")
+    return None
+
+
+def _imu(name: Header, context: set[str]) -> Role | None:
+    axis = next((word for word in name.words if word in AXES), "")
+    if axis and (name.has(ACCELERATION) or measures(name.unit) == "acceleration"):
+        return Role((f"imu.a{axis}",), "an acceleration")
+    if name.words[-1:] in (("ax",), ("ay",), ("az",)):
+        return Role((f"imu.{name.words[-1]}",), "an acceleration")
+    if axis and (name.has({"gyro", "gyroscope", "angular"}) or ("omega" in name.words)):
+        return Role((f"imu.w{axis}",), "a turning rate")
+    if name.words[-1:] in (("gx",), ("gy",), ("gz",), ("wx",), ("wy",), ("wz",)):
+        return Role((f"imu.w{name.words[-1][1]}",), "a turning rate")
+    return None
+
+
+def _velocity(name: Header, context: set[str]) -> Role | None:
+    if name.words[-1:] in (("surge",), ("sway",)):
+        return Role((f"velocity.{name.words[-1]}",), "a velocity of the body")
+    if name.has(HEADING - {"theta"}) and name.has(RATE):
+        return Role(("velocity.yaw_rate",), "the rate of the heading")
+    if (name.has(AXES) and name.has(RATE)) or name.words[-1:] in (("vx",), ("vy",), ("vz",)) or measures(name.unit) == "speed":
+        return Role(why="a velocity that may be of the tank or of the body; the schema's is the body's surge and sway")
+    return None
+
+
+def _place(name: Header, context: set[str]) -> Role | None:
+    axis = next((word for word in reversed(name.words) if word in AXES), "")
+    if not axis or measures(name.unit) not in ("", "length"):
+        return None
+    if axis == "z":
+        return Role(why="the schema's poses lie in the plane")
+    if name.has(COMMAND):
+        return Role((f"target.{axis}",), "where it should be")
+    if name.number is not None and (name.has({"marker", "markers", "point", "led", "dot", "p"}) or name.words == (axis,)):
+        return Role((f"markers.p#{axis}",), "a numbered point")
+    if context & {"target", "goal", "setpoint", "waypoint"} or (name.words == (axis,) and context & COMMAND):
+        return Role((f"target.{axis}",), "the file's name says that it is a target")
+    return Role((f"pose.{axis}",), "a position" + (" of the camera" if name.has(CAMERA) else ""))
+
+
+def _heading(name: Header, context: set[str]) -> Role | None:
+    if name.has(COMPASS):
+        return Role(
+            why="a compass bearing runs clockwise from north, yaw the other way from x: map it with sign = -1 and zero = 90"
+        )
+    if name.has(HEADING) and name.number is None and measures(name.unit) in ("", "angle") and not name.has(SERVO | {"joint"}):
+        if name.has(COMMAND):
+            return Role(why="a wanted heading; the schema has none")
+        return Role(("pose.yaw",), "a word for the heading")
+    return None
+
+
+def _joint(name: Header, context: set[str]) -> Role | None:
+    said = measures(name.unit)
+    known = name.has(SERVO | JOINT | PART)
+    if name.number is not None and name.words in (("value",), ("data",), ("values",)):  # an array on a topic of angles
+        known = bool(context & (SERVO | JOINT))
+    numbered = name.number is not None and (name.has(COMMAND | MEASURED) or said == "angle")
+    if not (known or numbered) or said not in ("", "angle", "rate"):
+        return Role(why=f"{name.unit} measures no angle") if known and said else None
+    if name.has(RATE) or said == "rate":
+        if name.has(COMMAND):
+            return Role(why="a commanded rate; the schema has none")
+        return Role(("joint.w#",), "the rate of a joint")
+    if name.has({"load"}):
+        return Role(("joint.load#",), "a servo's load")
+    if name.has({"enabled", "enable", "torque", "mode", "status"}):
+        return Role(why="a state, no angle")
+    if name.has(COMMAND):
+        return Role(("cmd.c#",), "a word for a command")
+    if name.has(MEASURED):
+        return Role(("joint.j#",), "a word for a measurement")
+    if not context.isdisjoint(COMMAND):
+        return Role(("cmd.c#",), "the file's name says that these are commands")
+    if not context.isdisjoint(MEASURED):
+        return Role(("joint.j#",), "the file's name says that these are measured")
+    if name.has(SERVO):
+        return Role(("cmd.c#", "joint.j#"), "a servo's angle: commanded, unless others are")
+    return Role(("cmd.c#", "joint.j#"), "an angle: commanded or measured?")

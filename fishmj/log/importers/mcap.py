@@ -6,17 +6,18 @@ refused by name: convert them, or write the log as a trial folder. A chunk is un
 """
 
 import io
-import struct
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.export import carried
+from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
 from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
-from fishmj.log.limits import check_size, most_bytes, quoted, regular
-from fishmj.log.trial import Trial
+from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
+from fishmj.log.trial import SCHEMA, Trial
+from fishmj.log.trial_check import check_meta
 
 MAGIC = b"\x89MCAP0\r\n"
 SUFFIX = ".mcap"
@@ -50,6 +51,27 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     return messages.mapped(path, found, wanted, own)
 
 
+def carried(path: Path) -> dict | None:
+    """The meta data that a file of `log export` carries; None in any other, and without the library."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import SeekingReader
+    except ImportError:
+        return None
+
+    try:
+        with open(path, "rb") as file:
+            reader = SeekingReader(file, record_size_limit=path.stat().st_size)  # a damaged length cannot ask for all memory
+            for attachment in reader.iter_attachments() if reader.get_summary() is not None else ():
+                if attachment.name == META_FILE:
+                    meta = tomllib.loads(attachment.data.decode("utf-8"))
+                    check_meta(meta, str(path))
+                    return meta if meta.get("schema") == SCHEMA else None
+    except (McapError, *DAMAGE):  # whoever reads the messages says what is damaged
+        return None
+    return None
+
+
 def channels(path: Path, needed: set[str] | None = None) -> Found:
     """The messages of every topic that is needed (all when None), in the file's order.
 
@@ -78,22 +100,16 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
         from mcap.exceptions import McapError
         from mcap.records import Channel as ChannelRecord
         from mcap.records import Chunk, Message, Schema
-        from mcap.stream_reader import StreamReader
+        from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError as error:
         raise MissingExtra("mcap", "logs", "Reading MCAP recordings") from error
-    damage = (
-        *(McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, EOFError, KeyError, TypeError),
-        *(MemoryError, OverflowError, IndexError, AttributeError, OSError),
-    )
     known: dict[int, tuple[str, str, str]] = {}
     kinds: dict[int, str] = {}
     unpacked = 0
 
-    def inside(chunk) -> Iterator:
-        from mcap.stream_reader import breakup_chunk
-
+    def inside(chunk):
         data = _unpacked(path, chunk)
-        yield from breakup_chunk(
+        return breakup_chunk(
             Chunk(
                 **{"compression": "", "data": data, "uncompressed_size": len(data), "uncompressed_crc": chunk.uncompressed_crc},
                 **{"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time},
@@ -118,9 +134,9 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
                         yield *known[record.channel_id], record.log_time, record.publish_time, record.data
     except LogError:
         raise
-    except damage as error:
+    except (McapError, zstandard.ZstdError, *DAMAGE) as error:
         raise LogError(
-            f"{path}: damaged, cut off, or no MCAP file ({type(error).__name__}: {quoted(error, 200)[1:-1]}); "
+            f"{path}: damaged, cut off, or no MCAP file ({type(error).__name__}: {bare(error, 200)}); "
             "try `mcap recover`, or record it again"
         ) from error
 

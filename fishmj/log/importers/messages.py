@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.export import as_written
 from fishmj.log.importers import header
-from fishmj.log.importers.assemble import trial_of
+from fishmj.log.importers.registry import trial_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.importers.topics import UNITS, Field, Topic, Topics
-from fishmj.log.limits import quoted
+from fishmj.log.limits import DAMAGE, bare, quoted
 from fishmj.log.trial import Table, Trial
 
 DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks
@@ -60,7 +59,7 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None) ->
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {listed(found)}")
         stamps[name], columns[name] = _columns(path, entry, found[entry.topic])
-    times, notes = _seconds(stamps) if own is None else (as_written(stamps), [])
+    times, notes = _seconds(stamps) if own is None else ({name: np.array(ns, float) / 1e9 for name, ns in stamps.items()}, [])
     tables = {}
     for name, entry in wanted.tables.items():
         order = np.argsort(times[name], kind="stable")
@@ -331,7 +330,7 @@ def _json(where: str, data: bytes) -> dict:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise LogError(f"{where}: not valid JSON: {quoted(error, 100)[1:-1]}; record it again") from error
+        raise LogError(f"{where}: not valid JSON: {bare(error, 100)}; record it again") from error
     if not isinstance(content, dict):
         raise LogError(f"{where}: the message is no JSON object but {type(content).__name__}; expected named fields")
     return content
@@ -352,18 +351,8 @@ def _cdr(where: str, store, kind: str, data: bytes) -> dict:
 
     try:
         return _plain(store.deserialize_cdr(data, kind))
-    except (
-        SerdeError,
-        ValueError,
-        IndexError,
-        KeyError,
-        TypeError,
-        OverflowError,
-        MemoryError,
-        RecursionError,
-        AssertionError,
-    ) as error:
-        raise LogError(f"{where}: not a valid {kind} message ({quoted(error, 100)[1:-1]}); record it again") from error
+    except (SerdeError, *DAMAGE) as error:
+        raise LogError(f"{where}: not a valid {kind} message ({bare(error, 100)}); record it again") from error
 
 
 def _plain(message) -> dict:

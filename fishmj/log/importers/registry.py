@@ -1,6 +1,6 @@
-"""The formats by name, and the one `read` that finds out which it is."""
+"""The formats by name, the one `read` that finds out which it is, and `trial_of`, the checks with which every reader ends."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -8,8 +8,8 @@ from typing import Any
 
 from fishmj import plugins
 from fishmj.errors import FishmjError, LogError, OwnCodeError
-from fishmj.log.importers.assemble import trial_of
-from fishmj.log.trial import Trial
+from fishmj.log.trial import Table, Trial
+from fishmj.log.trial_check import Implausible, Place, bounds_of, check_counts, check_table
 from fishmj.names import is_name, nearest
 
 
@@ -92,6 +92,7 @@ def sniff(path: str | Path) -> str:
     raise LogError(f"{path}: none of the known formats ({told}). Say which with --format, or write a trial folder")
 
 
+Advised = Callable[[str, Implausible], str]  # (table, doubt) -> one line
 Format = str | Callable[[Path], "dict[str, Trial] | Trial"] | None
 
 
@@ -149,3 +150,28 @@ def _own(path: Path, format: Any, topics) -> dict[str, Trial]:
 
 def _place(where: str, table: str) -> Callable[[int, str], str]:
     return lambda row, column: f"{where}: table {table} row {row}: {column}"
+
+
+def trial_of(
+    name: str, meta: dict, tables: Mapping[str, tuple[Table, Place]], notes: Sequence[str] = (), advised: Advised | None = None
+) -> Trial:
+    """Check every table and put them together; `meta` gets `origin = "measured"` unless it says otherwise.
+
+    Args:
+        advised: what to say of a table's implausible value where the source's own columns can be mended.
+    Raises:
+        LogError: a table breaks the schema; the message begins with the place in the source file.
+    """
+    found, bounds = list(notes), bounds_of(meta, name)
+    for table, (columns, place) in tables.items():
+        try:
+            found += check_table(table, columns, place, bounds)
+        except Implausible as doubt:
+            raise doubt if advised is None else LogError(advised(table, doubt)) from doubt
+    kept = {table: columns for table, (columns, _) in tables.items()}
+    return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *check_counts(kept)]))
+
+
+def renamed(place: Place, names: Mapping[str, str]) -> Place:
+    """A place function that knows the schema's column names: schema column -> column of the source."""
+    return lambda row, column: place(row, names.get(column, column))

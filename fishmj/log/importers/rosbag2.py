@@ -11,7 +11,7 @@ from fishmj.errors import LogError
 from fishmj.log.importers import mcap, messages
 from fishmj.log.importers.messages import Found, TopicChannel
 from fishmj.log.importers.topics import by_name, read_topics
-from fishmj.log.limits import check_size, quoted, regular
+from fishmj.log.limits import bare, check_size, quoted, regular
 from fishmj.log.trial import Trial
 
 SUFFIX = ".db3"
@@ -60,9 +60,8 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
             there.messages += channel.messages
     if not found:
         packed = ", ".join(p.name for p in path.glob("*.zstd")) if path.is_dir() else ""
-        raise LogError(
-            f"{path}: no messages{f' that are not packed ({packed}); unpack them with ros2 bag convert' if packed else ''}"
-        )
+        told = f" that are not packed ({packed}); unpack them with ros2 bag convert" if packed else ""
+        raise LogError(f"{path}: no messages{told}")
     return found
 
 
@@ -88,13 +87,10 @@ def _database(path: Path, needed: set[str] | None) -> Found:
             database.set_progress_handler(look, STEPS)
             tables = {row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
-                raise LogError(
-                    f"{path}: no rosbag2: tables "
-                    f"{', '.join(map(quoted, sorted(map(str, tables))[:6])) or 'none'}; expected topics and messages"
-                )
-            for number, name, kind, encoding in database.execute(
-                "SELECT id, name, type, serialization_format FROM topics LIMIT 10000"
-            ):
+                has = ", ".join(map(quoted, sorted(map(str, tables))[:6])) or "none"
+                raise LogError(f"{path}: no rosbag2: tables {has}; expected topics and messages")
+            told = database.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000")
+            for number, name, kind, encoding in told:
                 if not isinstance(number, int) or not all(isinstance(v, str) for v in (name, kind, encoding)):
                     raise LogError(f"{path}: table topics holds {quoted((number, name, kind, encoding), 80)}; it is damaged")
                 names[number] = name
@@ -112,7 +108,7 @@ def _database(path: Path, needed: set[str] | None) -> Found:
     except (sqlite3.Error, sqlite3.Warning, OverflowError, ValueError, MemoryError, OSError) as error:
         if isinstance(error, LogError):
             raise
-        raise LogError(f"{path}: damaged or no rosbag2 database ({quoted(error, 120)[1:-1]}); record it again") from error
+        raise LogError(f"{path}: damaged or no rosbag2 database ({bare(error, 120)}); record it again") from error
     for channel in found.values():
         channel.messages.sort(key=lambda message: message[0])
     return found

@@ -17,22 +17,19 @@
 A field is a path of keys and list indices with dots between. Units are converted because they are said here.
 """
 
-import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, LogError
-from fishmj.log.csv_tables import read_text
-from fishmj.log.table_schema import TABLES
+from fishmj.log.importers import column_units
+from fishmj.log.table_files import read_text
+from fishmj.log.trial import TABLES
 
 CLOCKS = ("log_time", "publish_time")
-UNITS = {  # unit -> factor to the schema's
-    **{"": 1.0, "rad": 1.0, "rad/s": 1.0, "m": 1.0, "m/s": 1.0, "s": 1.0, "V": 1.0, "A": 1.0, "Hz": 1.0, "m/s^2": 1.0},
-    **{"deg": math.pi / 180, "deg/s": math.pi / 180, "rpm": 2 * math.pi / 60, "g": 9.80665},
-    **{"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "cm/s": 1e-2, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "mV": 1e-3, "mA": 1e-3},
-}
+_KNOWN = "rad rad/s m m/s s V A Hz m/s^2 deg deg/s rpm g mm cm mm/s cm/s ms us ns mV mA".split()
+UNITS = {"": 1.0} | {unit: column_units.UNITS[unit][1] for unit in _KNOWN}  # unit -> factor to the schema's
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,5 @@ def _field(where: str, key: str, value) -> Field:
         raise LogError(f'{where}: {key} = {str(value)[:60]!r}; expected "a.field" or {{ field = "a.field", unit = "deg" }}')
     unit = value.get("unit", "")
     if not isinstance(unit, str) or unit not in UNITS:
-        raise LogError(
-            f"{where}: {key}: unit {str(unit)[:20]!r} is not known; expected one of {', '.join(u for u in UNITS if u)}"
-        )
+        raise LogError(f"{where}: {key}: unit {str(unit)[:20]!r} is not known; expected one of {', '.join(_KNOWN)}")
     return Field(tuple(value["field"].split(".")), unit)

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.csv_tables import read_text
-from fishmj.log.importers.assemble import renamed, trial_of
+from fishmj.log.importers.registry import renamed, trial_of
+from fishmj.log.table_files import read_text
 from fishmj.log.trial import Trial
 
 HEADER = ("mass", "length", "kp", "vin", "trajectory", "entries")

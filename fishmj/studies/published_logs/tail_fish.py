@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.importers.assemble import renamed, trial_of
-from fishmj.log.importers.rows import read_rows, without_strays
+from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.trial import Trial
+from fishmj.studies.published_logs.number_rows import read_rows, without_strays
 
 STATES = ("t", "surge", "sway", "yaw_rate", "yaw", "x", "y")
 CONTROL = ("t", "amplitude_deg", "bias_deg")

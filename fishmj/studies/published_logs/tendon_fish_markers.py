@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.importers.assemble import renamed, trial_of
-from fishmj.log.importers.rows import Rows, read_rows
+from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.trial import Trial, numbered
+from fishmj.studies.published_logs.number_rows import Rows, read_rows
 
 MARKERS = 9
 HEAD = 0.142  # m between markers 0 and 1, measured on the robot (the source's process_tailTracking.py)

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.log.importers.assemble import jumps, renamed, trial_of
-from fishmj.log.importers.rows import Rows, read_rows, without_strays
+from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.trial import Trial
+from fishmj.studies.published_logs.number_rows import Rows, read_rows, without_strays
 
 SIX = ("speed", "yaw_rate", "northing", "easting", "bearing", "unix_ms")
 TWELVE = (
@@ -95,7 +95,7 @@ def _remarks(rows: Rows, north: np.ndarray, east: np.ndarray) -> list[str]:
     """What the numbers themselves show of the faults named above."""
     speed = rows.column("speed")
     out = []
-    if count := jumps(speed, RESET):
+    if count := int(np.sum(np.abs(np.diff(speed)) > RESET)):
         out.append(
             f"velocity: surge jumps by more than {RESET:g} m/s between rows {count} times: integrated acceleration that a "
             "GPS fix resets; only the rows right after a fix measure speed"

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.errors import LogError
-from fishmj.log.csv_tables import read_text
+from fishmj.log.importers.convert import STRAY
+from fishmj.log.table_files import read_text
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
-STRAY = 0.01  # fraction of rows whose stamp may fall behind; more is no longer a stray
 
 
 @dataclass(frozen=True)
