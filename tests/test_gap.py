@@ -9,8 +9,7 @@ from fishmj import effects
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.cross_validation import CrossValidated, converge, split
 from fishmj.gap.search.stepwise import informative_records, prune

@@ -21,8 +21,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.recorded_null import RecordedNull, trials_of
 from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
 from fishmj.gap.records import datasets
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.records.sufficiency import InsufficientData
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, write_dataset

@@ -16,7 +16,7 @@ from fishmj.virtual_robot import generate
 
 MODEL = {
     *("dynamics.planar_chain", "water.hydro_model", "mjcf.geometry", "effects.stack"),
-    *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.residual"),
+    *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.records"),
 }
 SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.numba_entry", "excitation", "mjcf.description"}
 NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.words", "train.networks"}
@@ -61,7 +61,7 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
 def test_what_decides_the_runs_is_found_by_its_imports():
     swims, predicts = (
         source_digest.reached(simulated_null.SIMULATOR),
-        source_digest.reached(SwimmingFish.__module__, "fishmj.gap.records.residual"),
+        source_digest.reached(SwimmingFish.__module__, "fishmj.gap.records.records"),
     )
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)
     assert {f"fishmj.{name}" for name in MODEL} <= set(predicts)

@@ -16,8 +16,7 @@ from fishmj.gap.experiment import advice
 from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot

@@ -18,8 +18,7 @@ from fishmj.effects.ambiguity import together
 from fishmj.excitation import Excitation
 from fishmj.gap.null.simulated_null import SimulatedNull
 from fishmj.gap.null.whitening import smooth, whitening
-from fishmj.gap.records.records import Record, Sensor
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout, Sensor
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import title

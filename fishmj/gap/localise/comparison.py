@@ -4,8 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout
 
 
 class Comparison(NamedTuple):

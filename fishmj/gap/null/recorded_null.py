@@ -17,8 +17,7 @@ from fishmj.errors import ConfigError, LogError
 from fishmj.excitation import Excitation
 from fishmj.gap.null import source_digest
 from fishmj.gap.null.simulated_null import SimulatedNull, Tick, model_digest
-from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import WINDOW
+from fishmj.gap.records.records import WINDOW, Record, record_of
 from fishmj.log import Trial
 from fishmj.log.compact import read_bundle
 from fishmj.mjcf.description import Robot

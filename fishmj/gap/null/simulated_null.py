@@ -24,8 +24,7 @@ from fishmj.errors import SimDiverged, StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap.null import source_digest
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import WINDOW, ResidualLayout
+from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
 from fishmj.gap.watch import Bar, Bars, silent
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
@@ -147,7 +146,7 @@ def kept_at(key: str) -> Path:
 
 def model_digest(model) -> str:
     """Hash of the code that predicts the null runs and takes their residuals."""
-    return source_digest.digest(type(model).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
+    return source_digest.digest(type(model).__module__, "fishmj.gap.records.records")
 
 
 def as_excitation(record: Record) -> Excitation:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout
 
 RIDGE = 1e-9  # of the largest eigenvalue
 FLOOR = 0.5  # of the sensors' noise: D never goes below

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.localise import Comparison
-from fishmj.gap.records.residual import ChannelBlock
+from fishmj.gap.records.records import ChannelBlock
 from fishmj.gap.report.svg import AFTER, BAND, BEFORE, INK, MEASURED, QUIET, canvas, svg
 from fishmj.pages import drawn
 

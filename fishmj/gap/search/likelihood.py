@@ -21,8 +21,7 @@ import numpy as np
 from fishmj.gap.null.through_sensors import as_sensed, changes_sensing
 from fishmj.gap.null.whitening import leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
 from fishmj.gap.search.model_error import ModelError, ModelResponse
 from fishmj.gap.thresholds import thresholds

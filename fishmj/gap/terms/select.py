@@ -19,8 +19,7 @@ import numpy as np
 
 from fishmj.effects.effect import Effect
 from fishmj.gap.null.whitening import leftover, whitening
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.terms.library import library, name_of, one_sided

@@ -12,8 +12,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.errors import SimDiverged
 from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.terms import model_with_terms, terms_of
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark import cases, command
