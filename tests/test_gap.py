@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from fishmj import effects
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood

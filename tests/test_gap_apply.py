@@ -18,7 +18,7 @@ from fishmj.gap.commands import apply, compare_models, model_version
 from fishmj.gap.commands.check import check
 from fishmj.gap.commands.mjcf_patch import difference, hooked, mjcf
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import named, trials_in
 from fishmj.gap.verdict import Named, Value, Verdict
 from fishmj.log.compact import write_bundle

@@ -18,8 +18,7 @@ from fishmj.gap import __main__ as gap
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, find, model_version, unlike
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, as_excitation, trials_of
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.records.sufficiency import InsufficientData
@@ -130,7 +129,7 @@ def forbidden(*_, **__):
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fishmj.gap.records.datasets.readable_trials", forbidden)
-    monkeypatch.setattr("fishmj.gap.null.simulated_null.SimulatedNull.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.null_runs.SimulatedNull.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -476,7 +475,7 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr("fishmj.gap.null.simulated_null.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("fishmj.gap.null.null_runs.cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):

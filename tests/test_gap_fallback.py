@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from fishmj.effects.sites import BodyMotion, Gear, LocalWater, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.terms import model_with_terms, select, terms_of
 from fishmj.gap.terms.library import library, one_sided

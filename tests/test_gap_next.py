@@ -21,7 +21,7 @@ from fishmj.gap.experiment.discrimination import (
     planned_record,
 )
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
+from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 
 NULL = SimulatedNull(runs=16)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import simulated_null, source_digest
-from fishmj.gap.null.recorded_null import FEWEST, RecordedNull
-from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
+from fishmj.gap.null import null_runs, source_digest
+from fishmj.gap.null.null_runs import FEWEST, RecordedNull, SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
@@ -60,7 +59,7 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
 
 def test_what_decides_the_runs_is_found_by_its_imports():
     swims, predicts = (
-        source_digest.reached(simulated_null.SIMULATOR),
+        source_digest.reached(null_runs.SIMULATOR),
         source_digest.reached(SwimmingFish.__module__, "fishmj.gap.records.records"),
     )
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)

@@ -14,7 +14,7 @@ from fishmj.gap.localise import compared, error_growth, localise
 from fishmj.gap.localise.error_by_regime import KINDS, kinds_of
 from fishmj.gap.localise.lags import compatible, significant
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts

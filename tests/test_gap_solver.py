@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fishmj.errors import LogError, StoreError
-from fishmj.gap.null.recorded_null import RecordedNull
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.log import Trial
 from fishmj.log.compact import FINE, read_bundle, write_bundle

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.gap.decide.decide import decide
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.search.cross_validation import split

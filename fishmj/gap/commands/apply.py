@@ -19,7 +19,7 @@ from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version
 from fishmj.gap.commands.check import check
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, title
 from fishmj.mjcf.description import Robot, load_robot

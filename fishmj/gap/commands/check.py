@@ -13,7 +13,7 @@ from fishmj.engines import own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_in, trials_named
 from fishmj.gap.wording import level
 from fishmj.mjcf.description import load_robot

@@ -7,7 +7,7 @@ from fishmj.engines import in_water
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.log import Trial

@@ -11,8 +11,7 @@ from dataclasses import replace
 from fishmj import console
 from fishmj.errors import ConfigError, LogError
 from fishmj.excitation import PERIOD
-from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot, load_robot
 

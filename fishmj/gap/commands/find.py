@@ -13,7 +13,7 @@ from fishmj.engines import in_water, own_effects
 from fishmj.gap import watch
 from fishmj.gap.commands import compare_models, doors, gap_options, model_version, unlike
 from fishmj.gap.commands.apply import settle
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import record_of
 from fishmj.gap.records.sufficiency import InsufficientData, deterministic_effects, insufficient_data

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.gap.null.recorded_null import LAST_SEED, LOUDEST, MOST_RUNS
-from fishmj.gap.null.simulated_null import RUNS
+from fishmj.gap.null.null_runs import LAST_SEED, LOUDEST, MOST_RUNS, RUNS
 from fishmj.store import left_out
 
 MOST_EFFECTS = 8

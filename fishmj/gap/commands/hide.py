@@ -20,7 +20,7 @@ from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, gap_options
-from fishmj.gap.null.recorded_null import LOUDEST
+from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import Trial, numbered

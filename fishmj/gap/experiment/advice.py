@@ -17,7 +17,7 @@ from fishmj.gap.experiment.discrimination import (
     hinted_experiments,
     normalise_weights,
 )
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.fit import Candidate
 from fishmj.gap.search.likelihood import Likelihood

@@ -16,7 +16,7 @@ import numpy as np
 from fishmj import excitation
 from fishmj.effects.ambiguity import together
 from fishmj.excitation import Excitation
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import smooth, whitening
 from fishmj.gap.records.records import Record, ResidualLayout, Sensor
 from fishmj.gap.search.likelihood import Likelihood

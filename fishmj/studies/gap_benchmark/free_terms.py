@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.terms import model_with_terms, terms_of
 from fishmj.mjcf.description import load_robot

@@ -6,6 +6,9 @@ The simulator is `virtual_robot`: other equations for water, servos, network and
 and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
 an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (source_digest.py),
 so a standard experiment is run once a machine.
+
+`RecordedNull` takes runs that were swum elsewhere (data/gap/lbm/nulls: of the flow solver): nothing can be made on the spot, an
+experiment that the sets do not hold has no null.
 """
 
 import hashlib
@@ -13,19 +16,21 @@ import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
 from fishmj.calib import resolve
-from fishmj.errors import SimDiverged, StoreError
+from fishmj.errors import LogError, SimDiverged, StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap.null import source_digest
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
 from fishmj.gap.watch import Bar, Bars, silent
+from fishmj.log import Trial
+from fishmj.log.compact import read_bundle
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, sha256, write_npz
@@ -33,6 +38,9 @@ from fishmj.store import read_npz, sha256, write_npz
 Tick = Callable[[int], None]
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
 RUNS = 96
+MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # that may be asked for
+FEWEST = 12  # fish of recorded runs
+ALIKE = 1e-3  # rad between two commands, m and rad between two starts
 SIMULATOR = "fishmj.virtual_robot.trials"
 
 
@@ -72,7 +80,7 @@ class SimulatedNull:
             return
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
-                self.experiment(model, record, partial(_counted, bar, i * self.runs))
+                self.experiment(model, record, lambda done, before=i * self.runs: bar.update(before + done))
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
@@ -159,3 +167,75 @@ def as_excitation(record: Record) -> Excitation:
         start=(round(float(x), 3), round(float(y), 3), round(float(yaw), 3)),
         push=(float(u), float(w), float(r)),
     )
+
+
+FEWEST = 12  # fish
+ALIKE = 1e-3  # rad between two commands, m and rad between two starts
+FEWEST_RUNS, MOST_RUNS, LOUDEST, LAST_SEED = 2, 4096, 100.0, 2**31 - 1
+DRAWN: dict[str, tuple[type, ...]] = {
+    "runs": (int,),
+    "noise": (int, float),
+    "seed": (int,),
+    "folder": (str,),
+}  # what a report says of its null runs
+
+
+@dataclass(frozen=True)
+class RecordedNull(SimulatedNull):
+    """folder: one bundle (.npz) a fish. without: names of bundles left out. The draws of `SimulatedNull` are not used."""
+
+    folder: Path = Path()
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "runs", len(self.bundles))  # of a frozen dataclass
+
+    @property
+    def bundles(self) -> list[Path]:
+        """Of every fish that takes part.
+
+        Raises:
+            LogError: too few.
+        """
+        found = [path for path in sorted(self.folder.glob("*.npz")) if path.stem not in self.without]
+        if len(found) < FEWEST:
+            raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
+        return found
+
+    def holds(self, excitation: str) -> bool:
+        return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
+
+    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
+        """The experiment of every fish; noise and constants are what they were."""
+        out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
+        if len(out) != len(self.bundles):
+            held = ", ".join(sorted({str(t.value("excitation")) for t in trials_of(self.bundles[0])}))
+            did = f"experiment {what.id!r} of record {record.name} was done by {len(out)} of {len(self.bundles)} fish"
+            raise LogError(f"{self.folder}: {did}; expected all. The sets hold {held}")
+        return out
+
+    def _key(self, model, record: Record, what: Excitation) -> str:
+        made = [[sha256(path) for path in self.bundles], source_digest.digest("fishmj.log.compact"), model_digest(model)]
+        text = json.dumps([*made, model.fingerprint, what.id, *WINDOW, record.dt, *what.start])
+        return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
+
+
+@cache
+def trials_of(path: Path) -> tuple[Trial, ...]:
+    """The trials of one fish, read once."""
+    return tuple(read_bundle(path))
+
+
+def _same(trial: Trial, what: Excitation, record: Record) -> bool:
+    """Whether a trial is that experiment: its name, what was commanded, where it began and how it moved."""
+    if str(trial.value("excitation", "")) != what.id:
+        return False
+    other = record_of(trial, record.dt)
+    rows = min(len(other.commands), len(record.commands))
+    moved = np.abs(np.subtract([*other.place, *other.push, *other.flow], [*record.place, *record.push, *record.flow])).max()
+    return bool(moved < ALIKE and np.mean(np.abs(other.commands[:rows] - record.commands[:rows])) < ALIKE)
+
+
+def null_of(drawn: dict) -> SimulatedNull:
+    """As a report or a version (commands/reported.py) says how null runs are drawn: runs, noise, seed; folder of recorded ones."""
+    return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else SimulatedNull(**drawn)
