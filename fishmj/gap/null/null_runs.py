@@ -28,7 +28,7 @@ from fishmj.excitation import Excitation
 from fishmj.gap.null import source_digest
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
-from fishmj.gap.watch import Bar, Bars, silent
+from fishmj.gap.watch import Bars, silent
 from fishmj.log import Trial
 from fishmj.log.compact import read_bundle
 from fishmj.machine_code import cache_folder
@@ -142,11 +142,6 @@ class SimulatedNull:
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
-def _counted(bar: Bar, before: int, done: int) -> None:
-    """`done` runs of one experiment, on the bar of all."""
-    bar.update(before + done)
-
-
 def kept_at(key: str) -> Path:
     """Where the residuals of an experiment are kept."""
     return cache_folder() / "null" / f"{key}.npz"
@@ -167,17 +162,6 @@ def as_excitation(record: Record) -> Excitation:
         start=(round(float(x), 3), round(float(y), 3), round(float(yaw), 3)),
         push=(float(u), float(w), float(r)),
     )
-
-
-FEWEST = 12  # fish
-ALIKE = 1e-3  # rad between two commands, m and rad between two starts
-FEWEST_RUNS, MOST_RUNS, LOUDEST, LAST_SEED = 2, 4096, 100.0, 2**31 - 1
-DRAWN: dict[str, tuple[type, ...]] = {
-    "runs": (int,),
-    "noise": (int, float),
-    "seed": (int,),
-    "folder": (str,),
-}  # what a report says of its null runs
 
 
 @dataclass(frozen=True)
@@ -237,5 +221,5 @@ def _same(trial: Trial, what: Excitation, record: Record) -> bool:
 
 
 def null_of(drawn: dict) -> SimulatedNull:
-    """As a report or a version (commands/reported.py) says how null runs are drawn: runs, noise, seed; folder of recorded ones."""
+    """As a report or a version says how null runs are drawn (reported.py): runs, noise, seed, folder of recorded ones."""
     return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else SimulatedNull(**drawn)
