@@ -10,7 +10,7 @@ from test_gap import NULL, evidence_on, hidden, row_of
 from fishmj import effects
 from fishmj.gap.decide.secondary_effects import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.through_sensors import changes_sensing
+from fishmj.gap.null.whitening import changes_sensing
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.verdict import Named, Value
 from fishmj.gap.workflow import investigate

@@ -13,8 +13,7 @@ from fishmj import effects
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects.sites import Measured
-from fishmj.gap.models.interpolation import hermite, linear
-from fishmj.gap.models.kernel import Kernel
+from fishmj.gap.models.kernel import Kernel, hermite, linear
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot, load_robot

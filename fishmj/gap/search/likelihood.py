@@ -18,8 +18,7 @@ from copy import copy
 
 import numpy as np
 
-from fishmj.gap.null.through_sensors import as_sensed, changes_sensing
-from fishmj.gap.null.whitening import leftover, smooth, whitening
+from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
