@@ -11,8 +11,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.cross_validation import CrossValidated, converge, split
-from fishmj.gap.search.stepwise import informative_records, prune
+from fishmj.gap.search.stepwise import CrossValidated, converge, informative_records, prune, split
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate, unrepeatable
 from fishmj.sim import Sim

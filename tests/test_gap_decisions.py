@@ -11,13 +11,11 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F401
 
 from fishmj import effects
-from fishmj.gap.decide.decide import sanity
-from fishmj.gap.decide.secondary_effects import confused, masked_by
+from fishmj.gap.decide.decide import confused, masked_by, sanity
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
-from fishmj.gap.search.cross_validation import CrossValidated, split
 from fishmj.gap.search.likelihood import likelihood_of, relinearise
-from fishmj.gap.search.stepwise import Selection, SelectionStep, propose, required_gain
+from fishmj.gap.search.stepwise import CrossValidated, Selection, SelectionStep, propose, required_gain, split
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
 

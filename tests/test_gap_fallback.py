@@ -10,8 +10,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.terms import model_with_terms, select, terms_of
-from fishmj.gap.terms.library import library, one_sided
-from fishmj.gap.terms.sensor_terms import CURVES
+from fishmj.gap.terms.library import CURVES, library, one_sided
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark.free_terms import RIGHT
 

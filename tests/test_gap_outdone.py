@@ -11,12 +11,11 @@ from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
 from fishmj import effects
 from fishmj.gap.decide.decide import _answer, needs_exact_value
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.search.cross_validation import converge, split
 from fishmj.gap.search.fit import refine
-from fishmj.gap.search.stepwise import Selection
+from fishmj.gap.search.stepwise import Selection, converge, split
 from fishmj.gap.terms import model_with_terms, stronger
-from fishmj.gap.terms.equivalence import is_own_formula
 from fishmj.gap.terms.library import library
+from fishmj.gap.terms.stronger import is_own_formula
 from fishmj.gap.thresholds import frozen, residual_allowed, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.workflow import investigate

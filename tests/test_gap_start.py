@@ -8,7 +8,7 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, row_of
 
 from fishmj import effects
-from fishmj.gap.decide.secondary_effects import within_null_scatter
+from fishmj.gap.decide.decide import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.whitening import changes_sensing
 from fishmj.gap.records.records import ResidualLayout, record_of

@@ -12,9 +12,8 @@ from fishmj.gap import workflow
 from fishmj.gap.decide.decide import _answer, step_table
 from fishmj.gap.report import sections, words
 from fishmj.gap.report.report_data import ReportPart, ReportRow, after, listed
-from fishmj.gap.search.cross_validation import CrossValidated
 from fishmj.gap.search.fit import Candidate
-from fishmj.gap.search.stepwise import SelectionStep
+from fishmj.gap.search.stepwise import CrossValidated, SelectionStep
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value, Verdict, said
 from fishmj.gap.wording import level, number, percent, quantity, title

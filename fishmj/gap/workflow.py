@@ -14,9 +14,8 @@ from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.search.cross_validation import split
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
-from fishmj.gap.search.stepwise import Selection, forward_select
+from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict, said
 from fishmj.gap.watch import Bars, silent

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from fishmj.gap.decide.decide import swap_effect
 from fishmj.gap.decide.intervals import estimate
-from fishmj.gap.decide.rivals import swap_effect
 from fishmj.gap.experiment.discrimination import (
     ExperimentScore,
     Hypothesis,

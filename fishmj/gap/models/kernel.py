@@ -7,7 +7,7 @@ compiled by numba; LANES rollouts go through each vector loop, blocks of them ar
     step k    input = command sequence of the log at k - delay (between two steps: linear), state = step(state, input, parameters)
     output    `watched` values every `stride` steps, and at the start
 
-Between its samples a rollout is the cubic through values and rates (`hermite`), or straight where only values are known (`linear`).
+Between samples a rollout is the cubic through values and rates (`hermite`), or straight where only values are known (`linear`).
 Half of a search is asking for values at stamps, so those loops are compiled, too.
 """
 

@@ -12,7 +12,7 @@ S = F^T F + D.
 
 D is what leave-one-out leaves unexplained: each r_i is predicted from the other n - 1 and its remainder averaged.
 
-A turned camera shows what a fish swam too far ahead as too far to the side. So a candidate's null runs are seen through its sensors:
+A turned camera shows what a fish swam too far ahead as too far to the side: null runs are seen through a candidate's sensors,
 
     r_i' = g(p + r_i) - g(p)      g: what the measurement effects of a parameter row make of a pose, p: the pose predicted
 

@@ -1,4 +1,30 @@
-"""The typed library: which products may make which force, each as a provisional effect with one coefficient.
+"""What a term may be made of: quantities of the motion with their dimension, their mirror parity and their usual size.
+
+dimension   power of 1/s once lengths are taken out by the fish's length L: an inertial force rho L^n x product needs two
+parity      +1 even, -1 odd when port and starboard are exchanged
+
+
+======
+
+What a joint's sensor may read beside its angle, as a curve with one coefficient.
+
+    r = a + c f(a)      r' = (1 + c f'(a)) a'      the servo turns the joint until r, not a, is what was commanded
+
+Whose sensor it is decides what the log shows:
+
+    servo reading     its own sensor errs, the log has the joint's angle from another one
+    encoder reading   one sensor for both: the log has r
+
+and the curves are those that sensors are known for:
+
+    f = a               counts per turn; the first harmonic as far as a joint turns (sin a is a to within 6 % up to 35 degrees)
+    f = a^2, a^3        a potentiometer or a linkage with a bent characteristic
+    f = sin k a         a magnet off its axis, sine and cosine of unequal size, a field that is no pure sine: k = 2, 3, 4
+
+
+======
+
+The typed library: which products may make which force, each as a provisional effect with one coefficient.
 
     force = c x product      force: surge, sway [N], yaw moment [N m], along x or y of the tank [N], at the tail, along or across
                              it [N], joint torque [N m], a sensor's reading [rad]
@@ -15,29 +41,118 @@ say that port and starboard differ, and have to gain more to stand before a mirr
 """
 
 import hashlib
+from collections.abc import Callable
 from functools import cache
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 from fishmj.effects.effect import Effect, Parameter
-from fishmj.gap.terms.regressors import (
-    AHEAD,
-    ANGLE,
-    BEND,
-    LOAD,
-    MOTION,
-    RATE,
-    SLIP,
-    TAIL,
-    TIME,
-    TIP,
-    Factor,
-    X,
-    Y,
-    product,
-    signed,
-)
-from fishmj.gap.terms.sensor_terms import CURVES, in_the_log_too, in_the_loop
 from fishmj.gap.thresholds import thresholds
+
+
+class Factor(NamedTuple):
+    """One quantity. value: from the array namespace and a `BodyMotion`, `Gear` or `LocalWater`. size: usual in a session, SI."""
+
+    name: str
+    value: Callable
+    per_second: int
+    parity: int
+    size: float
+
+
+SURGE = Factor("surge speed", lambda xp, b: b.u, 1, 1, 0.2)
+SWAY = Factor("sway speed", lambda xp, b: b.w, 1, -1, 0.06)
+YAW = Factor("yaw rate", lambda xp, b: b.r, 1, -1, 0.6)
+TAIL = Factor("tail rate", lambda xp, b: b.swing, 1, -1, 4.0)
+BEND = Factor("tail angle", lambda xp, b: b.bend, 0, -1, 0.8)
+MOTION = (SURGE, SWAY, YAW, TAIL)
+
+ANGLE = Factor("angle", lambda xp, g: g.angle, 0, -1, 0.4)
+RATE = Factor("rate", lambda xp, g: g.rate, 1, -1, 2.5)
+LOAD = Factor("motor torque", lambda xp, g: g.drive, 0, -1, 0.4)
+
+TIP = thresholds().library.trailing_edge
+SLIP = Factor("tail speed sideways", lambda xp, k: k.w[-1] + k.omega[-1] * TIP, 1, -1, 0.3)
+AHEAD = Factor("tail speed ahead", lambda xp, k: k.u[-1], 1, 1, 0.2)
+
+X = Factor("place x", lambda xp, b: b.x, 0, 0, 1.0)  # parity 0: the tank has no mirror
+Y = Factor("place y", lambda xp, b: b.y, 0, 0, 1.0)
+TIME = Factor("session time", lambda xp, b: b.time, 0, 1, 8.0)
+
+
+def signed(f: Factor) -> Factor:
+    """The square with the sign of its root: f |f|."""
+    return Factor(
+        f"{f.name} squared, signed", lambda xp, b: f.value(xp, b) * xp.abs(f.value(xp, b)), 2 * f.per_second, f.parity, f.size**2
+    )
+
+
+def product(*factors: Factor) -> Factor:
+    """All of them multiplied; equal ones are written as a power."""
+    names: dict[str, int] = {}
+    for f in factors:
+        names[f.name] = names.get(f.name, 0) + 1
+    words = {1: "", 2: " squared", 3: " cubed"}
+
+    def value(xp, b):
+        out = factors[0].value(xp, b)
+        for f in factors[1:]:
+            out = out * f.value(xp, b)
+        return out
+
+    parity = 1
+    size = 1.0
+    for f in factors:
+        parity *= f.parity
+        size *= f.size
+    name = " x ".join(name + words[n] for name, n in names.items())
+    return Factor(name, value, sum(f.per_second for f in factors), parity, size)
+
+
+class ReadingCurve(NamedTuple):
+    """f. value, slope: from the array namespace and the angle [rad]. parity: +1 even. size: usual in a session."""
+
+    name: str
+    value: Callable
+    slope: Callable
+    parity: int
+    size: float
+
+
+def harmonic(k: int) -> ReadingCurve:
+    """The sine of k times the angle."""
+    return ReadingCurve(f"sine of {k} x angle", lambda xp, a: xp.sin(k * a), lambda xp, a: k * xp.cos(k * a), -1, 0.7)
+
+
+CURVES = (
+    ReadingCurve("angle", lambda xp, a: a, lambda xp, a: 1.0, -1, 0.4),
+    ReadingCurve("angle squared", lambda xp, a: a * a, lambda xp, a: 2.0 * a, 1, 0.16),
+    ReadingCurve("angle cubed", lambda xp, a: a * a * a, lambda xp, a: 3.0 * a * a, -1, 0.064),
+    *(harmonic(k) for k in (2, 3, 4)),
+)
+
+
+def in_the_loop(curve: ReadingCurve) -> dict[str, Callable]:
+    """The sites of a servo reading."""
+
+    def servo(xp, p, s, memory, h):
+        error = s.error - p.coefficient * curve.value(xp, s.angle)
+        return s._replace(error=error, rate=s.rate * (1.0 + p.coefficient * curve.slope(xp, s.angle))), memory
+
+    return {"servo": servo}
+
+
+def in_the_log_too(curve: ReadingCurve) -> dict[str, Callable]:
+    """The sites of an encoder reading."""
+
+    def measure(xp, p, seen):
+        if not xp.any(p.coefficient):  # whole records of many fish, nearly all of which have another term
+            return seen
+        more = xp.expand_dims(p.coefficient + 0.0, -1) * curve.value(xp, seen.joint)
+        return seen._replace(joint=seen.joint + more)
+
+    return in_the_loop(curve) | {"measure": measure}
+
 
 FORCES = {
     "surge force": ("fx", 1, 0.05),
