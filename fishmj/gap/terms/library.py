@@ -1,30 +1,4 @@
-"""What a term may be made of: quantities of the motion with their dimension, their mirror parity and their usual size.
-
-dimension   power of 1/s once lengths are taken out by the fish's length L: an inertial force rho L^n x product needs two
-parity      +1 even, -1 odd when port and starboard are exchanged
-
-
-======
-
-What a joint's sensor may read beside its angle, as a curve with one coefficient.
-
-    r = a + c f(a)      r' = (1 + c f'(a)) a'      the servo turns the joint until r, not a, is what was commanded
-
-Whose sensor it is decides what the log shows:
-
-    servo reading     its own sensor errs, the log has the joint's angle from another one
-    encoder reading   one sensor for both: the log has r
-
-and the curves are those that sensors are known for:
-
-    f = a               counts per turn; the first harmonic as far as a joint turns (sin a is a to within 6 % up to 35 degrees)
-    f = a^2, a^3        a potentiometer or a linkage with a bent characteristic
-    f = sin k a         a magnet off its axis, sine and cosine of unequal size, a field that is no pure sine: k = 2, 3, 4
-
-
-======
-
-The typed library: which products may make which force, each as a provisional effect with one coefficient.
+"""The typed library: which products may make which force, each as a provisional effect with one coefficient.
 
     force = c x product      force: surge, sway [N], yaw moment [N m], along x or y of the tank [N], at the tail, along or across
                              it [N], joint torque [N m], a sensor's reading [rad]
@@ -35,9 +9,22 @@ Admissible are
     static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
-    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same (sensor_terms.py)
-A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they
-say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (select.py).
+    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same
+Parity is +1 even, -1 odd when port and starboard are exchanged. A robot that is its own mirror image has only products of the
+force's own parity. The others are kept as *one-sided* terms: they say that port and starboard differ, and have to gain more to
+stand before a mirror-symmetric one (select.py).
+
+A reading is a curve with one coefficient:
+
+    r = a + c f(a)      r' = (1 + c f'(a)) a'      the servo turns the joint until r, not a, is what was commanded
+    f = a               counts per turn; the first harmonic as far as a joint turns (sin a is a to within 6 % up to 35 degrees)
+    f = a^2, a^3        a potentiometer or a linkage with a bent characteristic
+    f = sin k a         a magnet off its axis, sine and cosine of unequal size, a field that is no pure sine: k = 2, 3, 4
+
+Whose sensor it is decides what the log shows:
+
+    servo reading     its own sensor errs, the log has the joint's angle from another one
+    encoder reading   one sensor for both: the log has r
 """
 
 import hashlib
@@ -55,36 +42,33 @@ class Factor(NamedTuple):
 
     name: str
     value: Callable
-    per_second: int
     parity: int
     size: float
 
 
-SURGE = Factor("surge speed", lambda xp, b: b.u, 1, 1, 0.2)
-SWAY = Factor("sway speed", lambda xp, b: b.w, 1, -1, 0.06)
-YAW = Factor("yaw rate", lambda xp, b: b.r, 1, -1, 0.6)
-TAIL = Factor("tail rate", lambda xp, b: b.swing, 1, -1, 4.0)
-BEND = Factor("tail angle", lambda xp, b: b.bend, 0, -1, 0.8)
+SURGE = Factor("surge speed", lambda xp, b: b.u, 1, 0.2)
+SWAY = Factor("sway speed", lambda xp, b: b.w, -1, 0.06)
+YAW = Factor("yaw rate", lambda xp, b: b.r, -1, 0.6)
+TAIL = Factor("tail rate", lambda xp, b: b.swing, -1, 4.0)
+BEND = Factor("tail angle", lambda xp, b: b.bend, -1, 0.8)
 MOTION = (SURGE, SWAY, YAW, TAIL)
 
-ANGLE = Factor("angle", lambda xp, g: g.angle, 0, -1, 0.4)
-RATE = Factor("rate", lambda xp, g: g.rate, 1, -1, 2.5)
-LOAD = Factor("motor torque", lambda xp, g: g.drive, 0, -1, 0.4)
+ANGLE = Factor("angle", lambda xp, g: g.angle, -1, 0.4)
+RATE = Factor("rate", lambda xp, g: g.rate, -1, 2.5)
+LOAD = Factor("motor torque", lambda xp, g: g.drive, -1, 0.4)
 
 TIP = thresholds().library.trailing_edge
-SLIP = Factor("tail speed sideways", lambda xp, k: k.w[-1] + k.omega[-1] * TIP, 1, -1, 0.3)
-AHEAD = Factor("tail speed ahead", lambda xp, k: k.u[-1], 1, 1, 0.2)
+SLIP = Factor("tail speed sideways", lambda xp, k: k.w[-1] + k.omega[-1] * TIP, -1, 0.3)
+AHEAD = Factor("tail speed ahead", lambda xp, k: k.u[-1], 1, 0.2)
 
-X = Factor("place x", lambda xp, b: b.x, 0, 0, 1.0)  # parity 0: the tank has no mirror
-Y = Factor("place y", lambda xp, b: b.y, 0, 0, 1.0)
-TIME = Factor("session time", lambda xp, b: b.time, 0, 1, 8.0)
+X = Factor("place x", lambda xp, b: b.x, 0, 1.0)  # parity 0: the tank has no mirror
+Y = Factor("place y", lambda xp, b: b.y, 0, 1.0)
+TIME = Factor("session time", lambda xp, b: b.time, 1, 8.0)
 
 
 def signed(f: Factor) -> Factor:
     """The square with the sign of its root: f |f|."""
-    return Factor(
-        f"{f.name} squared, signed", lambda xp, b: f.value(xp, b) * xp.abs(f.value(xp, b)), 2 * f.per_second, f.parity, f.size**2
-    )
+    return Factor(f"{f.name} squared, signed", lambda xp, b: f.value(xp, b) * xp.abs(f.value(xp, b)), f.parity, f.size**2)
 
 
 def product(*factors: Factor) -> Factor:
@@ -106,7 +90,7 @@ def product(*factors: Factor) -> Factor:
         parity *= f.parity
         size *= f.size
     name = " x ".join(name + words[n] for name, n in names.items())
-    return Factor(name, value, sum(f.per_second for f in factors), parity, size)
+    return Factor(name, value, parity, size)
 
 
 class ReadingCurve(NamedTuple):
@@ -162,18 +146,13 @@ FORCES = {
 TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}  # parity, usual size
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
 USUAL = thresholds().library
-ONE = Factor("constant", lambda xp, b: 1.0, 0, 1, 1.0)
+ONE = Factor("constant", lambda xp, b: 1.0, 1, 1.0)
 
 
 @cache
 def library() -> tuple[Effect, ...]:
     """All provisional effects."""
     return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep(), *reading_terms())
-
-
-def name_of(effect: Effect) -> str:
-    """Its systematic name: 'sway force ~ yaw rate x tail rate'."""
-    return effect.formula
 
 
 def one_sided(effect: Effect) -> bool:
@@ -224,7 +203,7 @@ def joint_terms() -> list[Effect]:
 
 def _held() -> Factor:
     """Direction of motion times load: friction that grows with what the gear carries."""
-    return Factor("motor torque, against the motion", lambda xp, g: xp.abs(g.drive) * g.rate / (xp.abs(g.rate) + 0.2), 0, -1, 0.4)
+    return Factor("motor torque, against the motion", lambda xp, g: xp.abs(g.drive) * g.rate / (xp.abs(g.rate) + 0.2), -1, 0.4)
 
 
 def hysteresis() -> Effect:
@@ -236,7 +215,7 @@ def hysteresis() -> Effect:
         z = z + h * g.rate * (1.0 - z * z / 0.01 * xp.where(turning > 0.0, 1.0, 0.0))
         return g._replace(torque=g.torque + p.coefficient * z / 0.1), (z,)
 
-    memory = Factor("hysteresis of the angle", lambda xp, g: g.angle, 0, -1, 1.0)
+    memory = Factor("hysteresis of the angle", lambda xp, g: g.angle, -1, 1.0)
     return provisional("joint torque", memory, USUAL.torque, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
@@ -248,22 +227,22 @@ def creep() -> Effect:
         rest = rest + (g.angle - rest) * (h / 0.5)
         return g._replace(torque=g.torque + p.coefficient * (g.angle - rest)), (rest,)
 
-    memory = Factor("creep of the angle", lambda xp, g: g.angle, 0, -1, 0.4)
+    memory = Factor("creep of the angle", lambda xp, g: g.angle, -1, 0.4)
     return provisional("joint torque", memory, USUAL.torque, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
 def reading_terms() -> list[Effect]:
     """Readings of every joint's sensor alike, in the servo's loop, and in the log too."""
     return [
-        provisional(
-            reading, Factor(f.name, f.value, 0, f.parity, f.size), USUAL.reading, f.parity < 0, stage="measurement", **sites(f)
-        )
+        provisional(reading, f, USUAL.reading, f.parity < 0, stage="measurement", **sites(f))
         for reading, sites in (("servo reading", in_the_loop), ("encoder reading", in_the_log_too))
         for f in CURVES
     ]
 
 
-def provisional(force: str, f: Factor, size: float, symmetric: bool, stage: str = "hydrodynamics", **site) -> Effect:
+def provisional(
+    force: str, f: Factor | ReadingCurve, size: float, symmetric: bool, stage: str = "hydrodynamics", **site
+) -> Effect:
     """The effect of one term, called X- and a hash of its name."""
     formula = f"{force} ~ {f.name}"
     usual = size / f.size

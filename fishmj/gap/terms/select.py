@@ -22,7 +22,7 @@ from fishmj.gap.null.whitening import leftover, whitening
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.terms.library import library, name_of, one_sided
+from fishmj.gap.terms.library import library, one_sided
 from fishmj.gap.thresholds import thresholds
 
 LIMITS = thresholds().terms
@@ -119,13 +119,13 @@ def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
     c = polished[terms[k].name]
     norm = np.linalg.norm(g, axis=1) + 1e-300
     cos = np.abs(g @ g[k]) / norm / norm[k]
-    alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
+    alike = tuple(terms[j].formula for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
     p = effect.parameters[0]
     value = float(c.row[model.index(effect.name, p.name)])
     excess = base.cost - size
     closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
     return Term(
-        name_of(effect),
+        effect.formula,
         effect.name,
         value,
         p.unit,

@@ -8,14 +8,10 @@ model as it is and judged as the name was, held out and by the likelihood linear
 more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
 to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
 
-
-======
-
-Is a term an effect's own formula? Then it says nothing against the effect.
-
-Alike are what both do in states drawn at random: the push on a body that swims ahead (surge force, sway force, yaw moment over a
-body length), the torque on a joint, or where a joint comes to rest and what the log says of it. -Y |u| w is a sway force ~ surge
-speed x sway speed, whatever either does astern; a damping is a joint torque ~ rate; a command's gain a servo reading ~ angle.
+Nor does a term that is an effect's own formula say anything against the effect. Alike are what both do in states drawn at
+random: the push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
+where a joint comes to rest and what the log says of it. -Y |u| w is a sway force ~ surge speed x sway speed, whatever either does
+astern; a damping is a joint torque ~ rate; a command's gain a servo reading ~ angle.
 """
 
 from dataclasses import replace
@@ -29,7 +25,7 @@ from fishmj.effects.sites import BodyMotion, Gear, Measured, ServoDrive
 from fishmj.gap.search.fit import Candidate, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, relinearise
 from fishmj.gap.search.stepwise import CrossValidated, Selection, informative_records
-from fishmj.gap.terms.library import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor, library, name_of
+from fishmj.gap.terms.library import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor, library
 from fishmj.gap.terms.select import shortlist, signatures
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
@@ -79,7 +75,7 @@ def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
     fitted = CrossValidated(near, c, tuple(refine(near.subset(~f), c) for f in folds))
     before = sum(e.subset(f).loss(found.base.row) for f in folds)
-    return StrongerTerm(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
+    return StrongerTerm(terms[c.names[0]].formula, before - fitted.loss(folds), near.form)
 
 
 def best_in_sample(start: Likelihood, terms: list) -> list[Candidate]:
