@@ -18,7 +18,7 @@ MODEL = {
     *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.records"),
 }
 SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.numba_entry", "excitation", "mjcf.description"}
-NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.words", "train.networks"}
+NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.sections", "train.networks"}
 
 
 @pytest.fixture

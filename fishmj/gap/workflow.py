@@ -91,7 +91,7 @@ def investigate(
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
     if further and verdict.answer == "CLASS":
-        from fishmj.gap.experiment.advice import advised
+        from fishmj.gap.experiment import advised
 
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null, bars)

@@ -12,8 +12,17 @@ from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
 from fishmj.gap.commands import doors, gap_options, model_version, unlike
-from fishmj.gap.experiment.advice import LEFT, OPEN, advice, from_plain, hypotheses_of
-from fishmj.gap.experiment.discrimination import Hypothesis, experiment_scores, hinted_experiments, normalise_weights
+from fishmj.gap.experiment import (
+    LEFT,
+    OPEN,
+    Hypothesis,
+    advice,
+    experiment_scores,
+    from_plain,
+    hinted_experiments,
+    hypotheses_of,
+    normalise_weights,
+)
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in, readable_trials
 from fishmj.gap.records.records import Record, record_of

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.gap.localise.comparison import Comparison, compared
-from fishmj.gap.localise.error_by_regime import KINDS, kinds, shares
-from fishmj.gap.localise.harmonics import Beat, BeatRates, beat, by_rate
-from fishmj.gap.localise.lags import Lags, lags
+from fishmj.gap.localise.comparison import KINDS, Comparison, compared, kinds, shares
+from fishmj.gap.localise.timing import Beat, BeatRates, Lags, beat, by_rate, lags
 from fishmj.gap.localise.world_or_body import Frame, Side, frame, side, stretches
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]

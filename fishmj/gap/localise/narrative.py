@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from fishmj.gap.localise.lags import compatible, significant
-from fishmj.gap.wording import number, percent
+from fishmj.gap.localise.timing import compatible, significant
+from fishmj.gap.wording import number, percent, sentence
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
 AGREES = 1.25  # below this mean square there is nothing to place
@@ -187,8 +187,3 @@ def noun(channel: str) -> str:
 def listed(parts: list[str]) -> str:
     """a, b and c."""
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
-
-
-def sentence(text: str) -> str:
-    """With a capital and a full stop; nothing stays nothing."""
-    return text[:1].upper() + text[1:] + "." if text else ""
