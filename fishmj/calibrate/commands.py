@@ -9,7 +9,7 @@ from fishmj.calibrate.bias import widened
 from fishmj.calibrate.calibration_logs import Logs, read
 from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.errors import LogError
-from fishmj.gap.commands.doors import of_this_robot
+from fishmj.gap.commands.admission import of_this_robot
 from fishmj.gap.models.test_stand import ServoStand
 from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown

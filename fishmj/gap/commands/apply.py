@@ -17,8 +17,8 @@ from fishmj import console
 from fishmj.engines import own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
-from fishmj.gap.commands import compare_models, doors, gap_options, model_version
-from fishmj.gap.commands.check import check
+from fishmj.gap.commands import admission, gap_options, model_version
+from fishmj.gap.commands.check import check, gaps
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, title
@@ -89,7 +89,7 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
     if model_version.digest(context["model"]) != context["model_sha256"]:
         raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
     robot = load_robot(context["model"])
-    doors.searchable(robot, context["model"])
+    admission.searchable(robot, context["model"])
     data = Path(context["data"]) if data is None else data
     if digest(data) != context["data_sha256"]:
         raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
@@ -100,9 +100,9 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
         if path.exists():
             raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
     null = null_of(context["null"])
-    doors.null_fits(null, robot, context["model"])
+    admission.null_fits(null, robot, context["model"])
     given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
-    measure = lambda versions: [g for g, _ in compare_models.gaps(versions, *given)]
+    measure = lambda versions: [g for g, _ in gaps(versions, *given)]
     return settle(verdict, context, measure, out, folder, force)
 
 

@@ -11,12 +11,11 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.engines import in_water, own_effects
 from fishmj.gap import watch
-from fishmj.gap.commands import compare_models, doors, gap_options, model_version, unlike
+from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.sufficiency import InsufficientData, deterministic_effects, insufficient_data
+from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
@@ -55,13 +54,11 @@ def main(argv: list[str]) -> int:
     gap_options.there(args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
-    doors.searchable(robot, args.model)
+    admission.searchable(robot, args.model)
     null = null_of(drawn_of(args))
-    doors.null_fits(null, robot, args.model)
-    given, notes = admitted(args, robot)
-    for note in notes:
-        console.warn(note)
-    lacking = missing(given, robot)
+    admission.null_fits(null, robot, args.model)
+    given, notes = admission.admitted(args.data, robot, args.model, args.same_robot)
+    lacking = admission.insufficient_data(given, robot)
     if lacking is not None:
         console.say(lacking.text())
         if args.json:
@@ -70,7 +67,7 @@ def main(argv: list[str]) -> int:
     try:
         with interrupt.keeping(words):
             inquiry = search(args, robot, given, notes)
-    except unlike.TooDifferent as different:
+    except admission.TooDifferent as different:
         console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
         if args.json:
             console.emit_json(different.plain() | {"skipped": given.broken})
@@ -87,18 +84,6 @@ def main(argv: list[str]) -> int:
 def words() -> str:
     """What an interrupted search says."""
     return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
-
-
-def admitted(args, robot: Robot) -> tuple[Taken, tuple[str, ...]]:
-    """The trials that can be compared with the model, and notes on them.
-
-    Raises:
-        LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
-    """
-    given = datasets.readable_trials(args.data, robot.timing.physics_dt)
-    whose = doors.of_this_robot(given.trials.values(), robot, args.model, args.same_robot)
-    left_out = tuple(f"{name} left out: {why}" for name, why in given.broken.items())
-    return given, (*given.notes, *left_out, *whose)
 
 
 def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inquiry:
@@ -119,7 +104,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
         further=True,
         say=console.say,
         bars=watch.shown,
-        admit=lambda e: unlike.admit(e, args.anyway),
+        admit=lambda e: admission.admit(e, args.anyway),
         notes=notes,
     )
 
@@ -128,11 +113,6 @@ def drawn_of(args) -> dict:
     """How null runs are drawn: of the second robot, or those of a folder."""
     made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
     return made | {"folder": str(args.null.resolve())} if args.null else made
-
-
-def missing(given: Taken, robot: Robot) -> "InsufficientData | None":
-    """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
-    return insufficient_data([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], deterministic_effects())
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
@@ -155,7 +135,11 @@ def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list
     else:
         some = [r for r in inquiry.records if r.name in context["judged"]]
         model = inquiry.evidence.model
-        measure = lambda versions: compare_models.gaps_of(versions, some, null_of(context["null"]), model)
+
+        def measure(versions: list[Robot]) -> list[float]:
+            evidence = likelihood_of(model, some, null_of(context["null"]))
+            return [evidence.gap(model.row(version))[0] for version in versions]
+
         done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
         patched = done.path.name if done.path and done.accepted else ""
         write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})

@@ -19,7 +19,7 @@ from fishmj.effects.sites import Measured
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, gap_options
+from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets
 from fishmj.lbm_oracle.run.domain import NAMES
@@ -71,7 +71,7 @@ def main(argv: list[str]) -> int:
         raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
     if args.model != "fish" and args.generator != "independent":
         raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
-    doors.searchable(load_robot(args.model), args.model)
+    admission.searchable(load_robot(args.model), args.model)
     given = datasets.readable_trials(args.source) if args.generator == "log" else None
     names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")

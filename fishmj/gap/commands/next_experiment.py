@@ -11,7 +11,7 @@ from fishmj.engines import in_water, own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, gap_options, model_version, unlike
+from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.experiment import (
     LEFT,
     OPEN,
@@ -24,7 +24,7 @@ from fishmj.gap.experiment import (
     normalise_weights,
 )
 from fishmj.gap.null.null_runs import SimulatedNull
-from fishmj.gap.records.datasets import BUNDLE, page_in, readable_trials
+from fishmj.gap.records.datasets import BUNDLE, page_in
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.workflow import compiled, investigate
 from fishmj.mjcf.description import load_robot
@@ -49,7 +49,7 @@ def main(argv: list[str]) -> int:
     null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, model, sides, like = _opened(args, null)
-    except unlike.TooDifferent as different:
+    except admission.TooDifferent as different:
         console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
         if args.json:
             console.emit_json(different.plain())
@@ -82,10 +82,7 @@ def _opened(args, null: SimulatedNull):
         return verdict["answer"], model, normalise_weights(_reported(model, verdict)), _usual(model)
     name = args.model or "fish"
     model = _questioned(name, STRUCTURED)
-    given = readable_trials(args.source, model.dt)
-    whose = doors.of_this_robot(given.trials.values(), model.robot, name, args.same_robot)
-    for note in (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose):
-        console.warn(note)
+    given, _ = admission.admitted(args.source, model.robot, name, args.same_robot)
     inquiry = investigate(
         model,
         list(given.trials.values()),
@@ -94,7 +91,7 @@ def _opened(args, null: SimulatedNull):
         seed=args.seed,
         say=console.say,
         bars=watch.shown,
-        admit=lambda e: unlike.admit(e, args.anyway),
+        admit=lambda e: admission.admit(e, args.anyway),
     )
     found = inquiry.verdict
     if found.answer not in OPEN:
@@ -120,7 +117,7 @@ def _questioned(name: str, water: str):
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     robot = in_water(load_robot(name), water)
-    doors.searchable(robot, name)
+    admission.searchable(robot, name)
     return SwimmingFish(robot)
 
 
