@@ -56,7 +56,7 @@ def planted(plant, hidden: dict, runs=RUNS):
     for name, values in hidden.items():
         for parameter, value in values.items() if name in EFFECTS else ():
             row[plant.index(name, parameter)] = value
-    return compared(plant, records, e.scale, plant.null, row, e.layout)
+    return compared(plant, records, e.scale, plant.null, row)
 
 
 # ------------------------------------------------------------------------------------------------------------ localisation

@@ -18,11 +18,11 @@ from fishmj.engines import own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import admission, gap_options, model_version
-from fishmj.gap.commands.check import check, gaps
+from fishmj.gap.commands.check import gaps
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, title
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
 
 UNSEEN = "records that nothing was fitted to"
@@ -131,10 +131,11 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
         good, reason = verdict_on(answer, before, after, which)
         if good or force:
             model_version.write(context["model"], out, effects, table)
-            diff, hooks = native(parent, candidate)
-            if diff:
+            from fishmj.gap.commands.mjcf_patch import difference, hooked
+
+            if diff := difference(parent, candidate):
                 write_text(out.with_suffix(".diff"), diff)
-            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooks))
+            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooked(candidate)))
         text = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False).read_text(
             encoding="utf-8"
         )
@@ -149,13 +150,3 @@ def verdict_on(answer: str, before: float, after: float, which: str = UNSEEN) ->
     if answer != "NAMED":
         return False, f"{answer}: no effect explains the gap for certain ({moved})"
     return (True, moved) if after < before else (False, f"the patch hurts: {moved}")
-
-
-def native(parent: Robot, robot: Robot) -> tuple[str, list[str]]:
-    """MJCF diff, and the effects that only a hook holds."""
-    from fishmj.gap.commands.mjcf_patch import difference, hooked
-
-    return difference(parent, robot), hooked(robot)
-
-
-__all__ = ["Written", "apply", "check", "settle"]

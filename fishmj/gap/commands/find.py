@@ -126,23 +126,19 @@ def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
     return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
 
 
-def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list[str]:
-    """verdict.json, report.html and report.json; with the context of the search also the patched (or the rejected) model."""
-    folder.mkdir(parents=True, exist_ok=True)
-    verdict = inquiry.verdict.plain()
-    if context is None:
-        write_json(folder / "verdict.json", verdict)
-    else:
-        some = [r for r in inquiry.records if r.name in context["judged"]]
-        model = inquiry.evidence.model
-
-        def measure(versions: list[Robot]) -> list[float]:
-            evidence = likelihood_of(model, some, null_of(context["null"]))
-            return [evidence.gap(model.row(version))[0] for version in versions]
-
-        done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
-        patched = done.path.name if done.path and done.accepted else ""
-        write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
+def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
+    """verdict.json, report.html, report.json, and the patched (or the rejected) model. context: of the search."""
     from fishmj.gap import report
 
-    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if context is not None and done.path else [])]
+    folder.mkdir(parents=True, exist_ok=True)
+    verdict, model = inquiry.verdict.plain(), inquiry.evidence.model
+    some = [r for r in inquiry.records if r.name in context["judged"]]
+
+    def measure(versions: list[Robot]) -> list[float]:
+        evidence = likelihood_of(model, some, null_of(context["null"]))
+        return [evidence.gap(model.row(version))[0] for version in versions]
+
+    done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
+    patched = done.path.name if done.path and done.accepted else ""
+    write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
+    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if done.path else [])]

@@ -50,9 +50,9 @@ class Comparison(NamedTuple):
         return out
 
 
-def compared(model, records: list[Record], scale: np.ndarray, before, after, layout: ResidualLayout | None = None) -> Comparison:
+def compared(model, records: list[Record], scale: np.ndarray, before, after) -> Comparison:
     """Roll both rows out over the records."""
-    layout = ResidualLayout(records) if layout is None else layout
+    layout = ResidualLayout(records)
     rows = np.stack([np.asarray(before, float), np.asarray(after, float)])
     predictions = model.predict(records, rows)
     return Comparison(model, records, layout, scale, rows, predictions, layout.residuals(predictions))

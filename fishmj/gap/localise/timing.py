@@ -43,7 +43,7 @@ class Lags(NamedTuple):
 def lags(c: Comparison) -> Lags:
     """All of them."""
     measured, before, after = (chain(c, "joint", which) for which in ("measured", 0, 1))
-    command = commands(c)
+    command = chain(c, "joint", "command")
     yaw, yaw_before, yaw_after = (chain(c, "heading", which) for which in ("measured", 0, 1))
     rest = None if measured is None or before is None else (measured[0], measured[1] - before[1])
     return Lags(
@@ -69,31 +69,22 @@ def between(a: str, earlier, b: str, later, either_sign: bool = False) -> Lag | 
 
 
 def chain(c: Comparison, channel: str, which) -> tuple[np.ndarray, np.ndarray] | None:
-    """Stamps and values of a channel of all records that move, one after the other. which: "measured", or a row's number."""
+    """Stamps and values of a channel of all records that move, end to end. which: measured, command, or a row's number."""
     times, values, at = [], [], 0.0
     sensor, columns = ("joint", slice(None)) if channel == "joint" else ("pose", slice(2, 3))
     for record, predicted in zip(c.records, c.predictions, strict=True):
         given = getattr(record, sensor)
         if given is None or given.values[:, columns].std(0).max() < MOVES[channel]:
             continue
-        shown = given.values if which == "measured" else predicted[sensor][which]
-        times.append(at + given.t)
+        if which == "command":
+            stride = max(round(0.02 / record.dt), 1)
+            shown = record.commands[::stride]
+            times.append(at + np.arange(len(shown)) * stride * record.dt)
+        else:
+            shown = given.values if which == "measured" else predicted[sensor][which]
+            times.append(at + given.t)
         values.append(shown[:, columns] - shown[:1, columns])
         at += given.t[-1] + PAUSE
-    return (np.concatenate(times), np.concatenate(values)) if times else None
-
-
-def commands(c: Comparison) -> tuple[np.ndarray, np.ndarray] | None:
-    """The commands of the records whose joints move, on the same clock as `chain`."""
-    times, values, at = [], [], 0.0
-    for record in c.records:
-        if record.joint is None or record.joint.values.std(0).max() < MOVES["joint"]:
-            continue
-        stride = max(round(0.02 / record.dt), 1)
-        sent = record.commands[::stride]
-        times.append(at + np.arange(len(sent)) * stride * record.dt)
-        values.append(sent - sent[:1])
-        at += record.joint.t[-1] + PAUSE
     return (np.concatenate(times), np.concatenate(values)) if times else None
 
 

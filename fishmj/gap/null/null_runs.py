@@ -80,7 +80,11 @@ class SimulatedNull:
             return
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
-                self.experiment(model, record, lambda done, before=i * self.runs: bar.update(before + done))
+
+                def tick(done: int, before: int = i * self.runs) -> None:
+                    bar.update(before + done)
+
+                self.experiment(model, record, tick)
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""

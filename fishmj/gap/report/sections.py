@@ -16,7 +16,7 @@ from fishmj.gap.report.report_data import ReportData, Round, parted
 from fishmj.gap.search.model_error import misformed
 from fishmj.gap.terms.stronger import outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
-from fishmj.gap.verdict import LIKELIHOOD, Verdict, said
+from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
 from fishmj.pages import Section, figure, part, table
 
@@ -141,7 +141,8 @@ def candidates(m: ReportData) -> Section:
     )
     name = "What came closest" if m.inquiry.verdict.answer == "AGREES" else "What it could be"
     blocks = [ranked(r, i, len(m.rounds)) for i, r in enumerate(m.rounds)]
-    return Section(name, about, [*blocks, part("heading", "Rounds"), part("items", rounds(m))])
+    rounds = [step.text() for step in m.inquiry.found.steps]
+    return Section(name, about, [*blocks, part("heading", "Rounds"), part("items", rounds)])
 
 
 def forces(m: ReportData) -> Section:
@@ -173,12 +174,6 @@ def ranked(r: Round, place: int, count: int) -> str:
     drawn = figure(pictures.confusion(r)) if len(r.table) > 1 else ""
     head = part("heading", f"Effect {place + 1}") if count > 1 else ""
     return head + part("beside", table(rows, left=3), drawn, "rank")
-
-
-def rounds(m: ReportData) -> list[str]:
-    """What each round did."""
-    steps = m.inquiry.found.steps
-    return [f"{title('+'.join(s.ranked[0].names))}: {said(s.accepted, s.gain, s.gap)}" for s in steps]
 
 
 def checks(m: ReportData) -> Section:

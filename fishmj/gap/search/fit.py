@@ -69,9 +69,9 @@ class EffectFitter:
         z = self.z(np.asarray(row)[None])
         return Candidate(names, places, row, float(self.costs(np.asarray(row)[None], z)[0]), z[0])
 
-    def base(self, row=None) -> Candidate:
+    def base(self) -> Candidate:
         """The model as it is."""
-        return self.at(self.model.null if row is None else row)
+        return self.at(self.model.null)
 
     def grid_search(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
         """{effect: its best few values} for those of which only a value right to a fraction of a per cent explains anything.

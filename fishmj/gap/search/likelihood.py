@@ -189,12 +189,13 @@ def gap(residual: np.ndarray, scale: np.ndarray, layout) -> float:
     return float(np.mean(list(by_channel(residual, scale, layout).values())))
 
 
-def by_channel(residual: np.ndarray, scale: np.ndarray, layout) -> dict[str, float]:
-    """The same for each channel: joint, position, heading, power."""
+def by_channel(residual: np.ndarray, scale: np.ndarray, layout, keep: np.ndarray | None = None) -> dict[str, float]:
+    """The same for each channel: joint, position, heading, power. keep: (L,) bool, records that count; default, all."""
     ratio = (residual / scale) ** 2
     found: dict[str, list] = {}
     for b in layout.blocks:
-        found.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
+        if keep is None or keep[b.record]:
+            found.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
     return {channel: float(np.mean(values)) for channel, values in found.items()}
 
 

@@ -17,6 +17,7 @@ loss  = sum_f |z_f|^2 + log det S_f                                  twice the n
 conditional_loss = sum_f loss(all) - loss(others), both at theta_f   each fold given what the others tell of the constants
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -27,7 +28,9 @@ from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, gap, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
+from fishmj.gap.verdict import said
 from fishmj.gap.watch import Bar
+from fishmj.gap.wording import title
 
 
 # --------------------------------------------------------------------------------------------------------------- cross-validation
@@ -126,6 +129,10 @@ class SelectionStep:
     accepted: bool
     gap: tuple[float, float] | None = None
 
+    def text(self) -> str:
+        """In words."""
+        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.gap)}"
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -154,26 +161,9 @@ class Selection:
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
-class RoundProgress(NamedTuple):
-    """Where a round stands on a bar of rounds. before: rounds done."""
-
-    bar: Bar | None = None
-    before: int = 0
-
-    def report(self, share: float) -> None:
-        """Report the share of this round that is done."""
-        if self.bar is not None:
-            self.bar.update(self.before + share)
-
-
-NO_BAR = RoundProgress()
-
-
-def forward_select(
-    e: Likelihood, gates: Gates, folds: np.ndarray, effects=None, progress=None, bar: Bar | None = None
-) -> Selection:
-    """Add effects while records predicted without their fold get likelier. progress: called with each step. bar: of rounds."""
-    pool = [x for x in effects or e.model.active.effects if is_absent(e.model, x)]
+def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bar: Bar) -> Selection:
+    """Add effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
+    pool = [x for x in e.model.active.effects if is_absent(e.model, x)]
     whole = e.subset(e.everything)
     base = whole.base()
     selected = CrossValidated(e, base, (base,) * len(folds))
@@ -184,10 +174,10 @@ def forward_select(
         visited.add(frozenset(selected.best.names))
         remaining = [x for x in pool if x.name not in selected.best.names]
         gain_so_far = sum(s.gain for s in steps)
-        step = propose(selected, folds, remaining, gates, gain_so_far, RoundProgress(bar, len(steps)))
+        report = lambda share: bar.update(len(steps) + share)
+        step = propose(selected, folds, remaining, gates, gain_so_far, report)
         steps.append(step)
-        if progress:
-            progress(step)
+        say(step.text())
         if not step.accepted or step.fitted is None:
             break
         selected = converge(e, folds, step.fitted.best, step.fitted.fits)
@@ -198,15 +188,23 @@ def forward_select(
 
 
 def propose(
-    known: CrossValidated, folds: np.ndarray, effects, gates: Gates, gain_so_far: float, progress: RoundProgress = NO_BAR
+    known: CrossValidated,
+    folds: np.ndarray,
+    effects,
+    gates: Gates,
+    gain_so_far: float,
+    report: Callable[[float], None] = lambda share: None,
 ) -> SelectionStep:
-    """The best set one effect larger than `known`, or with an earlier choice swapped, and whether it is accepted."""
+    """The best set one effect larger than `known`, or with an earlier choice swapped, and whether it is accepted.
+
+    report: called with the share of the round that is done.
+    """
     limits = thresholds().stepwise
     whole = known.near.subset(known.near.everything)
     base = on_records(whole, known.best)
     required = required_gain(gates, known, gain_so_far, uncontested=True)
     short = shortlist(known.near, base, effects, gates)
-    progress.report(0.4)
+    report(0.4)
 
     # What cannot gain enough where it was fitted cannot gain it where it was not: the costly part is skipped.
     best_in_sample = base.cost - short[0].cost
@@ -218,7 +216,7 @@ def propose(
     for i, c in enumerate(short[: gates.finalists]):
         if base.cost - c.cost > limits.finalist_fraction * best_in_sample:
             finalists.append(relinearise(known.near.origin, c, 1))
-        progress.report(0.4 + 0.3 * (i + 1) / gates.finalists)
+        report(0.4 + 0.3 * (i + 1) / gates.finalists)
     loss = [near.loss(best.row) for near, best in finalists]
     order = np.argsort(loss)
 
@@ -229,7 +227,7 @@ def propose(
         near, best = finalists[i]
         fitted = CrossValidated(near, best, tuple(refine(near.subset(~f), best) for f in folds))
         tried.append((i, fitted, before - fitted.loss(folds)))
-        progress.report(0.7 + 0.3 * len(tried) / limits.attempts)
+        report(0.7 + 0.3 * len(tried) / limits.attempts)
         if tried[-1][2] > required:
             break
     else:

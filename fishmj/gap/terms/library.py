@@ -33,8 +33,11 @@ from functools import cache
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
+from fishmj import effects
 from fishmj.effects.effect import Effect, Parameter
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.thresholds import thresholds
+from fishmj.mjcf.description import Robot
 
 
 class Factor(NamedTuple):
@@ -147,12 +150,19 @@ TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)} 
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
 USUAL = thresholds().library
 ONE = Factor("constant", lambda xp, b: 1.0, 1, 1.0)
+_COMPILED: dict[str, SwimmingFish] = {}  # fingerprint -> the model with the library
 
 
 @cache
 def library() -> tuple[Effect, ...]:
     """All provisional effects."""
     return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep(), *reading_terms())
+
+
+def model_with_terms(robot: Robot) -> SwimmingFish:
+    """The swimming fish of `robot` with the effects it lists, in which every term is at its null; compiled once a process."""
+    made = SwimmingFish(robot, catalogue=[*library(), *(effects.get(fitted.name) for fitted in robot.effects)])
+    return _COMPILED.setdefault(made.fingerprint, made)
 
 
 def one_sided(effect: Effect) -> bool:

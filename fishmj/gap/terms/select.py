@@ -13,16 +13,18 @@ stability  share of half-samples of thirds of records in which it is one of the 
 sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from fishmj.effects.effect import Effect
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import leftover, whitening
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.terms.library import library, one_sided
+from fishmj.gap.terms.library import library, model_with_terms, one_sided
 from fishmj.gap.thresholds import thresholds
 
 LIMITS = thresholds().terms
@@ -90,6 +92,15 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
         net[k] = (gain - floor[k]) * sided[k]
     ranked = sorted(order, key=lambda k: -net[k])[: LIMITS.listed]
     return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, model) for k in ranked)
+
+
+def describe(e: Likelihood, null: SimulatedNull, seed: int) -> tuple[dict, ...]:
+    """The terms of the records of `e` as plain dictionaries; none for a model that is no swimming fish."""
+    if not isinstance(e.model, SwimmingFish):
+        return ()
+    residuals = null.residuals(e.model, e.records, e.layout)
+    terms = terms_of(model_with_terms(e.model.robot), e.records, residuals, seed)
+    return tuple(asdict(t) | {"firm": t.firm} for t in terms)
 
 
 def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
@@ -168,11 +179,7 @@ def sums(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np
 
 def held_out_gains(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """(K,) gain of each term on groups it was not fitted to, one at a time."""
-    return held_out_gain(*sums(z, g, onto))
-
-
-def held_out_gain(b: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """The same from the sums by record: c(-l) = b(-l)/a(-l), gain 2 c b_l - c^2 a_l."""
+    b, a = sums(z, g, onto)  # c(-l) = b(-l) / a(-l), gain 2 c b_l - c^2 a_l
     c = (b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
     return np.sum(2 * c * b - c * c * a, 1)
 
@@ -196,12 +203,10 @@ def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray)
     return each * max(1.0, float(np.percentile(luckiest, 95)))
 
 
-def decoy_gains(
-    z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng, draws: int = LIMITS.decoys
-) -> np.ndarray:
-    """(draws K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
+def decoy_gains(z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng) -> np.ndarray:
+    """(decoys K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
     out = []
-    for _ in range(draws):
+    for _ in range(LIMITS.decoys):
         moved = np.empty_like(g)
         shift = rng.uniform(0.125, 0.875, len(layout.records))
         for b in layout.blocks:
@@ -222,7 +227,7 @@ def discovery(gains: np.ndarray, decoys: np.ndarray) -> np.ndarray:
     return out
 
 
-def stability(z, g, onto: np.ndarray, share, rng, draws: int = LIMITS.half_samples) -> np.ndarray:
+def stability(z, g, onto: np.ndarray, share, rng) -> np.ndarray:
     """(K,) how often each term is among the first two when only half of the groups are looked at.
 
     share: (K,) what of each term's gain is left once null runs and sides are counted.
@@ -230,8 +235,8 @@ def stability(z, g, onto: np.ndarray, share, rng, draws: int = LIMITS.half_sampl
     b, a = sums(z, g, onto)
     count = onto.shape[1]
     hits = np.zeros(len(g))
-    for _ in range(draws):
+    for _ in range(LIMITS.half_samples):
         half = rng.permutation(count)[: max(2, count // 2)]
         gain = b[:, half].sum(1) ** 2 / (a[:, half].sum(1) + 1e-12) * np.clip(share, 0.0, 1.0)
         hits[np.argsort(-gain)[:2]] += 1
-    return hits / draws
+    return hits / LIMITS.half_samples

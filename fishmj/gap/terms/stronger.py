@@ -22,10 +22,11 @@ import numpy as np
 
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import BodyMotion, Gear, Measured, ServoDrive
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search.fit import Candidate, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, relinearise
 from fishmj.gap.search.stepwise import CrossValidated, Selection, informative_records
-from fishmj.gap.terms.library import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor, library
+from fishmj.gap.terms.library import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor, library, model_with_terms
 from fishmj.gap.terms.select import shortlist, signatures
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
@@ -41,14 +42,12 @@ class StrongerTerm(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def challenge(model, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
-    """The verdict, with the lead of the best free term; UNEXPLAINED where that is more than chance.
-
-    Args:
-        model: the fish with the library in place of the catalogue (terms.model_with_terms).
-    """
+def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
+    """The verdict (of a swimming fish) with the lead of the best free term; UNEXPLAINED where that is more than chance."""
+    if not isinstance(e.model, SwimmingFish):
+        return verdict
     limits = thresholds()
-    free = strongest_term(model, e, found)
+    free = strongest_term(model_with_terms(e.model.robot), e, found)
     lead = free.gain - verdict.gates["gain"]
     allowed = max(limits.likelihood.model_error, limits.stronger.form_ratio * found.near.form)
     checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
@@ -65,7 +64,7 @@ def outdone(checks: dict) -> bool:
     return checks.get("lead", 0.0) > thresholds().stronger.lead and checks["believed"]
 
 
-def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
+def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> StrongerTerm:
     """The term that explains most of the records of `e`, but for those that are the formula of what was found."""
     start = e.with_model(model)
     folds = found.folds
