@@ -204,9 +204,12 @@ class TooDifferent(FishmjError):
         super().__init__(f"the gap is {gap:.3g} times the floor (mean square; {parts}): too different to tell what is missing")
         self.gap, self.channels, self.causes = gap, channels, causes
 
-    def plain(self) -> dict:
-        """For JSON."""
-        return {"reason": str(self), "gap": self.gap, "channels": self.channels, "causes": self.causes}
+    def told(self, json: bool, **more: object) -> int:
+        """Say it, as JSON too where that is asked for; the exit code."""
+        console.say(str(self), *(f"  {cause}" for cause in self.causes), "search all the same with --anyway")
+        if json:
+            console.emit_json({"reason": str(self), "gap": self.gap, "channels": self.channels, "causes": self.causes} | more)
+        return console.CANNOT_TELL
 
 
 class Pair(NamedTuple):

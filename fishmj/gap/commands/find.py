@@ -68,10 +68,7 @@ def main(argv: list[str]) -> int:
         with interrupt.keeping(words):
             inquiry = search(args, robot, given, notes)
     except admission.TooDifferent as different:
-        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
-        if args.json:
-            console.emit_json(different.plain() | {"skipped": given.broken})
-        return console.CANNOT_TELL
+        return different.told(args.json, skipped=given.broken)
     with interrupt.keeping(words):
         console.say(inquiry.verdict.text())
         if args.out:

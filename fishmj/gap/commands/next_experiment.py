@@ -50,10 +50,7 @@ def main(argv: list[str]) -> int:
     try:
         answer, model, sides, like = _opened(args, null)
     except admission.TooDifferent as different:
-        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
-        if args.json:
-            console.emit_json(different.plain())
-        return console.CANNOT_TELL
+        return different.told(args.json)
     if len(sides) < 2:
         console.say(f"{answer}: fewer than two explanations are left; no experiment has to decide between any")
         if args.json:

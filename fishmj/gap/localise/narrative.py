@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fishmj.gap.localise.timing import compatible, significant
+from fishmj.gap.localise.diagnostics import compatible, significant
 from fishmj.gap.wording import number, percent, sentence
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
@@ -67,7 +67,9 @@ def lag(p) -> str:
         return ""
     parts = []
     if significant(joint):
-        after = "" if not significant_after(p) else f", {ms(p.lags.joint_after)} of it left with what was found"
+        left = p.lags.joint_after
+        remains = p.gap_after < p.gap and significant(left) and abs(left.lag) < abs(joint.lag)
+        after = f", {ms(left)} of it left with what was found" if remains else ""
         behind = ""
         if p.lags.command is not None and p.lags.model is not None:
             behind = f" ({1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f})"
@@ -94,12 +96,6 @@ def conclusion(p) -> str:
     if significant(heading) and not significant(joint):
         return ": downstream of the joint, in the water or in the camera's clock"
     return ""
-
-
-def significant_after(p) -> bool:
-    """Whether a delay is left once what was found is in the model."""
-    left = p.lags.joint_after
-    return p.gap_after < p.gap and significant(left) and abs(left.lag) < abs(p.lags.joint.lag)
 
 
 def frame(p) -> str:

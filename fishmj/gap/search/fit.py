@@ -10,6 +10,7 @@ of the null runs integrates them out.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -32,18 +33,14 @@ class Candidate:
     z: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
 class EffectFitter:
-    """Candidates on one set of records.
+    """Candidates on one set of records. model: with `predict`, `active`, `index`; the others: the data and its null."""
 
-    Args:
-        model: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
-    """
-
-    def __init__(self, model, records, layout, whiten):
-        self.model = model
-        self.records = records
-        self.layout = layout
-        self.whiten = whiten
+    model: Any
+    records: list
+    layout: Any
+    whiten: Any
 
     def z(self, rows) -> np.ndarray:
         """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""
