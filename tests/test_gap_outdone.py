@@ -30,7 +30,7 @@ def free():
 
 def best(e) -> tuple[Selection, Verdict]:
     """The best single effect of the plant, as a search that stops there and names it would leave it."""
-    whole, folds = e.subset(e.everything), split(e.records)
+    whole, folds = e.subset(), split(e.records)
     base = whole.base()
     first = whole.refine(whole.screen(base, e.model.active.effects)[:3], 4)[0]
     fitted = converge(e, folds, first, tuple(refine(e.subset(~f), first) for f in folds))
@@ -92,7 +92,7 @@ def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free)
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 83)
     there = e.with_model(free)
     assert there.model is free and there.origin is there and e.model is plant
-    assert there.subset(there.everything).base().cost == pytest.approx(e.subset(e.everything).base().cost)
+    assert there.subset().base().cost == pytest.approx(e.subset().base().cost)
 
 
 @pytest.mark.slow

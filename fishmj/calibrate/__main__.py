@@ -92,7 +92,7 @@ def drawn(argv: list[str]) -> int:
     from fishmj.calibrate.calibration_logs import Logs
     from fishmj.calibrate.fit_check import gathered, one
     from fishmj.calibrate.partial_results import PartialResults
-    from fishmj.gap.models.test_stand import ServoStand
+    from fishmj.gap.models.swimming_fish import ServoStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
 

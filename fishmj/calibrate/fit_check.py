@@ -5,7 +5,7 @@ import numpy as np
 from fishmj.calibrate import latency, servo_fit
 from fishmj.calibrate.bias import widened
 from fishmj.calibrate.calibration_logs import Logs
-from fishmj.gap.models.test_stand import ServoStand
+from fishmj.gap.models.swimming_fish import ServoStand
 
 Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
 

@@ -67,10 +67,8 @@ class ExperimentScore(NamedTuple):
     def text(self) -> str:
         """As a recommendation."""
         a, b = (title(side) for side in self.pair)
-        return (
-            f"Run `{self.excitation}` ({self.seconds:.0f} s): expected separation {self.sigma:.0f} sigma;"
-            f" would decide between {a} and {b}."
-        )
+        expected = f"expected separation {self.sigma:.0f} sigma"
+        return f"Run `{self.excitation}` ({self.seconds:.0f} s): {expected}; would decide between {a} and {b}."
 
 
 def experiment_scores(
@@ -187,7 +185,7 @@ def hypotheses_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hyp
     if not found.steps:
         return []
     near = found.near
-    whole = near.subset(near.everything)
+    whole = near.subset()
     accepted = [s for s in found.steps if s.accepted]
     sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
     for rival in verdict.rivals[: LEFT - 1]:

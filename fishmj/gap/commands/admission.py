@@ -80,9 +80,8 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
         said[name] += 1
         if joints and joints != robot.n_joints:
             whose = f"trial {trial.name} ({name or 'no robot named'}) has {joints} joints"
-            raise LogError(
-                f"{whose}, the model {model} ({robot.name}) {robot.n_joints}; name the model of that robot with --model"
-            )
+            mine = f"the model {model} ({robot.name}) {robot.n_joints}"
+            raise LogError(f"{whose}, {mine}; name the model of that robot with --model")
     others = sorted(name for name in said if name and name != robot.name)
     if others:
         differ = f"the logs are of {', '.join(map(repr, others))}, the model {model} is {robot.name!r}"
@@ -109,9 +108,8 @@ def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
     name, joints = str(trial.value("robot", "") or "")[:64], joints_of(trial)
     if joints != robot.n_joints or (name and name != robot.name):
         swum = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
-        raise ConfigError(
-            f"{swum}; the model {model} is {robot.name!r} with {robot.n_joints}. Leave --null out: runs are made anew"
-        )
+        mine = f"the model {model} is {robot.name!r} with {robot.n_joints}"
+        raise ConfigError(f"{swum}; {mine}. Leave --null out: runs are made anew")
     differs = differences(load_robot(SHIPPED), robot)
     if differs:
         swum = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
@@ -121,9 +119,7 @@ def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
 def differences(one: Robot, other: Robot) -> list[str]:
     """Fields in which two descriptions differ, water, effects and names apart."""
     bare = [replace(r, effects=(), water={}, name="", title="") for r in (one, other)]
-    out = []
-    for key in ("links", "fins", "density_water"):
-        out += [key] if getattr(bare[0], key) != getattr(bare[1], key) else []
+    out = [key for key in ("links", "fins", "density_water") if getattr(bare[0], key) != getattr(bare[1], key)]
     for table in ("servo", "timing"):
         a, b = (vars(getattr(r, table)) for r in bare)
         out += [
@@ -251,13 +247,12 @@ def admit(e: Likelihood, anyway: bool = False) -> None:
 def likely(e: Likelihood) -> list[str]:
     """Likely causes, channel by channel."""
     predictions = e.model.predict(e.records, e.model.null)
-    sets = [(r, p) for r, p in zip(e.records, predictions, strict=True)]
+    sets = list(zip(e.records, predictions, strict=True))
     joints = [pair(sets, "joint", i) for i in range(e.model.joints)]
     out = [text for i, p in enumerate(joints) for text in of_joint(i, p, joints)]
     yaw = pair(sets, "pose", 2)
-    jump = max(
-        (float(np.quantile(np.abs(np.diff(r.pose.values[:, 2])), 0.9)) for r in e.records if r.pose is not None), default=0
-    )
+    yaws = [r.pose.values[:, 2] for r in e.records if r.pose is not None]
+    jump = max((float(np.quantile(np.abs(np.diff(values)), 0.9)) for values in yaws), default=0)
     if jump > JUMP:
         out.append(f"heading: turns by {jump:.1f} rad from frame to frame: in degrees?")
     elif yaw is not None and moves(yaw, "yaw"):
@@ -303,14 +298,13 @@ def of_joint(i: int, p: Pair | None, joints: list) -> list[str]:
     name = f"joint {i + 1}"
     if p is None:
         return []
+    zero = [f"{name}: {np.degrees(p.offset):.0f} deg off on average: its zero"] if abs(p.offset) > BENT else []
     if not moves(p, "joint"):
-        return [f"{name}: {np.degrees(p.offset):.0f} deg off on average: its zero"] if abs(p.offset) > BENT else []
+        return zero
     out = units(name, p, "joint")
     if p.correlation < AGAINST:
-        return [
-            *out,
-            f"{name}: runs against the model (correlation {p.correlation:.2f}): the sign of its angle or of its command",
-        ]
+        against = f"{name}: runs against the model (correlation {p.correlation:.2f}): the sign of its angle or of its command"
+        return [*out, against]
     if out:
         return out
     if p.ratio < STILL:
@@ -318,7 +312,7 @@ def of_joint(i: int, p: Pair | None, joints: list) -> list[str]:
     across = [-1.0 if q is None or k == i else _across(p, q) for k, q in enumerate(joints)]
     if p.correlation < ALIKE < max(across) and max(across) > p.correlation + 0.2:
         return [f"{name}: follows the command of joint {int(np.argmax(across)) + 1}: the order of the joints"]
-    return [f"{name}: {np.degrees(p.offset):.0f} deg off on average: its zero"] if abs(p.offset) > BENT else []
+    return zero
 
 
 def _across(p: Pair, other: Pair) -> float:
@@ -346,9 +340,8 @@ def of_path(sets) -> list[str]:
     if sizes[1] < MOVES["path"]:
         return origin
     scaled = units("position", Pair(np.array([0.0, sizes[0]]), np.array([0.0, sizes[1]]), 0.0), "path")
-    straight, mirrored = (
-        np.mean(measured * np.conj(q)) / max(sizes[0] * sizes[1], 1e-12) for q in (predicted, np.conj(predicted))
-    )
+    scale = max(sizes[0] * sizes[1], 1e-12)
+    straight, mirrored = (np.mean(measured * np.conj(q)) / scale for q in (predicted, np.conj(predicted)))
     out = scaled or origin
     if abs(mirrored) > ALIKE and abs(mirrored) > abs(straight) + 0.2:
         out.append(f"position: fits the model's mirror image (coherence {abs(mirrored):.2f} in place of {abs(straight):.2f})")

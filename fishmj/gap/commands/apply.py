@@ -107,11 +107,8 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
 
 
 def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:
-    """Write the version to `out`, or the rejected candidate into `folder`.
-
-    Args:
-        measure: [parent, candidate] -> their gaps on the records that the report judges by.
-    """
+    """Write the version to `out`, or the rejected candidate into `folder`. measure: [parent, candidate] -> their gaps on the
+    records that the report judges by."""
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
         return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
@@ -119,9 +116,8 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
     provenance = f"{answer}: {len(context['judged'])} {which} of {context['data']}"
     effects = model_version.found(verdict, provenance, context["data_sha256"])
     with tempfile.TemporaryDirectory() as scratch:
-        table = {"effects": [e.name for e in effects], "answer": answer} | {
-            k: context[k] for k in ("data", "data_sha256", "judged")
-        }
+        table = {"effects": [e.name for e in effects], "answer": answer}
+        table |= {key: context[key] for key in ("data", "data_sha256", "judged")}
         table |= {"null": context["null"], "water": context.get("water", STRUCTURED)}
         table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
         draft = model_version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
@@ -136,9 +132,8 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
             if diff := difference(parent, candidate):
                 write_text(out.with_suffix(".diff"), diff)
             return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooked(candidate)))
-        text = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False).read_text(
-            encoding="utf-8"
-        )
+        draft = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False)
+        text = draft.read_text(encoding="utf-8")
     kept = folder / f"model.rejected-{hashlib.sha256(text.encode()).hexdigest()[:12]}.toml"
     write_text(kept, text)
     return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)

@@ -28,18 +28,13 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    add(
-        "data",
-        type=console.path,
-        help=f"data set: {forms}; measurements.toml in the folder (docs/guide/logs.md) is what was weighed",
-    )
-    gap_options.of_model(add)
-    add(
-        "--water",
-        type=console.text,
-        default="structured",
-        help="a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)",
-    )
+    data = f"data set: {forms}; measurements.toml in the folder (docs/guide/logs.md) is what was weighed"
+    add("data", type=console.path, help=data)
+    model = "the model to question: shipped name or TOML file, with its effects (default fish)"
+    add("--model", type=console.text, default="fish", help=model)
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    water = "a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)"
+    add("--water", type=console.text, default="structured", help=water)
     nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"

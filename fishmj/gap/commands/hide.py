@@ -27,7 +27,7 @@ from fishmj.log import Trial, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot import hidden_dataset, random_streams
 from fishmj.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
 from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
@@ -100,8 +100,6 @@ def understood(args) -> dict[str, dict[str, float]]:
         raise ConfigError(f"gap plant: none beside {', '.join(texts)[:60]}; expected none alone, or effects")
     if args.generator == "log":
         return parse(texts, args.seed)
-    from fishmj.virtual_robot import hidden_dataset
-
     return hidden_dataset.parse(texts, args.seed, limits)
 
 

@@ -141,12 +141,9 @@ def _answer(
         return "CLASS", "these records cannot tell apart what is listed"
     if warnings:
         return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
-    does = (
-        "explains records that it has not seen"
-        if shrinks
-        else "makes records that it has not seen likelier, not their gap smaller"
-    )
-    return "NAMED", f"{does}, and nothing else does"
+    if shrinks:
+        return "NAMED", "explains records that it has not seen, and nothing else does"
+    return "NAMED", "makes records that it has not seen likelier, not their gap smaller, and nothing else does"
 
 
 def held_out_checks(e: Likelihood, found: Selection) -> dict[str, float]:
@@ -174,7 +171,7 @@ def transfer(e: Likelihood, found: Selection) -> float:
     fitted = found.fitted
     base = e.loss(found.base.row)
     for fold, fit, more in zip(found.folds, fitted.fits, fitted.uncertainty_factors(found.folds), strict=True):
-        whole = near.subset(near.everything, more).loss(fit.row)
+        whole = near.subset(more=more).loss(fit.row)
         for i in np.flatnonzero(fold):
             others = np.arange(len(e.records)) != i
             after = whole - near.subset(others, more[:, record != i]).loss(fit.row)
@@ -191,8 +188,8 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Na
     # Values are fitted once more with the constants as uncertain as the formulas; with that uncertainty in the selection, too, an
     # effect that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
-    value, spread = estimate(uncertain, refine(uncertain.subset(uncertain.everything), c))
-    near = e.subset(e.everything)
+    value, spread = estimate(uncertain, refine(uncertain.subset(), c))
+    near = e.subset()
     base = found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
     closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
@@ -240,7 +237,7 @@ def step_table(step) -> dict:
 # ------------------------------------------------------------------------------------------------------------------------- rivals
 def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
     """Every effect of what was found."""
-    whole = found.near.subset(found.near.everything)
+    whole = found.near.subset()
     best = on_records(whole, found.best)
     rivals = [c for step in found.steps if step.accepted for c in step.ranked]
     return {name: support_of(whole, best, name, rivals, gates) for name in best.names}

@@ -21,7 +21,7 @@ from fishmj.gap.thresholds import thresholds
 def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """(values (K,), standard deviations (K,)) of a candidate's parameters."""
     limits = thresholds().intervals
-    search = e.subset(e.everything)
+    search = e.subset()
     low, high, _ = bounds(e.model)
     places = list(c.places)
     rows = np.concatenate([c.row[None], difference_rows(e.model, c)])

@@ -51,9 +51,8 @@ def beat(p) -> str:
             continue
         if b.locked >= MOST:
             degrees = math.degrees(b.behind) % 360
-            parts.append(
-                f"the {name} residual is locked to the beat ({percent(b.locked)} of it, {degrees:.0f} deg after the command)"
-            )
+            how = f"{percent(b.locked)} of it, {degrees:.0f} deg after the command"
+            parts.append(f"the {name} residual is locked to the beat ({how})")
         elif b.locked < 0.2:
             parts.append(f"the {name} residual does not follow the beat ({percent(b.locked)} of it does)")
     return sentence("; ".join(parts))
@@ -113,11 +112,8 @@ def frame(p) -> str:
         against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"
         return f"The position drifts off {what} ({against}): a current, or the camera's axes."
     where_to = "ahead" if abs(angle) < 45 else "astern" if abs(angle) > 135 else "left" if angle > 0 else "right"
-    what = (
-        f"{number(size)} mm/s to the robot's own {where_to}"
-        if where_to in ("left", "right")
-        else f"{number(size)} mm/s {where_to}"
-    )
+    own = "to the robot's own " if where_to in ("left", "right") else ""
+    what = f"{number(size)} mm/s {own}{where_to}"
     against = f"{percent(f.body_share)} of its drift, against {percent(f.world_share)} in the tank"
     return f"The position drifts off {what}, turning with the robot ({against}): thrust, drag or an offset."
 

@@ -65,12 +65,9 @@ class Kernel:
         physics = codegen.trace(lambda a: step(a["state"], a["input"], a["parameter"]), some, "physics_")
         some = {key: names[key] for key in ("state", "parameter")}
         seen = codegen.trace(lambda a: look(a["state"], a["parameter"]), some, "look_")
-        parts = [HEADER] + [f"{key} = {value}\n" for key, value in numbers.items()]
-        parts.append(fast_math.source(fast_math.DOUBLE))
-        parts += [
-            numba_build.lane_loop("physics", physics, names["state"], rows),
-            numba_build.lane_loop("look", seen, names["watch"], rows),
-        ]
+        parts = [HEADER, *(f"{key} = {value}\n" for key, value in numbers.items()), fast_math.source(fast_math.DOUBLE)]
+        parts.append(numba_build.lane_loop("physics", physics, names["state"], rows))
+        parts.append(numba_build.lane_loop("look", seen, names["watch"], rows))
         self.inputs, self.watched = inputs, watched
         self._roll = numba_build.compiled("".join(parts) + loops()).roll
 

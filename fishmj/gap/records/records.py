@@ -236,9 +236,8 @@ class ResidualLayout:
                 given = getattr(record, sensor, None)
                 if given is None:
                     continue
-                window, first, counts = np.unique(
-                    np.floor(given.t / WINDOW[sensor]).astype(int), return_index=True, return_counts=True
-                )
+                number = np.floor(given.t / WINDOW[sensor]).astype(int)
+                window, first, counts = np.unique(number, return_index=True, return_counts=True)
                 t = np.add.reduceat(given.t, first) / counts
                 for column in np.flatnonzero(np.isfinite(given.values).any(0)).tolist():
                     channel = CHANNELS[sensor][column % len(CHANNELS[sensor])]

@@ -24,12 +24,12 @@ from fishmj.pages import drawn, escaped
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
 INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"
 MEASURED, BEFORE, AFTER, ACCENT = "#1F2933", "#D55E00", "#0072B2", "#009E73"
-FONTS = ["Helvetica Neue", "Arial", "Liberation Sans", "DejaVu Sans"]
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "fishmj",
     "font.family": "sans-serif",
-    "font.sans-serif": FONTS[::-1],  # measured with a wide face, shown with what the reader has
+    # Measured with a wide face, shown with what the reader has.
+    "font.sans-serif": ["DejaVu Sans", "Liberation Sans", "Arial", "Helvetica Neue"],
     "font.size": 10,
     "text.color": INK,
     "axes.labelcolor": QUIET,
@@ -143,11 +143,9 @@ def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
         axis.minorticks_off()
         axis.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
         told = c.kind != "not told"
-        slope = (
-            f"slope {_tenth(c.slope)} ({_tenth(c.low)} to {_tenth(c.high)}): {c.kind}" if told else "no slope above the start's"
-        )
+        slope = f"slope {_tenth(c.slope)} ({_tenth(c.low)} to {_tenth(c.high)}): {c.kind}"
         axis.set_title(f"{c.channel} [{unit}]", pad=20)
-        axis.text(0, 1.035, slope, transform=axis.transAxes, color=QUIET, fontsize=9.2)
+        axis.text(0, 1.035, slope if told else "no slope above the start's", transform=axis.transAxes, color=QUIET, fontsize=9.2)
         axis.set_xlabel("time since the restart [s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     handles.append(figure.axes[0].collections[0])
@@ -175,9 +173,8 @@ def heat(p: Localisation) -> str:
                 quiet = "#E6EEF5" if dark else QUIET
                 axis.text(j, i + 0.27, f"{_short(p.level[i, k])} × floor", ha="center", va="center", color=quiet, fontsize=7.6)
     time = np.nanmax(p.time[:, seen], 0)
-    axis.set_xticks(
-        range(len(seen)), [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
-    )
+    regimes = [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
+    axis.set_xticks(range(len(seen)), regimes)
     axis.set_yticks(range(len(p.channels)), p.channels, color=INK, fontsize=10)
     _tiles(axis, len(seen), len(p.channels), 8.6)
     return svg(figure, "Share of the gap by channel and regime")

@@ -133,7 +133,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
             break
         best = step.ranked[0]
         gained = (e.linearised_at(start.row) if number else e).loss(start.row) - best.cost
-        z, *sides = e.linearised_at(best.row).subset(e.everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
+        z, *sides = e.linearised_at(best.row).subset().z(np.stack([start.row, *(c.row for c in step.ranked)]))
         free = [i for i, c in enumerate(step.ranked) if c is best or not on_bound(e.model, c)]
         share = likelihood.p_best(np.stack([likelihood.costs(sides[i], e.layout) for i in free]))
         drawn = dict(zip(free, map(float, share), strict=True))
@@ -170,7 +170,7 @@ def values(model, c: Candidate, name: str) -> dict:
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
     """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
     e = inquiry.evidence
-    whole = e.subset(e.everything)
+    whole = e.subset()
     rows, owners = [], []
     for effect in e.model.active.effects:
         if effect.name in inquiry.found.best.names:
@@ -201,22 +201,19 @@ def plain(m: ReportData) -> dict:
     place["side"] = m.place.side and m.place.side._asdict()
     place["rates"] = m.place.rates and m.place.rates._asdict()
     place["locked"] = {k: v._asdict() for k, v in m.place.locked.items()}
-    return console.plain(
-        {
-            "verdict": m.inquiry.verdict.plain(),
-            "notes": list(m.inquiry.notes),
-            "records": [
-                {"name": r.name, "excitation": r.excitation, "part": part}
-                for r, part in zip(m.inquiry.records, parted(m.inquiry), strict=True)
-            ],
-            "gap": [asdict(p) for p in m.parts],
-            "localisation": place,
-            "weighed": m.weighed,
-            "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
-            "rounds": [asdict(r) for r in m.rounds],
-            "not_visible": [asdict(b) for b in m.blind],
-        }
-    )
+    used = zip(m.inquiry.records, parted(m.inquiry), strict=True)
+    page = {
+        "verdict": m.inquiry.verdict.plain(),
+        "notes": list(m.inquiry.notes),
+        "records": [{"name": r.name, "excitation": r.excitation, "part": part} for r, part in used],
+        "gap": [asdict(p) for p in m.parts],
+        "localisation": place,
+        "weighed": m.weighed,
+        "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
+        "rounds": [asdict(r) for r in m.rounds],
+        "not_visible": [asdict(b) for b in m.blind],
+    }
+    return console.plain(page)
 
 
 def parted(inquiry: Inquiry) -> list[str]:

@@ -226,9 +226,8 @@ def shape_probes(model, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
             row = base.copy()
             for p in effect.parameters:
                 if not p.shape:
-                    row[model.index(effect.name, p.name)] = np.clip(
-                        p.null + (1 if p.high > p.null else -1) * _size(p), p.low, p.high
-                    )
+                    usual = p.null + (1 if p.high > p.null else -1) * _size(p)
+                    row[model.index(effect.name, p.name)] = np.clip(usual, p.low, p.high)
             row[model.index(effect.name, shape.name)] = value
             out.append(row)
     return out
@@ -249,9 +248,8 @@ def secants(model, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
             sizes.append(_size(p))
         jac = np.array(columns) * np.array(sizes)[:, None]
         normal = jac @ jac.T
-        change = -np.linalg.solve(
-            normal + 1e-6 * np.trace(normal) * np.eye(len(normal)) + 1e-12 * np.eye(len(normal)), jac @ base.z
-        )
+        regular = normal + 1e-6 * np.trace(normal) * np.eye(len(normal)) + 1e-12 * np.eye(len(normal))
+        change = -np.linalg.solve(regular, jac @ base.z)
         row = base.row.copy()
         for place, p, size, c in zip(places, [p for p in effect.parameters if not p.shape], sizes, change, strict=True):
             row[place] = np.clip(p.null + c * size, p.low, p.high)

@@ -63,7 +63,7 @@ class CrossValidated(NamedTuple):
         out = 0.0
         for fold, fit, more in zip(folds, self.fits, self.uncertainty_factors(folds), strict=True):
             others = near.subset(~fold, more[:, ~fold[near.layout.record]])
-            out += near.subset(near.everything, more).loss(fit.row) - others.loss(fit.row)
+            out += near.subset(more=more).loss(fit.row) - others.loss(fit.row)
         return out
 
     def gap(self, folds: np.ndarray) -> float:
@@ -164,7 +164,7 @@ class Selection:
 def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bar: Bar) -> Selection:
     """Add effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
     pool = [x for x in e.model.active.effects if is_absent(e.model, x)]
-    whole = e.subset(e.everything)
+    whole = e.subset()
     base = whole.base()
     selected = CrossValidated(e, base, (base,) * len(folds))
     steps: list[SelectionStep] = []
@@ -200,7 +200,7 @@ def propose(
     report: called with the share of the round that is done.
     """
     limits = thresholds().stepwise
-    whole = known.near.subset(known.near.everything)
+    whole = known.near.subset()
     base = on_records(whole, known.best)
     required = required_gain(gates, known, gain_so_far, uncontested=True)
     short = shortlist(known.near, base, effects, gates)
@@ -244,7 +244,10 @@ def propose(
             accepted = True
             gain = joint
     ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
-    return SelectionStep(tuple(ranked), fitted, gain, accepted, gap_before_after(known, fitted, folds) if accepted else None)
+    moved = None
+    if accepted:
+        moved = (min(known.near.gap(known.near.model.null)[0], known.gap(folds)), fitted.gap(folds))
+    return SelectionStep(tuple(ranked), fitted, gain, accepted, moved)
 
 
 def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncontested: bool) -> float:
@@ -265,16 +268,10 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
     return min(others, default=np.inf) - loss[first]
 
 
-def gap_before_after(known: CrossValidated, fitted: CrossValidated, folds: np.ndarray) -> tuple[float, float]:
-    """What `SelectionStep.gap` holds."""
-    as_it_is = known.near.gap(known.near.model.null)[0]
-    return min(as_it_is, known.gap(folds)), fitted.gap(folds)
-
-
 # ------------------------------------------------------------------------------------------------------------------ candidates
 def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
-    whole = e.subset(e.everything)
+    whole = e.subset()
     few = e.subset(informative_records(base, e.layout))
     one = e.subset(informative_records(base, e.layout, 1))
     fine = one.grid_search(on_records(one, base), effects)
@@ -328,7 +325,7 @@ def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, nam
     """The same without one effect, fitted anew."""
     near = fitted.near
     fits = tuple(drop_effect(near.subset(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
-    return converge(e, folds, drop_effect(near.subset(near.everything), fitted.best, name), fits)
+    return converge(e, folds, drop_effect(near.subset(), fitted.best, name), fits)
 
 
 def loss_increase(fitted: CrossValidated, less: CrossValidated, folds: np.ndarray) -> float:

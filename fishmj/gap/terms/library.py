@@ -141,12 +141,9 @@ def in_the_log_too(curve: ReadingCurve) -> dict[str, Callable]:
     return in_the_loop(curve) | {"measure": measure}
 
 
-FORCES = {
-    "surge force": ("fx", 1, 0.05),
-    "sway force": ("fy", -1, 0.1),
-    "yaw moment": ("n", -1, 0.01),
-}  # field, parity, usual size
-TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}  # parity, usual size
+# Force -> (field, parity, usual size) on the body; (parity, usual size) at the tail; direction in the tank.
+FORCES = {"surge force": ("fx", 1, 0.05), "sway force": ("fy", -1, 0.1), "yaw moment": ("n", -1, 0.01)}
+TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
 USUAL = thresholds().library
 ONE = Factor("constant", lambda xp, b: 1.0, 1, 1.0)
@@ -256,22 +253,16 @@ def provisional(
     """The effect of one term, called X- and a hash of its name."""
     formula = f"{force} ~ {f.name}"
     usual = size / f.size
+    bound = USUAL.bound * usual
     unit = "rad" if stage == "measurement" else "N m" if force in ("yaw moment", "joint torque") else "N"
+    unit += " per SI unit of the product"
     return Effect(
         name=f"X-{hashlib.sha256(formula.encode()).hexdigest()[:8]}",
         stage=stage,
         about="mirror-symmetric" if symmetric else "one-sided: port and starboard differ",
         formula=formula,
         source="none: a term of the typed library",
-        parameters=(
-            Parameter(
-                name="coefficient",
-                unit=f"{unit} per SI unit of the product",
-                low=-USUAL.bound * usual,
-                high=USUAL.bound * usual,
-                typical=(0.1 * usual, usual),
-            ),
-        ),
+        parameters=(Parameter(name="coefficient", unit=unit, low=-bound, high=bound, typical=(0.1 * usual, usual)),),
         shows=("joint",) if {"gear", "servo"} & set(site) else ("position", "heading"),
         **site,
     )

@@ -53,23 +53,16 @@ class Term:
     @property
     def firm(self) -> bool:
         """Whether it passes every doubt."""
-        return (
-            self.gain > 0
-            and self.q <= LIMITS.false_discovery
-            and self.stability >= LIMITS.stability
-            and self.closure >= LIMITS.closure
-        )
+        found = self.gain > 0 and self.q <= LIMITS.false_discovery
+        return found and self.stability >= LIMITS.stability and self.closure >= LIMITS.closure
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
-    """The terms that describe what `records` show beyond the model, best first.
-
-    Args:
-        model: the fish with the library in it. null: (n, m) residuals of null runs at the windows of `records`.
-    """
+    """The terms that describe what `records` show beyond the model, the fish with the library in it, best first. null: (n, m)
+    residuals of null runs at the windows of `records`."""
     e = Likelihood(model, records, null)
-    whole = e.subset(e.everything)
+    whole = e.subset()
     terms = [x for x in model.active.effects if x in library()]
     base = whole.base()
     g, probed = signatures(whole, terms)
@@ -135,18 +128,8 @@ def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
     value = float(c.row[model.index(effect.name, p.name)])
     excess = base.cost - size
     closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
-    return Term(
-        effect.formula,
-        effect.name,
-        value,
-        p.unit,
-        closure,
-        float(net[k]),
-        float(q[k]),
-        float(stable[k]),
-        one_sided(effect),
-        alike,
-    )
+    doubts = (float(net[k]), float(q[k]), float(stable[k]))
+    return Term(effect.formula, effect.name, value, p.unit, closure, *doubts, one_sided(effect), alike)
 
 
 def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:

@@ -80,7 +80,7 @@ def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> Stro
 def best_in_sample(start: Likelihood, terms: list) -> list[Candidate]:
     """The best terms by |z|^2: found on the few records in which most is unexpected, fitted to all."""
     limits = thresholds().stronger
-    whole = start.subset(start.everything)
+    whole = start.subset()
     base = whole.base()
     few = start.subset(informative_records(base, start.layout))
     here = on_records(few, base)
