@@ -25,7 +25,7 @@ from fishmj.gap.experiment import (
 )
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in
-from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import compiled, investigate
 from fishmj.mjcf.description import load_robot
 
@@ -72,11 +72,13 @@ def _opened(args, null: SimulatedNull):
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.commands import reported
+        from fishmj.virtual_robot import generate
 
         verdict = reported.verdict(report, context=False)
         context = verdict.get("context", {})
         model = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
-        return verdict["answer"], model, normalise_weights(_reported(model, verdict)), _usual(model)
+        usual = record_of(generate({}, ["idle"], 0, robot=model.robot)[0], model.dt)  # has the usual sensors of this robot
+        return verdict["answer"], model, normalise_weights(_reported(model, verdict)), usual
     name = args.model or "fish"
     model = _questioned(name, STRUCTURED)
     given, _ = admission.admitted(args.source, model.robot, name, args.same_robot)
@@ -128,13 +130,6 @@ def _reported(model, verdict: dict) -> list[Hypothesis]:
         raise LogError("gap next: the report lists no rival with values; give the data set itself: gap next DATA")
     best = min([1.0, *(e["p_best"] for e in verdict["effects"])])
     return [from_plain(model, ours, best), *(from_plain(model, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
-
-
-def _usual(model) -> Record:
-    """A record with the usual sensors of this robot."""
-    from fishmj.virtual_robot import generate
-
-    return record_of(generate({}, ["idle"], 0, robot=model.robot)[0], model.dt)
 
 
 def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:
