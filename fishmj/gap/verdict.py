@@ -35,7 +35,7 @@ class Verdict:
     effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
     first (terms/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision. explained: share of the
     excess of twice the log likelihood, each record predicted without its fold, with what the formulas may be wrong by granted;
-    it is no share of the gap, and the gap may grow beside it. steps: the rounds, decide.described.
+    it is no share of the gap, and the gap may grow beside it. steps: the rounds, decide.step_table.
     """
 
     answer: str
@@ -57,7 +57,7 @@ class Verdict:
 
     @property
     def searched(self) -> bool:
-        """Whether rounds are told: a search made this, not the protocol of measured data (measured/)."""
+        """Whether rounds are told: a search made this, not the protocol of measured data (studies/measured_robots)."""
         return bool(self.steps)
 
     @property
