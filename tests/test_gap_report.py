@@ -12,7 +12,7 @@ import pytest
 from fishmj import effects, excitation
 from fishmj.gap.localise import compared, error_growth, localise
 from fishmj.gap.localise.comparison import KINDS, kinds_of
-from fishmj.gap.localise.diagnostics import compatible, significant
+from fishmj.gap.localise.residual_patterns import compatible, significant
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import record_of

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.gap.localise.comparison import KINDS, Comparison, compared, kinds, shares
-from fishmj.gap.localise.diagnostics import Beat, BeatRates, Frame, Lags, Side, beat, by_rate, frame, lags, side, stretches
+from fishmj.gap.localise.residual_patterns import Beat, BeatRates, Frame, Lags, Side, beat, by_rate, frame, lags, side, stretches
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]
 THIRDS = 3

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fishmj.gap.localise.diagnostics import compatible, significant
+from fishmj.gap.localise.residual_patterns import compatible, significant
 from fishmj.gap.wording import number, percent, sentence
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
