@@ -23,7 +23,7 @@ assert not {"mujoco", "jax", "scipy"} & set(sys.modules), "import fishmj loads N
 home = Path(fishmj.__file__).resolve()
 assert Path(sys.prefix).resolve() in home.parents, f"not the installed package: {home}"
 from fishmj import calib, suite
-from fishmj.gap.null.recorded_null import RecordedNull
+from fishmj.gap.null.null_runs import RecordedNull
 from fishmj.hydro_fit.__main__ import SHIPPED
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.store import Manifest, shipped

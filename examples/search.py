@@ -8,7 +8,7 @@ effects of the catalogue are in question and 64 null runs are made; `fishmj gap 
 
 from fishmj import effects
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.workflow import investigate
 from fishmj.virtual_robot import generate
 

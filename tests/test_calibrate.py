@@ -27,7 +27,7 @@ from fishmj.calibrate.least_squares import (
 )
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, LogError, StoreError
-from fishmj.gap.models.test_stand import ServoStand
+from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
@@ -175,7 +175,7 @@ def test_the_bench_in_water_is_the_strip_fish_step_by_step(robot):
 
 def test_a_hull_pushed_beyond_its_tolerance_is_told():
     """Constants of the water that the fit needs far from what is described mean another water."""
-    at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo_fit.CONSTANTS[2:]}
+    at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo_fit.STAND_CONSTANTS[2:]}
     fit_with = lambda mass: LeastSquaresFit(
         np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1
     )

@@ -13,7 +13,7 @@ from fishmj.engines.extensions import with_effects
 from fishmj.errors import LogError
 from fishmj.evaluate import trial_logs
 from fishmj.flow import Flow
-from fishmj.gap.commands import find
+from fishmj.gap.commands import admission
 from fishmj.gap.records.datasets import readable_trials
 from fishmj.gap.records.records import record_of
 from fishmj.log import stacked
@@ -71,7 +71,7 @@ def test_two_live_swims_are_a_data_set_that_search_and_calibration_read(folder):
         assert np.isfinite(record.joint.sigma).all() and record.placed is not None
         assert record.flow == pytest.approx((-0.2, 0.0)) and record.medium == "water"
         assert np.ptp(record.commands) > 0.2
-    assert find.missing(readable_trials(data), load_robot("fish")) is None
+    assert admission.insufficient_data(readable_trials(data), load_robot("fish")) is None
     records = calibrate_logs.read(data).records(0.004)
     assert len(records) == 2 and [calibrate_logs.angles(r).values.shape for r in records] == [(200, 3)] * 2
 
@@ -200,7 +200,9 @@ def result(body):
 
 def test_a_judged_trial_is_complete(result, tmp_path):
     trial_logs.write_logs(result, tmp_path)
-    assert find.missing(readable_trials(tmp_path), load_robot("fish")) is None, "gap find takes the folder as it is"
+    assert admission.insufficient_data(readable_trials(tmp_path), load_robot("fish")) is None, (
+        "gap find takes the folder as it is"
+    )
     for trial in log.read_dataset(tmp_path):
         assert set(trial.tables) == TABLES | {"action"} and missing(trial) <= UNTOLD
         assert trial.value("sigma.x") == 0.005 and trial.value("start") == pytest.approx(trial.value("start"))

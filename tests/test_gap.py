@@ -7,13 +7,11 @@ pytest.importorskip("numba")
 
 from fishmj import effects
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.cross_validation import CrossValidated, converge, split
-from fishmj.gap.search.stepwise import informative_records, prune
+from fishmj.gap.search.stepwise import CrossValidated, converge, informative_records, prune, split
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate, unrepeatable
 from fishmj.sim import Sim
@@ -179,7 +177,7 @@ def test_an_effect_that_stood_in_for_a_later_one_goes_again(plant):
     row[plant.index("camera_scale", "scale")] = 0.002
     names = ("camera_scale", "command_latency")
     places = tuple(plant.index(n, p.name) for n in names for p in effects.get(n).parameters)
-    c = e.subset(e.everything).at(row, names, places)
+    c = e.subset().at(row, names, places)
     found = prune(e, folds, converge(e, folds, c, (c, c)), frozen())
     assert {found.best.names, *(fit.names for fit in found.fits)} == {("command_latency",)}
     assert found.best.row[plant.index("command_latency", "delay")] == pytest.approx(0.04, abs=0.004)
@@ -218,7 +216,7 @@ def test_an_effect_of_another_size_in_each_record_is_wrong_in_its_size_and_not_i
 
 def test_the_step_that_commands_are_counted_in_is_found_among_hundreds(plant):
     e = evidence_on(plant, {"command_quantisation": {"step": 0.0231}}, 60)
-    one = e.subset(informative_records(e.subset(e.everything).base(), e.layout, 1))
+    one = e.subset(informative_records(e.subset().base(), e.layout, 1))
     (values,) = one.grid_search(one.base(), plant.active.effects).values()
     assert values[0] == pytest.approx(0.0231, rel=0.004)
     first = one.screen(one.base(), plant.active.effects, {"command_quantisation": values})[0]
@@ -229,7 +227,7 @@ def test_a_limit_that_only_one_record_reaches_is_left_open_by_the_others(plant):
     """Slow motion says nothing about the largest speed; what it leaves open is not straight, and yet covers what a beat shows."""
     e = evidence_on(plant, {"speed_limit": {"slowness": 0.5}}, 59, ("slow_triangle", "gait_fast"))
     row = row_of(plant, "speed_limit", slowness=0.5)
-    search = e.subset(e.everything)
+    search = e.subset()
     places = (plant.index("speed_limit", "slowness"),)
     best, unlearnt = (search.at(r, ("speed_limit",), places) for r in (row, plant.null))
     found = CrossValidated(e.with_estimated_model_error(row), best, (unlearnt, best))
@@ -244,7 +242,7 @@ def test_what_a_fold_leaves_open_counts_where_it_is_predicted(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 56, ("gait_fast", "drift_north"))
     row = row_of(plant, "command_latency", delay=0.04)
     folds = np.eye(2, dtype=bool)
-    c = e.subset(e.everything).at(row, ("command_latency",), (plant.index("command_latency", "delay"),))
+    c = e.subset().at(row, ("command_latency",), (plant.index("command_latency", "delay"),))
     found = converge(e, folds, c, (c, c))
     (beat, _), (drift, _) = found.held_out(folds)
     known = [found.near.subset(f).whiten.logdet for f in folds]

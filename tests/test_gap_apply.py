@@ -14,11 +14,11 @@ from fishmj.calib import read_toml, resolve
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.errors import ConfigError
 from fishmj.gap import __main__ as gap
-from fishmj.gap.commands import apply, compare_models, model_version
-from fishmj.gap.commands.check import check
+from fishmj.gap.commands import apply, model_version
+from fishmj.gap.commands.check import check, gaps
 from fishmj.gap.commands.mjcf_patch import difference, hooked, mjcf
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import named, trials_in
 from fishmj.gap.verdict import Named, Value, Verdict
 from fishmj.log.dataset import read_dataset, write_bundle
@@ -92,7 +92,7 @@ def test_a_bundle_in_a_fitted_water_gets_its_version_too(tmp_path, data):
     assert model_version.facts(written.path)["water"] == "swift-base"
     found = check(written.path, bundle)
     assert found["worse"] == "" and found["same_data"] and found["gap"] == pytest.approx(written.gap_after, rel=1e-6)
-    other = compare_models.gaps([load_robot(written.path)], trials_in(bundle), null_of(NULL))[0][0]
+    other = gaps([load_robot(written.path)], trials_in(bundle), null_of(NULL))[0][0]
     assert abs(other - found["gap"]) > 1e-3, "the fitted water is not the model's own"
 
 

@@ -11,13 +11,11 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F401
 
 from fishmj import effects
-from fishmj.gap.decide.decide import sanity
-from fishmj.gap.decide.secondary_effects import confused, masked_by
+from fishmj.gap.decide.decide import confused, masked_by, sanity
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
-from fishmj.gap.search.cross_validation import CrossValidated, split
 from fishmj.gap.search.likelihood import likelihood_of, relinearise
-from fishmj.gap.search.stepwise import Selection, SelectionStep, propose, required_gain
+from fishmj.gap.search.stepwise import CrossValidated, Selection, SelectionStep, propose, required_gain, split
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
 
@@ -94,17 +92,17 @@ def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
     """Of a model without a parameter, whose fits are all one, by the definition of a conditional density."""
     e = evidence_on(plant, {}, 72)
     folds = split(e.records)
-    base = e.subset(e.everything).base()
+    base = e.subset().base()
     known = CrossValidated(e, base, (base,) * len(folds))
     others = sum(e.subset(~fold).loss(plant.null) for fold in folds)
-    assert known.conditional_loss(folds) == pytest.approx(len(folds) * e.subset(e.everything).loss(plant.null) - others)
+    assert known.conditional_loss(folds) == pytest.approx(len(folds) * e.subset().loss(plant.null) - others)
 
 
 @pytest.mark.slow
 def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_others(plant):  # noqa: F811
     e = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73)
     folds, gates = split(e.records), frozen()
-    base = e.subset(e.everything).base()
+    base = e.subset().base()
     known = CrossValidated(e, base, (base,) * len(folds))
     usual = propose(known, folds, plant.active.effects, gates, 0.0)
     deaf = replace(gates, gain=1.1 * usual.gain)
@@ -141,7 +139,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
     e = evidence_on(plant, {"steady_current": {"x": 0.03, "y": 0.0}}, 74)
     row = row_of(plant, "steady_current", x=0.03, y=0.0)
     places = tuple(plant.index("steady_current", p) for p in ("x", "y"))
-    c = relinearise(e, e.subset(e.everything).at(row, ("steady_current",), places))[1]
+    c = relinearise(e, e.subset().at(row, ("steady_current",), places))[1]
     said = lambda x, half: Named(
         "steady_current", {"x": Value(x, "m/s", x - half, x + half), "y": Value(0.001, "m/s", -0.01, 0.012)}, 1.0, 1.0
     )

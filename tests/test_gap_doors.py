@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,14 +17,12 @@ from fishmj.engines import in_water
 from fishmj.errors import ConfigError, DescriptionError, LogError
 from fishmj.gap import __main__ as gap
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, find, model_version, unlike
+from fishmj.gap.commands import admission, find, model_version
+from fishmj.gap.commands.admission import InsufficientData
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, as_excitation, trials_of
 from fishmj.gap.records import datasets
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.records.sufficiency import InsufficientData
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, write_dataset
 from fishmj.log.dataset import read_dataset, take
@@ -131,7 +130,7 @@ def forbidden(*_, **__):
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
 def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fishmj.gap.records.datasets.readable_trials", forbidden)
-    monkeypatch.setattr("fishmj.gap.null.simulated_null.SimulatedNull.residuals", forbidden)
+    monkeypatch.setattr("fishmj.gap.null.null_runs.SimulatedNull.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
     assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -142,7 +141,7 @@ def test_logs_of_another_robot_need_a_word(logs, copied, capsys, monkeypatch):
     for meta in copied.glob("*/meta.toml"):
         meta.write_text(meta.read_text().replace('robot = "swift"', 'robot = "other"'))
     (copied / "manifest.json").unlink()
-    monkeypatch.setattr(find, "missing", lambda *_: InsufficientData("reached", (), ()))
+    monkeypatch.setattr(admission, "insufficient_data", lambda *_: InsufficientData("reached", (), ()))
     assert run("find", logs) == console.CANNOT_TELL
     assert run("find", copied) == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -155,11 +154,11 @@ def test_logs_with_other_joints_or_no_robot_are_told_apart():
     trial = generate({}, ["idle"], 0)[0]
     robot = load_robot("fish")
     nameless = Trial({k: v for k, v in trial.meta.items() if k != "robot"}, trial.tables, name="a")
-    assert doors.of_this_robot([trial], robot, "fish") == []
-    assert "1 of 1 trials name no robot" in doors.of_this_robot([nameless], robot, "fish")[0]
+    assert admission.of_this_robot([trial], robot, "fish") == []
+    assert "1 of 1 trials name no robot" in admission.of_this_robot([nameless], robot, "fish")[0]
     fewer = {k: v for k, v in trial.tables["cmd"].items() if k != "c3"}
     with pytest.raises(LogError, match=r"has 2 joints, the model fish \(swift\) 3"):
-        doors.of_this_robot([Trial(trial.meta, {"cmd": fewer}, name="a")], robot, "fish", agreed=True)
+        admission.of_this_robot([Trial(trial.meta, {"cmd": fewer}, name="a")], robot, "fish", agreed=True)
 
 
 def test_generators_of_logs_name_the_robot_that_the_model_has():
@@ -171,11 +170,11 @@ def test_generators_of_logs_name_the_robot_that_the_model_has():
 
 def test_null_sets_of_another_fish_are_refused_with_what_differs():
     sets = RecordedNull(folder=solver.folder() / "nulls")
-    doors.null_fits(sets, in_water(load_robot("fish"), solver.WATER), "fish")
+    admission.null_fits(sets, in_water(load_robot("fish"), solver.WATER), "fish")
     with pytest.raises(ConfigError, match=r"differs from it in servo.kp \(8, 8.4\); leave --null out"):
-        doors.null_fits(sets, stiffer(), "mine.toml")
+        admission.null_fits(sets, stiffer(), "mine.toml")
     with pytest.raises(ConfigError, match="null sets of 'swift' with 3 joints; the model x is 'shark'"):
-        doors.null_fits(sets, replace(load_robot("fish"), name="shark"), "x")
+        admission.null_fits(sets, replace(load_robot("fish"), name="shark"), "x")
 
 
 # A gap that no effect is meant by.
@@ -222,23 +221,23 @@ def seen(sensor: str, columns, change):
     ],
 )
 def test_what_makes_a_gap_huge_is_read_from_the_data(change, says, far):
-    assert any(says in cause for cause in unlike.likely(far(change))), unlike.likely(far(change))
+    assert any(says in cause for cause in admission.likely(far(change))), admission.likely(far(change))
 
 
 def test_a_huge_gap_stops_a_search_where_its_cause_is_known_and_beyond_all_effects(far):
     flipped = seen("joint", [1], lambda v: -v)
-    assert unlike.likely(far()) == []
-    unlike.admit(far())  # 5000 floors and no usual cause: tethers get there
-    unlike.admit(far(flipped, gap=900.0))
-    unlike.admit(far(flipped), anyway=True)
+    assert admission.likely(far()) == []
+    admission.admit(far())  # 5000 floors and no usual cause: tethers get there
+    admission.admit(far(flipped, gap=900.0))
+    admission.admit(far(flipped), anyway=True)
     for evidence in (far(flipped), far(gap=2e5)):
-        with pytest.raises(unlike.TooDifferent, match="too different"):
-            unlike.admit(evidence)
+        with pytest.raises(admission.TooDifferent, match="too different"):
+            admission.admit(evidence)
 
 
 def test_a_search_that_is_too_different_ends_with_exit_3_and_says_why(logs, capsys, monkeypatch):
     def search(*_):
-        raise unlike.TooDifferent(1e6, {"joint": 4e6}, ["joint 1: in degrees?"])
+        raise admission.TooDifferent(1e6, {"joint": 4e6}, ["joint 1: in degrees?"])
 
     monkeypatch.setattr(find, "search", search)
     assert run("find", logs, "--json") == console.CANNOT_TELL
@@ -268,7 +267,7 @@ def test_a_broken_trial_leaves_the_others(copied, signed, capsys, monkeypatch):
     (copied / "1_02_gait_fast" / "meta.toml").write_text("schema = ")
     taken = datasets.readable_trials(copied, 0.004)
     assert list(taken.broken) == ["1_02_gait_fast"] and len(taken.trials) == 2
-    monkeypatch.setattr(find, "missing", lambda *_: InsufficientData("reached", (), ()))
+    monkeypatch.setattr(admission, "insufficient_data", lambda *_: InsufficientData("reached", (), ()))
     assert run("find", copied, "--json") == console.CANNOT_TELL
     said = capsys.readouterr()
     assert "1_02_gait_fast left out" in said.err and "1_02_gait_fast" in json.loads(said.out.splitlines()[-1])["skipped"]
@@ -477,7 +476,7 @@ def test_no_text_of_a_description_reaches_what_is_compiled(monkeypatch):
 
 
 def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr("fishmj.gap.null.simulated_null.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("fishmj.gap.null.null_runs.cache_folder", lambda: tmp_path)
     told = []
 
     class Bar(watch.Quiet):
@@ -491,6 +490,6 @@ def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, mon
     still = SimpleNamespace(robot=load_robot("fish"), dt=0.004, fingerprint="still", predict=predict, null=None)
     records = [record_of(t, still.dt) for t in generate({}, ["idle", "idle"], 0)]
     null = SimulatedNull(runs=8)
-    null.residuals(still, records, ResidualLayout(records), lambda total, *_: told.append(f"of {total}") or Bar())
+    null.residuals(still, records, ResidualLayout(records), lambda total, *_: told.append(f"of {total}") or nullcontext(Bar()))
     assert told == ["of 8", *range(1, 9)]  # two replicates are one experiment
     null.residuals(still, records, ResidualLayout(records), forbidden)

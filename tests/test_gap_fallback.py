@@ -7,12 +7,11 @@ pytest.importorskip("numba")
 
 from fishmj.effects.sites import BodyMotion, Gear, LocalWater, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.terms import model_with_terms, select, terms_of
-from fishmj.gap.terms.library import library, one_sided
-from fishmj.gap.terms.sensor_terms import CURVES
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.records.records import ResidualLayout, record_of
+from fishmj.gap.terms import select
+from fishmj.gap.terms.library import CURVES, library, model_with_terms, one_sided
+from fishmj.gap.terms.select import terms_of
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark.free_terms import RIGHT
 

@@ -10,18 +10,20 @@ pytest.importorskip("numba")
 from fishmj import effects, excitation
 from fishmj.errors import UnknownName
 from fishmj.gap.commands import next_experiment
-from fishmj.gap.experiment import advice
-from fishmj.gap.experiment.discrimination import (
+from fishmj.gap.experiment import (
     ExperimentScore,
     Hypothesis,
+    advice,
     experiment_score,
     experiment_scores,
+    from_plain,
     hinted_experiments,
     normalise_weights,
     planned_record,
+    to_plain,
 )
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
+from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 
 NULL = SimulatedNull(runs=16)
@@ -63,7 +65,7 @@ def test_a_planned_experiment_is_the_one_that_will_be_done(plant, like, name):
 
 def test_alike_explanations_stay_together(plant, like):
     same = [side(plant, "coulomb_friction", 0.1), side(plant, "coulomb_friction", 0.1)]
-    assert experiment_score(plant, same, planned_record(excitation.get("steps"), like), NULL, 0.1).sigma == pytest.approx(
+    assert experiment_score(plant, same, planned_record(excitation.get("steps"), like), NULL).sigma == pytest.approx(
         0.0, abs=1e-9
     )
 
@@ -79,9 +81,7 @@ def test_a_parameter_that_the_data_leave_open_separates_less(plant, like):
     record = planned_record(excitation.get("drift_north"), like)
     known = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
     unknown = [side(plant, "steady_current", 0.03, spread=0.03), known[1]]
-    assert (
-        experiment_score(plant, unknown, record, NULL, 0.1).sigma < 0.5 * experiment_score(plant, known, record, NULL, 0.1).sigma
-    )
+    assert experiment_score(plant, unknown, record, NULL).sigma < 0.5 * experiment_score(plant, known, record, NULL).sigma
 
 
 def test_hints_begin_with_what_the_catalogue_says(plant):
@@ -94,13 +94,13 @@ def test_hints_begin_with_what_the_catalogue_says(plant):
 def test_what_no_experiment_separates_gets_the_class_own_advice(plant):
     sides = [side(plant, "steady_current", 0.03), side(plant, "camera_scale", 0.02)]
     sides = [s._replace(names=(n,)) for s, n in zip(sides, ("clock_offset", "camera_latency"), strict=True)]
-    said = advice.advice(plant, [ExperimentScore("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
+    said = advice(plant, [ExperimentScore("gait", 10.0, 0.4, ("clock_offset", "camera_latency"), 0.01)], sides)
     assert "No experiment tried separates clock offset from camera latency" in said and "lamp" in said
 
 
 def test_sides_survive_the_report(plant):
     there = side(plant, "coulomb_friction", 0.1, spread=0.01)
-    back = advice.from_plain(plant, advice.to_plain(plant, there), 1.0)
+    back = from_plain(plant, to_plain(plant, there), 1.0)
     assert np.allclose(back.row, there.row) and np.allclose(back.moves, there.moves)
 
 

@@ -8,29 +8,28 @@ import numpy as np
 import pytest
 
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import simulated_null, source_digest
-from fishmj.gap.null.recorded_null import FEWEST, RecordedNull
-from fishmj.gap.null.simulated_null import SimulatedNull, as_excitation
+from fishmj.gap.null import null_runs
+from fishmj.gap.null.null_runs import FEWEST, RecordedNull, SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 from fishmj.virtual_robot import generate
 
 MODEL = {
     *("dynamics.planar_chain", "water.hydro_model", "mjcf.geometry", "effects.stack"),
-    *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.residual"),
+    *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.records"),
 }
 SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.numba_entry", "excitation", "mjcf.description"}
-NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.words", "train.networks"}
+NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.sections", "train.networks"}
 
 
 @pytest.fixture
 def code(tmp_path, monkeypatch):
     """A copy of the package's source, which keys are taken of."""
     there = tmp_path / "fishmj"
-    shutil.copytree(source_digest.ROOT, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
-    monkeypatch.setattr(source_digest, "ROOT", there)
-    source_digest.digest.cache_clear()
+    shutil.copytree(null_runs.SOURCES, there, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
+    monkeypatch.setattr(null_runs, "SOURCES", there)
+    null_runs.digest.cache_clear()
     yield there
-    source_digest.digest.cache_clear()
+    null_runs.digest.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +53,14 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
     before = keys()
     assert keys() == before
     (code / file).write_text((code / file).read_text() + "\n# another formula\n")
-    source_digest.digest.cache_clear()
+    null_runs.digest.cache_clear()
     assert [a != b for a, b in zip(keys(), before, strict=True)] == [made, elsewhere]
 
 
 def test_what_decides_the_runs_is_found_by_its_imports():
     swims, predicts = (
-        source_digest.reached(simulated_null.SIMULATOR),
-        source_digest.reached(SwimmingFish.__module__, "fishmj.gap.records.residual"),
+        null_runs.reached(null_runs.SIMULATOR),
+        null_runs.reached(SwimmingFish.__module__, "fishmj.gap.records.records"),
     )
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)
     assert {f"fishmj.{name}" for name in MODEL} <= set(predicts)
@@ -88,7 +87,7 @@ def test_imports_are_followed_through_packages_and_into_functions(code):
     (code / "far" / "inner.py").write_text("def thing():\n    import fishmj.near\n")
     (code / "near.py").write_text("import numpy\n")
     (code / "start.py").write_text("from fishmj import far\nimport fishmj_elsewhere.near\n")
-    found = source_digest.reached("fishmj.start")
+    found = null_runs.reached("fishmj.start")
     assert {"fishmj", "fishmj.far", "fishmj.far.inner", "fishmj.near", "fishmj.start"} <= set(found)
     assert not [name for name in found if "numpy" in name or "elsewhere" in name]
-    assert source_digest.reached("fishmj.far.inner.thing", "types", "os.path") == {}
+    assert null_runs.reached("fishmj.far.inner.thing", "types", "os.path") == {}

@@ -11,12 +11,11 @@ from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
 from fishmj import effects
 from fishmj.gap.decide.decide import _answer, needs_exact_value
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.search.cross_validation import converge, split
 from fishmj.gap.search.fit import refine
-from fishmj.gap.search.stepwise import Selection
-from fishmj.gap.terms import model_with_terms, stronger
-from fishmj.gap.terms.equivalence import is_own_formula
-from fishmj.gap.terms.library import library
+from fishmj.gap.search.stepwise import Selection, converge, split
+from fishmj.gap.terms import stronger
+from fishmj.gap.terms.library import library, model_with_terms
+from fishmj.gap.terms.stronger import is_own_formula
 from fishmj.gap.thresholds import frozen, residual_allowed, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.workflow import investigate
@@ -31,7 +30,7 @@ def free():
 
 def best(e) -> tuple[Selection, Verdict]:
     """The best single effect of the plant, as a search that stops there and names it would leave it."""
-    whole, folds = e.subset(e.everything), split(e.records)
+    whole, folds = e.subset(), split(e.records)
     base = whole.base()
     first = whole.refine(whole.screen(base, e.model.active.effects)[:3], 4)[0]
     fitted = converge(e, folds, first, tuple(refine(e.subset(~f), first) for f in folds))
@@ -44,19 +43,19 @@ def best(e) -> tuple[Selection, Verdict]:
     ("name", "values"),
     [("command_latency", {"delay": 0.03}), ("steady_current", {"x": 0.03, "y": -0.01}), ("yaw_drag", {"coefficient": 0.01})],
 )
-def test_a_right_name_is_led_by_no_free_force(plant, free, name, values):  # noqa: F811
+def test_a_right_name_is_led_by_no_free_force(plant, name, values):  # noqa: F811
     e = evidence_on(plant, {name: values}, 81)
     found, verdict = best(e)
     assert found.best.names == (name,)
-    said = stronger.challenge(free, e, found, verdict)
+    said = stronger.challenge(e, found, verdict)
     assert said.answer == "NAMED" and said.gates["lead"] < thresholds().stronger.lead / 2
 
 
 @pytest.mark.slow
-def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F811
+def test_what_stands_in_for_a_force_is_led_by_its_term(plant):  # noqa: F811
     e = evidence_on(plant, {"tail_yaw_cross_force": {"coefficient": 0.006}}, 82)
     found, verdict = best(e)
-    said = stronger.challenge(free, e, found, verdict)
+    said = stronger.challenge(e, found, verdict)
     assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * thresholds().stronger.lead
     assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
 
@@ -66,17 +65,17 @@ def test_what_stands_in_for_a_force_is_led_by_its_term(plant, free):  # noqa: F8
     ("planted", "answer"),
     [({"command_gain_error": {"gain": 0.03}}, "NAMED"), ({"encoder_harmonic": {"angle": 0.015}}, "UNEXPLAINED")],
 )
-def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(free, planted, answer):
+def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(planted, answer):
     e = evidence_on(SwimmingFish(catalogue=[effects.get("command_gain_error")]), planted, 85)
     found, verdict = best(e)
     assert found.fitted.best.cost < 0.15 * found.base.cost  # either way a gain closes the gap
-    said = stronger.challenge(free, e, found, verdict)
+    said = stronger.challenge(e, found, verdict)
     assert said.answer == answer
     assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"
 
 
 @pytest.mark.slow
-def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):  # noqa: F811
+def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant):  # noqa: F811
     mine = lambda name: {t.formula for t in library() if is_own_formula(effects.get(name), t)}
     assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
     assert mine("yaw_drag") == {"yaw moment ~ yaw rate squared, signed"}
@@ -86,14 +85,14 @@ def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant, free):
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 84)
     found, verdict = best(e)
     assert found.best.names == ("yaw_drag",)
-    assert stronger.challenge(free, e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
+    assert stronger.challenge(e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
 
 
 def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free):  # noqa: F811
     e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 83)
     there = e.with_model(free)
     assert there.model is free and there.origin is there and e.model is plant
-    assert there.subset(there.everything).base().cost == pytest.approx(e.subset(e.everything).base().cost)
+    assert there.subset().base().cost == pytest.approx(e.subset().base().cost)
 
 
 @pytest.mark.slow

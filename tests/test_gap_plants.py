@@ -6,8 +6,7 @@ import pytest
 from fishmj import effects
 from fishmj.effects.__main__ import enters
 from fishmj.gap.models.swimming_fish import Constant
-from fishmj.gap.records.records import Sensor
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, Sensor
 from fishmj.studies.measured_robots import planar_body as bodies
 from fishmj.studies.measured_robots import servo_model as servos
 from fishmj.studies.measured_robots.answer import answer

@@ -11,15 +11,14 @@ import pytest
 
 from fishmj import effects, excitation
 from fishmj.gap.localise import compared, error_growth, localise
-from fishmj.gap.localise.error_by_regime import KINDS, kinds_of
-from fishmj.gap.localise.lags import compatible, significant
+from fishmj.gap.localise.comparison import KINDS, kinds_of
+from fishmj.gap.localise.residual_patterns import compatible, significant
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts
-from fishmj.gap.report.sections import html
-from fishmj.gap.report.words import CONTRACT, gates, headline
+from fishmj.gap.report.sections import CONTRACT, gates, headline, html
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import investigate
@@ -57,7 +56,7 @@ def planted(plant, hidden: dict, runs=RUNS):
     for name, values in hidden.items():
         for parameter, value in values.items() if name in EFFECTS else ():
             row[plant.index(name, parameter)] = value
-    return compared(plant, records, e.scale, plant.null, row, e.layout)
+    return compared(plant, records, e.scale, plant.null, row)
 
 
 # ------------------------------------------------------------------------------------------------------------ localisation

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from fishmj.errors import LogError, StoreError
-from fishmj.gap.null.recorded_null import RecordedNull
-from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.log import Trial
 from fishmj.log.dataset import FINE, read_bundle, write_bundle
 from fishmj.studies.gap_benchmark import solver

@@ -8,11 +8,10 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, row_of
 
 from fishmj import effects
-from fishmj.gap.decide.secondary_effects import within_null_scatter
+from fishmj.gap.decide.decide import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.through_sensors import changes_sensing
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.null.whitening import changes_sensing
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.verdict import Named, Value
 from fishmj.gap.workflow import investigate
 

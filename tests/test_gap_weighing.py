@@ -11,13 +11,12 @@ from test_gap import NULL, hidden, row_of
 
 from fishmj import effects
 from fishmj.errors import ConfigError
+from fishmj.gap import experiment
 from fishmj.gap.commands import find
-from fishmj.gap.experiment import advice
-from fishmj.gap.experiment.discrimination import ExperimentScore, Hypothesis
+from fishmj.gap.experiment import ExperimentScore, Hypothesis
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
@@ -86,7 +85,7 @@ def test_null_runs_weigh_what_they_should_to_within_the_instruments(plant):
 def test_a_pendulum_tells_which_of_two_twins_it_is(plant):
     trials = hidden(WATER, 12, RUNS)
     blind = investigate(plant, trials, null=NULL, further=True).verdict
-    assert blind.answer == "CLASS" and blind.next_experiment.startswith(advice.WEIGH), blind.text()
+    assert blind.answer == "CLASS" and blind.next_experiment.startswith(experiment.WEIGH), blind.text()
     told = investigate(plant, trials, null=NULL, page=page(WATER, 12)).verdict
     assert told.answer == "NAMED" and [e.name for e in told.effects] == list(WATER), told.text()
     value = told.effects[0].parameters["inertia"]
@@ -99,7 +98,7 @@ def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(pla
     assert mass_properties.separation(plant, *rows) == pytest.approx(0.006 / (mass_properties.PENDULUM * 0.01304), rel=0.01)
     assert mass_properties.separation(plant, rows[1], plant.null[None]) == 0.0
     quiet = [ExperimentScore("gait", 10.0, 0.4, ("yaw_inertia", "yaw_added_mass"), 0.01)]
-    assert advice.advice(plant, quiet, sides).startswith(advice.WEIGH)
+    assert experiment.advice(plant, quiet, sides).startswith(experiment.WEIGH)
 
 
 def test_what_was_weighed_is_said_in_words(plant):

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from fishmj import effects
-from fishmj.gap import workflow
 from fishmj.gap.decide.decide import _answer, step_table
-from fishmj.gap.report import sections, words
+from fishmj.gap.report import sections
 from fishmj.gap.report.report_data import ReportPart, ReportRow, after, listed
-from fishmj.gap.search.cross_validation import CrossValidated
 from fishmj.gap.search.fit import Candidate
-from fishmj.gap.search.stepwise import SelectionStep
+from fishmj.gap.search.stepwise import CrossValidated, SelectionStep
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value, Verdict, said
 from fishmj.gap.wording import level, number, percent, quantity, title
@@ -77,8 +75,7 @@ def test_terminal_page_and_json_call_the_same_rounds_accepted(gap, accepted):
     v = replace(SHRUNK, steps=(step_table(one),))
     told = v.plain()["steps"][0]
     assert (told["accepted"], told["taken"]) == (accepted, True)
-    assert ("accepted" in workflow._round(one)) is accepted
-    assert ("accepted" in sections.rounds(material(v, steps=(one,)))[0]) is accepted
+    assert ("accepted" in one.text()) is accepted
     assert v.steps[0]["accepted"]  # what the search decided stays
 
 
@@ -114,7 +111,9 @@ def test_no_share_is_claimed_beside_a_gap_that_grows():
 def test_wherever_the_gap_was_measured_it_has_to_shrink(more):
     v = replace(SHRUNK, **more)
     assert SHRUNK.shrinks and not v.shrinks and "98" not in v.told()
-    assert "98" not in words.meaning(material(replace(v, answer="NAMED"))) + words.meaning(material(replace(v, answer="CLASS")))
+    assert "98" not in sections.meaning(material(replace(v, answer="NAMED"))) + sections.meaning(
+        material(replace(v, answer="CLASS"))
+    )
 
 
 def test_a_share_names_what_it_is_of():
@@ -123,11 +122,11 @@ def test_a_share_names_what_it_is_of():
     assert "gap 1520 -> 1320 on the records searched (mean square in units of the floor, 1 = agreement)" in text
     assert "13 % of what is above 1 is gone" in text
     named = replace(SHRUNK, answer="NAMED")
-    assert "98 % of the excess log likelihood" in words.meaning(material(named))
+    assert "98 % of the excess log likelihood" in sections.meaning(material(named))
     force = {"name": "sway force ~ tail angle", "closure": 0.28, "firm": True, "alike": []}
     v = replace(SHRUNK, terms=(force,))
     assert "takes off 28 % of the excess of |z|^2 of the records that it was fitted to, firm" in v.text()
-    assert "28 %" in words.next_step(material(v)) and "Fitted to these records" in words.next_step(material(v))
+    assert "28 %" in sections.next_step(material(v)) and "Fitted to these records" in sections.next_step(material(v))
 
 
 def test_a_reason_claims_a_share_only_beside_a_gap_that_shrinks():
@@ -202,8 +201,7 @@ def test_no_id_of_an_effect_and_no_number_without_end_is_said():
         [
             v.text(),
             *sections.warnings(material(v)),
-            *sections.rounds(material(v)),
-            workflow._round(step(True, (7273.97, 42555.6))),
+            step(True, (7273.97, 42555.6)).text(),
         ]
     )
     assert not [name for name in effects.catalogue() if "_" in name and name in text]

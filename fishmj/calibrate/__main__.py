@@ -80,7 +80,7 @@ def drawn(argv: list[str]) -> int:
     """`check`: the second simulator makes robots, the calibration does not know of whom."""
     from fishmj.calibrate.calibration_logs import Logs, PartialResults
     from fishmj.calibrate.commands import check_one, check_rows
-    from fishmj.gap.models.test_stand import ServoStand
+    from fishmj.gap.models.swimming_fish import ServoStand
     from fishmj.gap.watch import shown
     from fishmj.studies.hidden_lbm.calibration_trials import hidden, trials, truth
 

@@ -11,8 +11,8 @@ from fishmj.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip
 from fishmj.calibrate.calibration_logs import Logs, read
 from fishmj.calibrate.least_squares import ParameterEstimate, widened
 from fishmj.errors import LogError
-from fishmj.gap.commands.doors import of_this_robot
-from fishmj.gap.models.test_stand import ServoStand
+from fishmj.gap.commands.admission import of_this_robot
+from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown
 from fishmj.gap.workflow import compiled

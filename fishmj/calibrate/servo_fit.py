@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
 from fishmj.errors import LogError
-from fishmj.gap.models.test_stand import CONSTANTS, ServoStand
+from fishmj.gap.models.swimming_fish import STAND_CONSTANTS, ServoStand
 from fishmj.gap.records.records import Record
 from fishmj.gap.watch import Bar, Bars, silent
 from fishmj.log.timebase import Audit, audit, lag_between
@@ -49,7 +49,7 @@ class ServoFit(NamedTuple):
     @property
     def hull(self) -> list[dict]:
         """Constants of hull and water, factors: how many tolerances the trials pushed each of them."""
-        values = {c.name: (self.whole.estimates[c.name].value, c.sigma) for c in CONSTANTS[2:]}
+        values = {c.name: (self.whole.estimates[c.name].value, c.sigma) for c in STAND_CONSTANTS[2:]}
         return [{"constant": k, "factor": v, "tolerance": s, "off by": abs(v - 1.0) / s} for k, (v, s) in values.items()]
 
     @property
@@ -93,7 +93,7 @@ def parameters(plant: ServoStand) -> list[FreeParameter]:
         FreeParameter("friction", "N m", 0.01, 0.002, 0.0, s.torque),
         FreeParameter("command_latency", "s", late, 0.001, 0.0, late + 0.25),
     ]
-    return free + [FreeParameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in CONSTANTS[2:]]
+    return free + [FreeParameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in STAND_CONSTANTS[2:]]
 
 
 def open_numbers(plant: ServoStand, estimates: dict[str, ParameterEstimate]) -> list[str]:
@@ -113,7 +113,7 @@ def row_of(plant: ServoStand, theta) -> np.ndarray:
     row[[plant.place("kp"), plant.place("kd")]] = theta[:2]
     row[plant.index("coulomb_friction", "torque")] = theta[2]
     row[plant.index("command_latency", "delay")] = theta[3] - plant.latency
-    row[[plant.place(c.name) for c in CONSTANTS[2:]]] = theta[4:]
+    row[[plant.place(c.name) for c in STAND_CONSTANTS[2:]]] = theta[4:]
     return row
 
 

@@ -9,7 +9,7 @@ from collections import namedtuple
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -62,23 +62,12 @@ class Gates:
     finalists: int
 
 
-class Thresholds(NamedTuple):
-    """All of them, by table of the file. But for the gates, the shipped file says which names a table has and of which kind."""
-
-    gates: Gates
-    fit: Any
-    likelihood: Any
-    model_error: Any
-    cross_validation: Any
-    stepwise: Any
-    decide: Any
-    secondary: Any
-    intervals: Any
-    library: Any
-    equivalence: Any
-    terms: Any
-    stronger: Any
-    workflow: Any
+# All of them, by table of the file. But for the gates, the shipped file says which names a table has and of which kind.
+Thresholds = namedtuple(
+    "Thresholds",
+    "gates fit likelihood model_error cross_validation stepwise decide secondary intervals library equivalence terms stronger"
+    " workflow",
+)
 
 
 @cache

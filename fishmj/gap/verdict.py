@@ -35,7 +35,7 @@ class Verdict:
     effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
     first (terms/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision. explained: share of the
     excess of twice the log likelihood, each record predicted without its fold, with what the formulas may be wrong by granted;
-    it is no share of the gap, and the gap may grow beside it. steps: the rounds, decide.described.
+    it is no share of the gap, and the gap may grow beside it. steps: the rounds, decide.step_table.
     """
 
     answer: str
@@ -57,7 +57,7 @@ class Verdict:
 
     @property
     def searched(self) -> bool:
-        """Whether rounds are told: a search made this, not the protocol of measured data (measured/)."""
+        """Whether rounds are told: a search made this, not the protocol of measured data (studies/measured_robots)."""
         return bool(self.steps)
 
     @property
@@ -115,9 +115,8 @@ class Verdict:
 
     def standing(self, e: Named) -> list[tuple[str, float]]:
         """(name, P(best)) of an effect and of what could be meant instead of it, largest first."""
-        rivals = [
-            (str(r["name"]), float(r["p_best"])) for r in self.rivals if r.get("instead_of", self.effects[-1].name) == e.name
-        ]
+        mine = [r for r in self.rivals if r.get("instead_of", self.effects[-1].name) == e.name]
+        rivals = [(str(r["name"]), float(r["p_best"])) for r in mine]
         return sorted([(e.name, e.p_best), *rivals], key=lambda pair: -pair[1])
 
 
@@ -134,10 +133,9 @@ def moved(before: float, after: float | None, where: str) -> str:
     """A gap in words; after: None where nothing was changed."""
     if after is None:
         return f"gap {level(before)} {where} (mean square in units of the floor, 1 = agreement)"
-    gone = (
-        f", {percent((before - max(after, 1.0)) / (before - 1.0))} of what is above 1 is gone" if before > max(after, 1.0) else ""
-    )
-    said = gone or (", it grows" if after > before else "")
+    said = ", it grows" if after > before else ""
+    if before > max(after, 1.0):
+        said = f", {percent((before - max(after, 1.0)) / (before - 1.0))} of what is above 1 is gone"
     return f"gap {level(before)} -> {level(after)} {where} (mean square in units of the floor, 1 = agreement){said}"
 
 

@@ -5,7 +5,7 @@ with bars(96, "null runs", "runs") as bar:
 """
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol
 
 from fishmj import console
@@ -24,19 +24,13 @@ Bars = Callable[[float, str, str], AbstractContextManager[Bar]]  # (total, what 
 class Quiet:
     """A bar that nobody sees."""
 
-    def __enter__(self) -> "Quiet":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
     def update(self, done: float, **fields: Any) -> None:
         """Nothing."""
 
 
-def silent(total: float, label: str, unit: str = "") -> Quiet:
+def silent(total: float, label: str, unit: str = "") -> AbstractContextManager[Bar]:
     """For callers from Python."""
-    return Quiet()
+    return nullcontext(Quiet())
 
 
 def shown(total: float, label: str, unit: str = "") -> console.Progress:

@@ -17,6 +17,11 @@ def title(name: str) -> str:
     return " and ".join(part.strip().replace("_", " ") for part in name.split("+"))
 
 
+def sentence(text: str) -> str:
+    """With a capital and a full stop; nothing stays nothing."""
+    return text[:1].upper() + text[1:].rstrip(".") + "." if text else ""
+
+
 def number(value: float) -> str:
     """Three significant digits."""
     shown = f"{value:.3g}"

@@ -11,16 +11,15 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.gap.decide.decide import decide
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.search.cross_validation import split
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
-from fishmj.gap.search.stepwise import Selection, forward_select
+from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
-from fishmj.gap.verdict import Verdict, said
+from fishmj.gap.verdict import Verdict
 from fishmj.gap.watch import Bars, silent
-from fishmj.gap.wording import level, title
+from fishmj.gap.wording import level
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
 
@@ -82,25 +81,25 @@ def investigate(
     e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
     with bars(gates.max_effects + 1, "search", "rounds") as bar:
-        found = forward_select(e, gates, split(seen, seed), progress=lambda step: say(_round(step)), bar=bar)
+        found = forward_select(e, gates, split(seen, seed), say, bar)
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):
-        from fishmj.gap.terms import challenge
+        from fishmj.gap.terms.stronger import challenge
 
-        verdict = challenge(model, e, found, verdict)
+        verdict = challenge(e, found, verdict)
     shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
     if shakes:
         verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
     if further and verdict.answer == "CLASS":
-        from fishmj.gap.experiment.advice import advised
+        from fishmj.gap.experiment import advised
 
         say("which experiment would decide?")
         verdict = advised(e, found, verdict, null, bars)
     if further and verdict.answer == "UNEXPLAINED":
-        from fishmj.gap.terms import describe
+        from fishmj.gap.terms.select import describe
 
         say("which force would it be?")
-        verdict = replace(verdict, terms=describe(model, e, null, seed))
+        verdict = replace(verdict, terms=describe(e, null, seed))
     apart = None
     if unseen.any():
         apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
@@ -156,7 +155,3 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
     if ratios and np.median(ratios) <= RATIO:
         return f"records of the same experiment differ from each other as much as from the model (ratio {np.median(ratios):.2f})"
     return ""
-
-
-def _round(step) -> str:
-    return f"{title('+'.join(step.ranked[0].names))}: {said(step.accepted, step.gain, step.gap)}"

@@ -17,12 +17,12 @@ from fishmj import console
 from fishmj.engines import own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
-from fishmj.gap.commands import compare_models, doors, gap_options, model_version
-from fishmj.gap.commands.check import check
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.commands import admission, gap_options, model_version
+from fishmj.gap.commands.check import gaps
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, title
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
 
 UNSEEN = "records that nothing was fitted to"
@@ -89,7 +89,7 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
     if model_version.digest(context["model"]) != context["model_sha256"]:
         raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
     robot = load_robot(context["model"])
-    doors.searchable(robot, context["model"])
+    admission.searchable(robot, context["model"])
     data = Path(context["data"]) if data is None else data
     if digest(data) != context["data_sha256"]:
         raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
@@ -100,18 +100,15 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
         if path.exists():
             raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
     null = null_of(context["null"])
-    doors.null_fits(null, robot, context["model"])
+    admission.null_fits(null, robot, context["model"])
     given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
-    measure = lambda versions: [g for g, _ in compare_models.gaps(versions, *given)]
+    measure = lambda versions: [g for g, _ in gaps(versions, *given)]
     return settle(verdict, context, measure, out, folder, force)
 
 
 def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:
-    """Write the version to `out`, or the rejected candidate into `folder`.
-
-    Args:
-        measure: [parent, candidate] -> their gaps on the records that the report judges by.
-    """
+    """Write the version to `out`, or the rejected candidate into `folder`. measure: [parent, candidate] -> their gaps on the
+    records that the report judges by."""
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
         return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
@@ -119,9 +116,8 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
     provenance = f"{answer}: {len(context['judged'])} {which} of {context['data']}"
     effects = model_version.found(verdict, provenance, context["data_sha256"])
     with tempfile.TemporaryDirectory() as scratch:
-        table = {"effects": [e.name for e in effects], "answer": answer} | {
-            k: context[k] for k in ("data", "data_sha256", "judged")
-        }
+        table = {"effects": [e.name for e in effects], "answer": answer}
+        table |= {key: context[key] for key in ("data", "data_sha256", "judged")}
         table |= {"null": context["null"], "water": context.get("water", STRUCTURED)}
         table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
         draft = model_version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
@@ -131,13 +127,13 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
         good, reason = verdict_on(answer, before, after, which)
         if good or force:
             model_version.write(context["model"], out, effects, table)
-            diff, hooks = native(parent, candidate)
-            if diff:
+            from fishmj.gap.commands.mjcf_patch import difference, hooked
+
+            if diff := difference(parent, candidate):
                 write_text(out.with_suffix(".diff"), diff)
-            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooks))
-        text = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False).read_text(
-            encoding="utf-8"
-        )
+            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooked(candidate)))
+        draft = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False)
+        text = draft.read_text(encoding="utf-8")
     kept = folder / f"model.rejected-{hashlib.sha256(text.encode()).hexdigest()[:12]}.toml"
     write_text(kept, text)
     return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
@@ -149,13 +145,3 @@ def verdict_on(answer: str, before: float, after: float, which: str = UNSEEN) ->
     if answer != "NAMED":
         return False, f"{answer}: no effect explains the gap for certain ({moved})"
     return (True, moved) if after < before else (False, f"the patch hurts: {moved}")
-
-
-def native(parent: Robot, robot: Robot) -> tuple[str, list[str]]:
-    """MJCF diff, and the effects that only a hook holds."""
-    from fishmj.gap.commands.mjcf_patch import difference, hooked
-
-    return difference(parent, robot), hooked(robot)
-
-
-__all__ = ["Written", "apply", "check", "settle"]

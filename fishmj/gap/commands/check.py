@@ -6,17 +6,22 @@ stated (by more than 5 %), or no better than its parent. On another data set all
     fishmj gap check my_fish.v2.toml --data DATA
 """
 
+from dataclasses import replace
 from pathlib import Path
 
-from fishmj import console
-from fishmj.engines import own_effects
+from fishmj import console, effects
+from fishmj.engines import in_water, own_effects
 from fishmj.engines.extensions import STRUCTURED
-from fishmj.errors import ConfigError
-from fishmj.gap.commands import compare_models, doors, gap_options, model_version
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.errors import ConfigError, LogError
+from fishmj.gap.commands import admission, gap_options, model_version
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.null_runs import SimulatedNull, null_of
 from fishmj.gap.records.datasets import digest, trials_in, trials_named
+from fishmj.gap.records.records import record_of
+from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.wording import level
-from fishmj.mjcf.description import load_robot
+from fishmj.log import Trial
+from fishmj.mjcf.description import Robot, load_robot
 
 SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
 
@@ -58,12 +63,12 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
         raise ConfigError(f"{model}: its parent's text {parent} is gone or changed; write the version again with gap apply")
     same = digest(data) == stated.get("data_sha256")
     robot, null = load_robot(model), null_of(stated["null"])
-    doors.searchable(robot, model)
-    doors.null_fits(null, robot, model)
+    admission.searchable(robot, model)
+    admission.null_fits(null, robot, model)
     trials = trials_named(data, stated["judged"]) if same else trials_in(data)
-    notes = doors.of_this_robot(trials, robot, model, agreed)
+    notes = admission.of_this_robot(trials, robot, model, agreed)
     given = (trials, null, stated.get("water", STRUCTURED))
-    (before, _), (after, channels) = compare_models.gaps([load_robot(parent), robot], *given)
+    (before, _), (after, channels) = gaps([load_robot(parent), robot], *given)
     limit, worse = SLACK * stated["gap_after"], ""
     if same and after > limit:
         worse = f"gap {level(after)} on {len(trials)} records, stated was {level(stated['gap_after'])}"
@@ -73,3 +78,20 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
         "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
         "stated": stated["gap_after"], "by_channel": channels, "worse": worse, "notes": notes,
     }  # fmt: skip
+
+
+def gaps(versions: list[Robot], trials: list[Trial], null: SimulatedNull, water: str = STRUCTURED) -> list[tuple[float, dict]]:
+    """(gap, gap by channel) of each version over all trials, mean squares in units of the floor. water: that they swim in.
+
+    Raises:
+        ConfigError: the versions differ in more than their effects. LogError: no trials, or one that cannot be compared.
+    """
+    bare = [replace(robot, effects=(), name=versions[0].name) for robot in versions]
+    if any(robot != bare[0] for robot in bare):
+        raise ConfigError("gap check: the versions differ in more than their effects; their gaps do not compare")
+    if not trials:
+        raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
+    listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
+    model = SwimmingFish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
+    evidence = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], null)
+    return [evidence.gap(model.row(robot)) for robot in versions]

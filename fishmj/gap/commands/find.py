@@ -11,12 +11,11 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.engines import in_water, own_effects
 from fishmj.gap import watch
-from fishmj.gap.commands import compare_models, doors, gap_options, model_version, unlike
+from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
-from fishmj.gap.null.recorded_null import null_of
+from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.sufficiency import InsufficientData, deterministic_effects, insufficient_data
+from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
@@ -29,18 +28,13 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    add(
-        "data",
-        type=console.path,
-        help=f"data set: {forms}; measurements.toml in the folder (docs/guide/logs.md) is what was weighed",
-    )
-    gap_options.of_model(add)
-    add(
-        "--water",
-        type=console.text,
-        default="structured",
-        help="a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)",
-    )
+    data = f"data set: {forms}; measurements.toml in the folder (docs/guide/logs.md) is what was weighed"
+    add("data", type=console.path, help=data)
+    model = "the model to question: shipped name or TOML file, with its effects (default fish)"
+    add("--model", type=console.text, default="fish", help=model)
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    water = "a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)"
+    add("--water", type=console.text, default="structured", help=water)
     nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
@@ -55,13 +49,11 @@ def main(argv: list[str]) -> int:
     gap_options.there(args.data, args.null)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
-    doors.searchable(robot, args.model)
+    admission.searchable(robot, args.model)
     null = null_of(drawn_of(args))
-    doors.null_fits(null, robot, args.model)
-    given, notes = admitted(args, robot)
-    for note in notes:
-        console.warn(note)
-    lacking = missing(given, robot)
+    admission.null_fits(null, robot, args.model)
+    given, notes = admission.admitted(args.data, robot, args.model, args.same_robot)
+    lacking = admission.insufficient_data(given, robot)
     if lacking is not None:
         console.say(lacking.text())
         if args.json:
@@ -70,11 +62,8 @@ def main(argv: list[str]) -> int:
     try:
         with interrupt.keeping(words):
             inquiry = search(args, robot, given, notes)
-    except unlike.TooDifferent as different:
-        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
-        if args.json:
-            console.emit_json(different.plain() | {"skipped": given.broken})
-        return console.CANNOT_TELL
+    except admission.TooDifferent as different:
+        return different.told(args.json, skipped=given.broken)
     with interrupt.keeping(words):
         console.say(inquiry.verdict.text())
         if args.out:
@@ -87,18 +76,6 @@ def main(argv: list[str]) -> int:
 def words() -> str:
     """What an interrupted search says."""
     return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
-
-
-def admitted(args, robot: Robot) -> tuple[Taken, tuple[str, ...]]:
-    """The trials that can be compared with the model, and notes on them.
-
-    Raises:
-        LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
-    """
-    given = datasets.readable_trials(args.data, robot.timing.physics_dt)
-    whose = doors.of_this_robot(given.trials.values(), robot, args.model, args.same_robot)
-    left_out = tuple(f"{name} left out: {why}" for name, why in given.broken.items())
-    return given, (*given.notes, *left_out, *whose)
 
 
 def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inquiry:
@@ -119,7 +96,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
         further=True,
         say=console.say,
         bars=watch.shown,
-        admit=lambda e: unlike.admit(e, args.anyway),
+        admit=lambda e: admission.admit(e, args.anyway),
         notes=notes,
     )
 
@@ -128,11 +105,6 @@ def drawn_of(args) -> dict:
     """How null runs are drawn: of the second robot, or those of a folder."""
     made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
     return made | {"folder": str(args.null.resolve())} if args.null else made
-
-
-def missing(given: Taken, robot: Robot) -> "InsufficientData | None":
-    """Whether the data set is too short or too quiet to tell effects apart; None when it is not."""
-    return insufficient_data([record_of(t, robot.timing.physics_dt) for t in given.trials.values()], deterministic_effects())
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
@@ -146,19 +118,19 @@ def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
     return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
 
 
-def write(inquiry: Inquiry, folder: Path, context: "dict | None" = None) -> list[str]:
-    """verdict.json, report.html and report.json; with the context of the search also the patched (or the rejected) model."""
-    folder.mkdir(parents=True, exist_ok=True)
-    verdict = inquiry.verdict.plain()
-    if context is None:
-        write_json(folder / "verdict.json", verdict)
-    else:
-        some = [r for r in inquiry.records if r.name in context["judged"]]
-        model = inquiry.evidence.model
-        measure = lambda versions: compare_models.gaps_of(versions, some, null_of(context["null"]), model)
-        done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
-        patched = done.path.name if done.path and done.accepted else ""
-        write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
+def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
+    """verdict.json, report.html, report.json, and the patched (or the rejected) model. context: of the search."""
     from fishmj.gap import report
 
-    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if context is not None and done.path else [])]
+    folder.mkdir(parents=True, exist_ok=True)
+    verdict, model = inquiry.verdict.plain(), inquiry.evidence.model
+    some = [r for r in inquiry.records if r.name in context["judged"]]
+
+    def measure(versions: list[Robot]) -> list[float]:
+        evidence = likelihood_of(model, some, null_of(context["null"]))
+        return [evidence.gap(model.row(version))[0] for version in versions]
+
+    done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
+    patched = done.path.name if done.path and done.accepted else ""
+    write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
+    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if done.path else [])]

@@ -4,38 +4,20 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.gap.null.recorded_null import LAST_SEED, LOUDEST, MOST_RUNS
-from fishmj.gap.null.simulated_null import RUNS
+from fishmj.gap.null.null_runs import LAST_SEED, LOUDEST, MOST_RUNS, RUNS
 from fishmj.store import left_out
 
 MOST_EFFECTS = 8
 FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter
 
 
-def of_model(add) -> None:
-    """--model, --same-robot."""
-    what = "the model to question: shipped name or TOML file, with its effects (default fish)"
-    add("--model", type=console.text, default="fish", help=what)
-    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
-
-
 def of_null(add) -> None:
     """--noise, --null-runs, --seed."""
-    add(
-        "--noise",
-        type=console.number(0, LOUDEST),
-        default=1.0,
-        metavar="FACTOR",
-        help=f"factor on the sensors' usual noise, where the logs do not state their own: 0 to {LOUDEST:g} (default 1)",
-    )
-    add(
-        "--null-runs",
-        type=console.whole(FEWEST_RUNS, MOST_RUNS),
-        default=RUNS,
-        metavar="N",
-        help=f"runs of every record in the independent simulator, {FEWEST_RUNS} to {MOST_RUNS} (default {RUNS});"
-        " with fewer than 64 a healthy fish may show a gap",
-    )
+    noise = f"factor on the sensors' usual noise, where the logs do not state their own: 0 to {LOUDEST:g} (default 1)"
+    add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="FACTOR", help=noise)
+    runs = f"runs of every record in the independent simulator, {FEWEST_RUNS} to {MOST_RUNS} (default {RUNS});"
+    runs += " with fewer than 64 a healthy fish may show a gap"
+    add("--null-runs", type=console.whole(FEWEST_RUNS, MOST_RUNS), default=RUNS, metavar="N", help=runs)
     of_seed(add, "of the split and of the null runs")
 
 

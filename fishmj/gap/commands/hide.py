@@ -19,15 +19,15 @@ from fishmj.effects.sites import Measured
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, gap_options
-from fishmj.gap.null.recorded_null import LOUDEST
+from fishmj.gap.commands import admission, gap_options
+from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import Trial, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot import random_streams
+from fishmj.virtual_robot import hidden_dataset, random_streams
 from fishmj.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
 from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
@@ -71,7 +71,7 @@ def main(argv: list[str]) -> int:
         raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
     if args.model != "fish" and args.generator != "independent":
         raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
-    doors.searchable(load_robot(args.model), args.model)
+    admission.searchable(load_robot(args.model), args.model)
     given = datasets.readable_trials(args.source) if args.generator == "log" else None
     names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
@@ -100,8 +100,6 @@ def understood(args) -> dict[str, dict[str, float]]:
         raise ConfigError(f"gap plant: none beside {', '.join(texts)[:60]}; expected none alone, or effects")
     if args.generator == "log":
         return parse(texts, args.seed)
-    from fishmj.virtual_robot import hidden_dataset
-
     return hidden_dataset.parse(texts, args.seed, limits)
 
 

@@ -11,12 +11,21 @@ from fishmj.engines import in_water, own_effects
 from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
-from fishmj.gap.commands import doors, gap_options, model_version, unlike
-from fishmj.gap.experiment.advice import LEFT, OPEN, advice, from_plain, hypotheses_of
-from fishmj.gap.experiment.discrimination import Hypothesis, experiment_scores, hinted_experiments, normalise_weights
-from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.records.datasets import BUNDLE, page_in, readable_trials
-from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.commands import admission, gap_options, model_version
+from fishmj.gap.experiment import (
+    LEFT,
+    OPEN,
+    Hypothesis,
+    advice,
+    experiment_scores,
+    from_plain,
+    hinted_experiments,
+    hypotheses_of,
+    normalise_weights,
+)
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.records.datasets import BUNDLE, page_in
+from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import compiled, investigate
 from fishmj.mjcf.description import load_robot
 
@@ -40,11 +49,8 @@ def main(argv: list[str]) -> int:
     null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, model, sides, like = _opened(args, null)
-    except unlike.TooDifferent as different:
-        console.say(str(different), *(f"  {cause}" for cause in different.causes), "search all the same with --anyway")
-        if args.json:
-            console.emit_json(different.plain())
-        return console.CANNOT_TELL
+    except admission.TooDifferent as different:
+        return different.told(args.json)
     if len(sides) < 2:
         console.say(f"{answer}: fewer than two explanations are left; no experiment has to decide between any")
         if args.json:
@@ -66,17 +72,16 @@ def _opened(args, null: SimulatedNull):
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.commands import reported
+        from fishmj.virtual_robot import generate
 
         verdict = reported.verdict(report, context=False)
         context = verdict.get("context", {})
         model = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
-        return verdict["answer"], model, normalise_weights(_reported(model, verdict)), _usual(model)
+        usual = record_of(generate({}, ["idle"], 0, robot=model.robot)[0], model.dt)  # has the usual sensors of this robot
+        return verdict["answer"], model, normalise_weights(_reported(model, verdict)), usual
     name = args.model or "fish"
     model = _questioned(name, STRUCTURED)
-    given = readable_trials(args.source, model.dt)
-    whose = doors.of_this_robot(given.trials.values(), model.robot, name, args.same_robot)
-    for note in (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose):
-        console.warn(note)
+    given, _ = admission.admitted(args.source, model.robot, name, args.same_robot)
     inquiry = investigate(
         model,
         list(given.trials.values()),
@@ -85,7 +90,7 @@ def _opened(args, null: SimulatedNull):
         seed=args.seed,
         say=console.say,
         bars=watch.shown,
-        admit=lambda e: unlike.admit(e, args.anyway),
+        admit=lambda e: admission.admit(e, args.anyway),
     )
     found = inquiry.verdict
     if found.answer not in OPEN:
@@ -111,7 +116,7 @@ def _questioned(name: str, water: str):
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     robot = in_water(load_robot(name), water)
-    doors.searchable(robot, name)
+    admission.searchable(robot, name)
     return SwimmingFish(robot)
 
 
@@ -125,13 +130,6 @@ def _reported(model, verdict: dict) -> list[Hypothesis]:
         raise LogError("gap next: the report lists no rival with values; give the data set itself: gap next DATA")
     best = min([1.0, *(e["p_best"] for e in verdict["effects"])])
     return [from_plain(model, ours, best), *(from_plain(model, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]
-
-
-def _usual(model) -> Record:
-    """A record with the usual sensors of this robot."""
-    from fishmj.virtual_robot import generate
-
-    return record_of(generate({}, ["idle"], 0, robot=model.robot)[0], model.dt)
 
 
 def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:

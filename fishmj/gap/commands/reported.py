@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from fishmj import effects
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.gap.null.null_runs import LAST_SEED, LOUDEST, MOST_RUNS, RUNS
 from fishmj.store import read_json
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -52,9 +53,9 @@ class _Rival(_Table):
 
 class _Null(_Table):
     model_config = ConfigDict(strict=True, extra="forbid")
-    runs: Annotated[int, Field(ge=2, le=4096)] = 96
-    noise: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 1.0
-    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+    runs: Annotated[int, Field(ge=2, le=MOST_RUNS)] = RUNS
+    noise: Annotated[float, Field(ge=0, le=LOUDEST, allow_inf_nan=False)] = 1.0
+    seed: Annotated[int, Field(ge=0, le=LAST_SEED)] = 0
     folder: Text | None = None
 
 

@@ -18,29 +18,57 @@ The form error is measured (search/model_error.py): the relative error of what t
 records most likely. A right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5
 and G6 leave out the paths of as many records as G7 lets get worse, and G5 an effect that can only be right (`needs_exact_value`).
 
-What is found beside others may be too little to be named: secondary_effects.py.
+Rivals: each effect that was found against those that came close in its round, in the company of the others.
+
+    gain     what the effect takes off |z|^2 over all records, given the others
+    behind   (|z|^2 of the set with the rival in its place - |z|^2 of the set) / gain
+    p_best   share of Bayesian bootstrap draws over records in which it beats all of them
+
+Secondary effects: what the formula of one effect leaves may look like another. An effect is not named beside others that
+
+    brings less than `doubtful_gain` of the gain, and something else may be meant or its value is not believable
+    brings less than `confusable_gain`, and the catalogue says that one that brings more is taken for it
+    brings less than that and is below `weak_size`, unless it gains by itself as much as may be asked of any
+    is below `implausible_size` and brings less than `implausible_gain`
+    is below `weak_size` and brings less than that, beside one that is not so small and that it is taken for or that turns the
+    same gears: the little dry friction that every gear train has shows beside play, where nothing else holds the link
+
+Nor does it spoil the name of those that bring much. The thresholds are those of [secondary] in data/calib/gap.toml.
 """
+
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from fishmj.effects.ambiguity import containing, together
+from fishmj.effects.effect import Parameter
 from fishmj.gap.decide.intervals import estimate
-from fishmj.gap.decide.rivals import Rival, Support, support_of_each
-from fishmj.gap.decide.secondary_effects import (
-    insignificant,
-    negligible,
-    poorly_determined,
-    size_parameters,
-    smaller_than,
-    within_null_scatter,
-)
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.fit import Candidate, bounds, refine
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import error_without_outliers, misformed
 from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates, residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, Named, Value, Verdict
 from fishmj.gap.wording import number, percent, quantity, title
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that would do nearly as well."""
+
+    name: str
+    p_best: float
+    behind: float
+
+
+@dataclass(frozen=True)
+class Support:
+    """How firm one effect stands."""
+
+    gain: float
+    p_best: float
+    rivals: tuple[Rival, ...]
 
 
 def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
@@ -73,7 +101,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
     kept = tuple(n for n in effects if n.name not in dropped)
     checks["pinned"] = needs_exact_value(e, found.best.names)
-    rivals = tuple(_rival(n.name, r) for n in kept for r in stand[n.name].rivals)
+    rivals = tuple(asdict(r) | {"instead_of": n.name} for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
     whole: dict = dict(effects=kept, rivals=rivals, warnings=warnings, gates=checks, steps=steps, explained=checks["closure"])
     whole |= dict(gap_before=before, gap_after=e.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in dropped))
@@ -90,10 +118,6 @@ def needs_exact_value(e: Likelihood, names) -> bool:
     """
     known = {x.name: x for x in e.model.active.effects}
     return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
-
-
-def _rival(name: str, rival: Rival) -> dict:
-    return {"name": rival.name, "p_best": rival.p_best, "behind": rival.behind, "instead_of": name}
 
 
 def _answer(
@@ -117,12 +141,9 @@ def _answer(
         return "CLASS", "these records cannot tell apart what is listed"
     if warnings:
         return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
-    does = (
-        "explains records that it has not seen"
-        if shrinks
-        else "makes records that it has not seen likelier, not their gap smaller"
-    )
-    return "NAMED", f"{does}, and nothing else does"
+    if shrinks:
+        return "NAMED", "explains records that it has not seen, and nothing else does"
+    return "NAMED", "makes records that it has not seen likelier, not their gap smaller, and nothing else does"
 
 
 def held_out_checks(e: Likelihood, found: Selection) -> dict[str, float]:
@@ -150,7 +171,7 @@ def transfer(e: Likelihood, found: Selection) -> float:
     fitted = found.fitted
     base = e.loss(found.base.row)
     for fold, fit, more in zip(found.folds, fitted.fits, fitted.uncertainty_factors(found.folds), strict=True):
-        whole = near.subset(near.everything, more).loss(fit.row)
+        whole = near.subset(more=more).loss(fit.row)
         for i in np.flatnonzero(fold):
             others = np.arange(len(e.records)) != i
             after = whole - near.subset(others, more[:, record != i]).loss(fit.row)
@@ -167,8 +188,8 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Na
     # Values are fitted once more with the constants as uncertain as the formulas; with that uncertainty in the selection, too, an
     # effect that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
-    value, spread = estimate(uncertain, refine(uncertain.subset(uncertain.everything), c))
-    near = e.subset(e.everything)
+    value, spread = estimate(uncertain, refine(uncertain.subset(), c))
+    near = e.subset()
     base = found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
     closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
@@ -211,3 +232,132 @@ def step_table(step) -> dict:
     best = step.ranked[0].cost
     table = [{"names": list(c.names), "behind": c.cost - best} for c in step.ranked]
     return {"gain": step.gain, "accepted": step.accepted, "gap_unseen": step.gap, "ranked": table}
+
+
+# ------------------------------------------------------------------------------------------------------------------------- rivals
+def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
+    """Every effect of what was found."""
+    whole = found.near.subset()
+    best = on_records(whole, found.best)
+    rivals = [c for step in found.steps if step.accepted for c in step.ranked]
+    return {name: support_of(whole, best, name, rivals, gates) for name in best.names}
+
+
+def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: Gates) -> Support:
+    """One effect against the finalists of all rounds.
+
+    A set in which a parameter came to rest on a bound is no rival: it is a limiting form that mimics the best.
+    """
+    gain = max(drop_effect(whole, best, name).cost - best.cost, 1e-9)
+    tried = (swap_effect(whole, best, name, c) for c in ranked if name not in c.names)
+    others = list({frozenset(c.names): c for c in (*tried, *known_twins(whole, best, name)) if c is not None}.values())
+    polished = whole.refine([best, *others], 2)
+    ours = next(c for c in polished if c.names == best.names)
+    free = [c for c in polished if c.names != best.names and not on_bound(whole.model, c)]
+    share = likelihood.p_best(np.stack([likelihood.costs(c.z, whole.layout) for c in (ours, *free)]))
+    rivals = []
+    for c, p in zip(free, share[1:], strict=True):
+        behind = (c.cost - ours.cost) / gain
+        if behind < min(gates.margin, gates.rival_margin_abs / gain) or p > 1 - gates.p_best:
+            rivals.append(Rival(c.names[-1], float(p), float(behind)))
+    return Support(gain, float(share[0]), tuple(rivals))
+
+
+def known_twins(whole: EffectFitter, best: Candidate, name: str) -> list[Candidate]:
+    """`best` with the effect replaced by those that are known to look the same."""
+    twins = {twin for kind in containing(name) for twin in kind.effects} - {*best.names, name}
+    effects = [x for x in whole.model.active.effects if x.name in twins]
+    return whole.screen(drop_effect(whole, best, name), effects) if effects else []
+
+
+def swap_effect(whole: EffectFitter, best: Candidate, name: str, other: Candidate) -> Candidate | None:
+    """`best` with the effect `name` at its null and the newest effect of `other` as it was there; None if it is there already."""
+    newest = other.names[-1]
+    if newest in best.names:
+        return None
+    effects = {x.name: x for x in whole.model.active.effects}
+    places = lambda n: [whole.model.index(n, p.name) for p in effects[n].parameters]
+    row = best.row.copy()
+    row[places(name)] = whole.model.null[places(name)]
+    row[places(newest)] = other.row[places(newest)]
+    names = (*(n for n in best.names if n != name), newest)
+    return whole.at(row, names, tuple(p for n in names for p in places(n)))
+
+
+def on_bound(model, c: Candidate) -> bool:
+    """Whether a parameter lies on a bound that is not its null."""
+    low, high, size = bounds(model)
+    tolerance = thresholds().decide.bound_tolerance
+    near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
+    return any(near(place, low[place]) or near(place, high[place]) for place in c.places)
+
+
+# -------------------------------------------------------------------------------------------------------------- secondary effects
+def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Support], doubts: dict, gates: Gates) -> set[str]:
+    """Names of those. doubts: what is not believable about each."""
+    limits = thresholds().secondary
+    e = found.near.origin
+    whole = sum(s.gain for s in stand.values())
+    share = {n: s.gain / whole for n, s in stand.items()}
+    # What an effect gained when it was added counts, too: beside a later one that can imitate it, it may gain little at the end.
+    least = {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
+    doubtful = {n for n, s in stand.items() if doubts[n] or may_be_another(n, s, gates)}
+    implausible = {n.name for n in effects if smaller_than(e, n, limits.implausible_size)}
+    weak = {n.name for n in effects if smaller_than(e, n, limits.weak_size)}
+    little = {n for n in least if least[n] < limits.confusable_gain}
+    confusable = {n for n in little for other in least if least[other] > least[n] and confused(e, n, other)}
+    slight = {n for n in little if stand[n].gain < max(gates.min_gain_cap, gates.min_gain_fraction * whole)}
+    out = {n for n in doubtful if share[n] < limits.doubtful_gain}
+    out |= {n for n in implausible if share[n] < limits.implausible_gain}
+    out |= confusable | (weak & slight)
+    return out | {n for n in masked_by(e, set(least) - out, weak) if least[n] < limits.implausible_gain}
+
+
+def may_be_another(name: str, stand: Support, gates: Gates) -> bool:
+    """Whether something else may be meant that is not the same by construction."""
+    twins = [r for r in stand.rivals if together(name, r.name)]
+    return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
+
+
+def confused(e: Likelihood, one: str, other: str) -> bool:
+    """Whether the catalogue lists one of two effects among those that the other is taken for."""
+    known = {x.name: {c.other for c in x.confusions} for x in e.model.active.effects}
+    return other in known[one] or one in known[other]
+
+
+def masked_by(e: Likelihood, names, weak: set[str]) -> set[str]:
+    """Those of `weak`, much smaller than usual, beside another of `names` that is not: it is taken for them, or turns the same
+    gears."""
+    geared = {x.name for x in e.model.active.effects if x.gear is not None}
+    return {n for n in weak for other in set(names) - weak if confused(e, n, other) or {n, other} <= geared}
+
+
+def size_parameters(effect) -> list:
+    """The parameters that say how large an effect is: as the first, not those that shape it."""
+    return [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
+
+
+def smaller_than(e: Likelihood, n: Named, share: float) -> bool:
+    """Whether every main value is less than `share` of the least that is typical."""
+    main = size_parameters(next(x for x in e.model.active.effects if x.name == n.name))
+    return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
+
+
+def poorly_determined(p: Parameter, v: Value) -> bool:
+    """Whether records and null runs scatter the only size of an effect by more than `size_scatter` of it."""
+    limits = thresholds()
+    return (v.high - v.low) / 2 / limits.intervals.quantile > limits.secondary.size_scatter * abs(v.value - p.null)
+
+
+def insignificant(main, values: dict[str, Value]) -> bool:
+    """Whether the null lies in the intervals of all sizes of an effect."""
+    return all(values[p.name].low <= p.null <= values[p.name].high for p in main)
+
+
+def within_null_scatter(e: Likelihood, effects) -> bool:
+    """Whether what was found is one effect, and no larger than null runs may make of it though nothing is hidden in them."""
+    if len(effects) != 1:
+        return False
+    main = size_parameters(next(x for x in e.model.active.effects if x.name == effects[0].name))
+    values = effects[0].parameters
+    return insignificant(main, values) if len(main) > 1 else poorly_determined(main[0], values[main[0].name])

@@ -21,7 +21,7 @@ from fishmj.gap.thresholds import thresholds
 def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """(values (K,), standard deviations (K,)) of a candidate's parameters."""
     limits = thresholds().intervals
-    search = e.subset(e.everything)
+    search = e.subset()
     low, high, _ = bounds(e.model)
     places = list(c.places)
     rows = np.concatenate([c.row[None], difference_rows(e.model, c)])
@@ -32,7 +32,7 @@ def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     spurious = null_estimates(e, jacobian)
     weighed = e.layout.channel == mass_properties.CHANNEL
     # The larger of two, since neither is right alone: the curvature takes S as true, the jackknife needs many records.
-    by_curvature = curvature_sd(white)
+    by_curvature = np.sqrt(np.diag(np.linalg.inv(_regularised(white @ white.T))))
     by_jackknife = jackknife_sd(white, search.whiten(residual[0]), np.where(weighed, -1, e.layout.record))
     if len(e.records) < limits.jackknife_records:
         by_jackknife = np.minimum(by_jackknife, limits.jackknife_cap * by_curvature)
@@ -60,11 +60,6 @@ def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
         projected = np.sqrt(n) * (cross[:, i] - cross[:, others] @ inner @ gram[others, i])
         out[i] = -np.linalg.solve(_regularised(normal), projected)
     return out
-
-
-def curvature_sd(white: np.ndarray) -> np.ndarray:
-    """(K,) standard deviations from a whitened Jacobian (K, m)."""
-    return np.sqrt(np.diag(np.linalg.inv(_regularised(white @ white.T))))
 
 
 def jackknife_sd(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.ndarray:

@@ -10,11 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.gap.localise.comparison import Comparison, compared
-from fishmj.gap.localise.error_by_regime import KINDS, kinds, shares
-from fishmj.gap.localise.harmonics import Beat, BeatRates, beat, by_rate
-from fishmj.gap.localise.lags import Lags, lags
-from fishmj.gap.localise.world_or_body import Frame, Side, frame, side, stretches
+from fishmj.gap.localise.comparison import KINDS, Comparison, compared, kinds, shares
+from fishmj.gap.localise.residual_patterns import Beat, BeatRates, Frame, Lags, Side, beat, by_rate, frame, lags, side, stretches
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]
 THIRDS = 3

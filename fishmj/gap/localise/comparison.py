@@ -1,11 +1,18 @@
-"""The material of a localisation: records, what the model made of them before and after, and the floor."""
+"""The material of a localisation, and which part of the gap lies in which channel, while the robot did what.
+
+    share(channel, regime) = max(0, sum w (r^2 / W^2 - 1)) / sum of all cells        w as in the gap, r residual, W floor
+
+Every half second counts once, under the most telling of its labels (log/regimes.py).
+"""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.errors import LogError
+from fishmj.gap.records.records import Record, ResidualLayout
+from fishmj.log import Trial, numbered
+from fishmj.log.regimes import label
 
 
 class Comparison(NamedTuple):
@@ -43,9 +50,85 @@ class Comparison(NamedTuple):
         return out
 
 
-def compared(model, records: list[Record], scale: np.ndarray, before, after, layout: ResidualLayout | None = None) -> Comparison:
+def compared(model, records: list[Record], scale: np.ndarray, before, after) -> Comparison:
     """Roll both rows out over the records."""
-    layout = ResidualLayout(records) if layout is None else layout
+    layout = ResidualLayout(records)
     rows = np.stack([np.asarray(before, float), np.asarray(after, float)])
     predictions = model.predict(records, rows)
     return Comparison(model, records, layout, scale, rows, predictions, layout.residuals(predictions))
+
+
+PRIORITY = (  # label, words; first what says most
+    ("joint_step", "joint steps"),
+    ("torque_limited", "holding far from the command"),
+    ("turn", "turns"),
+    ("ramp", "growing and fading beats"),
+    ("steady_swim", "steady swimming"),
+    ("coast", "coasting"),
+    ("creep", "slow joint motion"),
+    ("rest", "rest"),
+)
+KINDS = (*(words for _, words in PRIORITY), "other motion")
+OTHER = len(PRIORITY)
+
+
+def trial_of(record: Record) -> Trial:
+    """The record as tables again, for the labels."""
+    stride = max(round(0.02 / record.dt), 1)
+    commands = record.commands[::stride]
+    tables = {"cmd": {"t": np.arange(len(commands)) * stride * record.dt, **numbered("c#", commands)}}
+    if record.joint is not None:
+        tables["joint"] = {"t": record.joint.t, **numbered("j#", record.joint.values)}
+    if record.pose is not None:
+        x, y, yaw = record.pose.values.T
+        tables["pose"] = {"t": record.pose.t, "x": x, "y": y, "yaw": yaw}
+    flow = {"speed": float(np.hypot(*record.flow)), "direction": float(np.arctan2(record.flow[1], record.flow[0]))}
+    return Trial({"flow": flow}, tables, name=record.name)
+
+
+def beat_of(record: Record) -> float:
+    """Period of the command's beat, s: median time between every second change of sign; 1 s where it does not beat."""
+    c = record.commands - record.commands.mean(0)
+    c = c[:, int(np.argmax(c.std(0)))]
+    turns = np.flatnonzero(np.diff(np.sign(c[np.abs(c) > 1e-6])) != 0)
+    return float(2 * np.median(np.diff(turns)) * record.dt) if len(turns) > 4 else 1.0
+
+
+def kinds_of(record: Record, t: np.ndarray) -> np.ndarray:
+    """(n,) index into KINDS of what the robot was doing at times t."""
+    try:
+        found = label(trial_of(record), beat=float(np.clip(beat_of(record), 0.2, 4.0)))
+    except LogError:  # shorter than one window
+        return np.full(len(t), OTHER)
+    kind = np.full(len(found), OTHER)
+    for i, (name, _) in reversed(list(enumerate(PRIORITY))):
+        kind[found.is_[name]] = i
+    window = np.clip(np.searchsorted(found.start, t, side="right") - 1, 0, len(found) - 1)
+    return kind[window]
+
+
+def kinds(c: Comparison) -> np.ndarray:
+    """(m,) the same for every entry of the comparison."""
+    out = np.empty(c.layout.size, int)
+    for b in c.layout.blocks:
+        out[b.where] = kinds_of(c.records[b.record], b.t)
+    return out
+
+
+def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
+    """Channels; (C, K) each: share of the gap beyond the floor, mean square in units of the floor (NaN where never seen), and
+    share of the channel's time; of the start, which is a moment, none."""
+    names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
+    excess, time = np.zeros((2, len(names), len(KINDS)))
+    level = np.full((len(names), len(KINDS)), np.nan)
+    ratio = c.ratio[0]
+    weights = c.weights()
+    for i, name in enumerate(names):
+        for k in range(len(KINDS)):
+            some = (c.layout.channel == name) & (kind == k)
+            time[i, k] = some.sum() / (c.layout.channel == name).sum() if name != "start" else 0.0
+            if some.any():
+                excess[i, k] = max(0.0, float(np.sum((weights * (ratio - 1))[some])))
+                level[i, k] = float(np.mean(ratio[some]))
+    total = excess.sum()
+    return names, excess / total if total > 0 else excess, level, time

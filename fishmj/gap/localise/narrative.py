@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from fishmj.gap.localise.lags import compatible, significant
-from fishmj.gap.wording import number, percent
+from fishmj.gap.localise.residual_patterns import compatible, significant
+from fishmj.gap.wording import number, percent, sentence
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
 AGREES = 1.25  # below this mean square there is nothing to place
@@ -51,9 +51,8 @@ def beat(p) -> str:
             continue
         if b.locked >= MOST:
             degrees = math.degrees(b.behind) % 360
-            parts.append(
-                f"the {name} residual is locked to the beat ({percent(b.locked)} of it, {degrees:.0f} deg after the command)"
-            )
+            how = f"{percent(b.locked)} of it, {degrees:.0f} deg after the command"
+            parts.append(f"the {name} residual is locked to the beat ({how})")
         elif b.locked < 0.2:
             parts.append(f"the {name} residual does not follow the beat ({percent(b.locked)} of it does)")
     return sentence("; ".join(parts))
@@ -67,7 +66,9 @@ def lag(p) -> str:
         return ""
     parts = []
     if significant(joint):
-        after = "" if not significant_after(p) else f", {ms(p.lags.joint_after)} of it left with what was found"
+        left = p.lags.joint_after
+        remains = p.gap_after < p.gap and significant(left) and abs(left.lag) < abs(joint.lag)
+        after = f", {ms(left)} of it left with what was found" if remains else ""
         behind = ""
         if p.lags.command is not None and p.lags.model is not None:
             behind = f" ({1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f})"
@@ -96,12 +97,6 @@ def conclusion(p) -> str:
     return ""
 
 
-def significant_after(p) -> bool:
-    """Whether a delay is left once what was found is in the model."""
-    left = p.lags.joint_after
-    return p.gap_after < p.gap and significant(left) and abs(left.lag) < abs(p.lags.joint.lag)
-
-
 def frame(p) -> str:
     """World or body."""
     f = p.frame
@@ -117,11 +112,8 @@ def frame(p) -> str:
         against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"
         return f"The position drifts off {what} ({against}): a current, or the camera's axes."
     where_to = "ahead" if abs(angle) < 45 else "astern" if abs(angle) > 135 else "left" if angle > 0 else "right"
-    what = (
-        f"{number(size)} mm/s to the robot's own {where_to}"
-        if where_to in ("left", "right")
-        else f"{number(size)} mm/s {where_to}"
-    )
+    own = "to the robot's own " if where_to in ("left", "right") else ""
+    what = f"{number(size)} mm/s {own}{where_to}"
     against = f"{percent(f.body_share)} of its drift, against {percent(f.world_share)} in the tank"
     return f"The position drifts off {what}, turning with the robot ({against}): thrust, drag or an offset."
 
@@ -187,8 +179,3 @@ def noun(channel: str) -> str:
 def listed(parts: list[str]) -> str:
     """a, b and c."""
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
-
-
-def sentence(text: str) -> str:
-    """With a capital and a full stop; nothing stays nothing."""
-    return text[:1].upper() + text[1:] + "." if text else ""

@@ -7,10 +7,13 @@ compiled by numba; LANES rollouts go through each vector loop, blocks of them ar
     step k    input = command sequence of the log at k - delay (between two steps: linear), state = step(state, input, parameters)
     output    `watched` values every `stride` steps, and at the start
 
+Between samples a rollout is the cubic through values and rates (`hermite`), or straight where only values are known (`linear`).
+Half of a search is asking for values at stamps, so those loops are compiled, too.
 """
 
 import re
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -62,12 +65,9 @@ class Kernel:
         physics = codegen.trace(lambda a: step(a["state"], a["input"], a["parameter"]), some, "physics_")
         some = {key: names[key] for key in ("state", "parameter")}
         seen = codegen.trace(lambda a: look(a["state"], a["parameter"]), some, "look_")
-        parts = [HEADER] + [f"{key} = {value}\n" for key, value in numbers.items()]
-        parts.append(fast_math.source(fast_math.DOUBLE))
-        parts += [
-            numba_build.lane_loop("physics", physics, names["state"], rows),
-            numba_build.lane_loop("look", seen, names["watch"], rows),
-        ]
+        parts = [HEADER, *(f"{key} = {value}\n" for key, value in numbers.items()), fast_math.source(fast_math.DOUBLE)]
+        parts.append(numba_build.lane_loop("physics", physics, names["state"], rows))
+        parts.append(numba_build.lane_loop("look", seen, names["watch"], rows))
         self.inputs, self.watched = inputs, watched
         self._roll = numba_build.compiled("".join(parts) + loops()).roll
 
@@ -102,3 +102,45 @@ def loops() -> str:
     text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
     text = re.sub(r"^def ", "@njit(**MATH)\ndef ", text[text.index("\ndef ") :], flags=re.MULTILINE)
     return text.replace("@njit(**MATH)\ndef roll(", "@njit(ROLL, cache=CACHE, nogil=True, **MATH)\ndef roll(")
+
+
+def hermite(values, rates, h: float, t):
+    """Cubic through samples (R, K, C) every h s with their rates, at times t (R, N); held outside. (R, N, C)."""
+    return _interpolation()[0](values, rates, h, t)
+
+
+def linear(values, h: float, t):
+    """The same along straight lines, (R, K) at t (R, N): (R, N)."""
+    return _interpolation()[1](values, h, t)
+
+
+@cache
+def _interpolation():
+    numba = numba_build.require_numba()
+
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
+    def cubic(values, rates, h, t):
+        rows, samples, columns = values.shape
+        out = np.empty((rows, t.shape[1], columns))
+        for r in range(rows):
+            for n in range(t.shape[1]):
+                place = min(max(t[r, n] / h, 0.0), samples - 1.000001)
+                i = int(place)
+                s = place - i
+                for c in range(columns):
+                    a, b, da, db = values[r, i, c], values[r, i + 1, c], h * rates[r, i, c], h * rates[r, i + 1, c]
+                    out[r, n, c] = a + s * (da + s * (3.0 * (b - a) - 2.0 * da - db + s * (2.0 * (a - b) + da + db)))
+        return out
+
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
+    def straight(values, h, t):
+        rows, samples = values.shape
+        out = np.empty((rows, t.shape[1]))
+        for r in range(rows):
+            for n in range(t.shape[1]):
+                place = min(max(t[r, n] / h, 0.0), samples - 1.000001)
+                i = int(place)
+                out[r, n] = values[r, i] + (place - i) * (values[r, i + 1] - values[r, i])
+        return out
+
+    return cubic, straight

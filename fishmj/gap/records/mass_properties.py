@@ -8,7 +8,6 @@ does to it is what mass means and no formula of the water's, so no form error is
 """
 
 from math import sqrt
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +22,7 @@ BEYOND = 3.0  # sigma, from which it is said
 DRAWN = 0x5CA1E  # of the null runs' readings
 
 
-def sensor(page: dict, model, path: "str | Path" = measurements.FILE) -> Sensor | None:
+def sensor(page: dict, model) -> Sensor | None:
     """(1, 3) of a page, NaN where it has no such table; None of an empty one. sigma: the instruments' or what repeats scatter.
 
     Raises:
@@ -35,14 +34,14 @@ def sensor(page: dict, model, path: "str | Path" = measurements.FILE) -> Sensor 
     values, sigma = np.full(3, np.nan), np.full(3, np.nan)
     if "scales" in page:
         links = ("whole",) if "whole" in page["scales"] else [link.name for link in model.robot.links]
-        each, scatter = measurements.masses(page, links, path)
+        each, scatter = measurements.masses(page, links)
         values[0] = mass = float(each.sum())
         sigma[0] = max(scatter, SCALES * mass)
         error = float(sigma[0]) / mass
     if "balance" in page:
-        values[1], sigma[1] = measurements.balance(page, EDGE, path)
+        values[1], sigma[1] = measurements.balance(page, EDGE)
     if "pendulum" in page:
-        values[2], scatter = measurements.inertia(page, mass, path)
+        values[2], scatter = measurements.inertia(page, mass)
         sigma[2] = values[2] * sqrt(max(scatter, PENDULUM) ** 2 + error**2)
     return Sensor(np.zeros(1), values[None], sigma)
 

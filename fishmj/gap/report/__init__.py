@@ -1,8 +1,4 @@
-"""The report of `gap find`: one self-contained HTML page, and the same figures as JSON.
-
-page(inquiry) -> str            the page
-write(inquiry, folder)          report.html, report.json, verdict.json
-"""
+"""The report of `gap find`: one self-contained HTML page, and the same figures as JSON."""
 
 from pathlib import Path
 
@@ -27,7 +23,7 @@ def page(inquiry: Inquiry, gates: Gates | None = None) -> str:
 
 
 def write(inquiry: Inquiry, folder: Path, gates: Gates | None = None) -> list[str]:
-    """Write the report; returns the names of the files."""
+    """Write report.html and report.json; returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     material = gathered(inquiry, gates)
     write_json(folder / "report.json", plain(material))

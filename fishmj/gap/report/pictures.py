@@ -1,17 +1,100 @@
-"""Pictures of the whole: gap by part of the records, growth curves, heat map, localisation details, confusion map."""
+"""Pictures: gap by part of the records, growth curves, heat map, localisation details, confusion map, most telling traces.
 
+SVG that carries its text as text, colours of Okabe and Ito (2008), and never colour alone.
+"""
+
+import io
 import math
+import re
+from contextlib import contextmanager
+from itertools import count
+from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
-from fishmj.gap.localise import Localisation
+from fishmj.errors import MissingExtra
+from fishmj.gap.localise import Comparison, Localisation
 from fishmj.gap.localise.error_growth import GrowthCurve
+from fishmj.gap.records.records import ChannelBlock
 from fishmj.gap.report.report_data import ReportPart, Round
-from fishmj.gap.report.svg import ACCENT, AFTER, BAND, BEFORE, INK, QUIET, canvas, svg
-from fishmj.gap.report.words import LETTERS
-from fishmj.gap.wording import level, number
+from fishmj.gap.wording import SCALES, level, number
+from fishmj.pages import drawn, escaped
 
-ANGLE = {"rad": (math.degrees(1.0), "deg"), "m": (1e3, "mm")}
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
+INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"
+MEASURED, BEFORE, AFTER, ACCENT = "#1F2933", "#D55E00", "#0072B2", "#009E73"
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "fishmj",
+    "font.family": "sans-serif",
+    # Measured with a wide face, shown with what the reader has.
+    "font.sans-serif": ["DejaVu Sans", "Liberation Sans", "Arial", "Helvetica Neue"],
+    "font.size": 10,
+    "text.color": INK,
+    "axes.labelcolor": QUIET,
+    "axes.edgecolor": "#9AA5B1",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E9EDF2",
+    "grid.linewidth": 0.8,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "legend.frameon": False,
+    "legend.fontsize": 9.5,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+}
+_numbers = count()
+
+
+@contextmanager
+def style():
+    """Inside, figures look like this; restored afterwards."""
+    try:
+        import matplotlib
+    except ModuleNotFoundError as error:
+        raise MissingExtra("matplotlib", "dev", "the report of gap find") from error
+    matplotlib.use("Agg")
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def canvas(rows: int, columns: int, size: tuple[float, float], **options):
+    """A figure and its axes (rows, columns)."""
+    from matplotlib import pyplot
+
+    return pyplot.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **options)
+
+
+def svg(figure, label: str) -> Markup:
+    """The figure as an SVG element that fills its column; `label` is read aloud. The figure is closed."""
+    from matplotlib import pyplot
+
+    out = io.StringIO()
+    figure.savefig(out, format="svg", bbox_inches="tight", pad_inches=0.04, metadata={"Date": None, "Creator": None})
+    pyplot.close(figure)
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    mark = f"f{next(_numbers)}_"
+    text = re.sub(r'\bid="', f'id="{mark}', text)
+    text = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{mark}", text)
+    width = re.search(r'width="([\d.]+)pt"', text)
+    wide = f"{float(width[1]) * 4 / 3:.0f}" if width else "1000"
+    text = re.sub(r'(<svg[^>]*?) width="[\d.]+pt"', r"\1", text, count=1)
+    text = re.sub(r'(<svg[^>]*?) height="[\d.]+pt"', r"\1", text, count=1)
+    text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
+    head = f'<svg role="img" aria-label="{escaped(label)}" style="--wide:{wide}px"'
+    return Markup(text.replace("<svg", head, 1).strip())
 
 
 def gaps(parts: tuple[ReportPart, ...], changed: bool) -> str:
@@ -47,7 +130,7 @@ def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
     """Error after a restart against the time since it."""
     figure, axes = canvas(1, len(found), (10.9, 2.75))
     for axis, c in zip(axes[0], found, strict=True):
-        factor, unit = ANGLE[c.unit]
+        factor, unit = SCALES[c.unit]
         h = np.array(c.horizons)
         axis.fill_between(h, 1e-9, factor * c.start, color=BAND, linewidth=0)
         axis.plot(h, factor * c.before, "s--", color=BEFORE, linewidth=1.8, markersize=6, label="model as it was")
@@ -60,11 +143,9 @@ def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
         axis.minorticks_off()
         axis.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
         told = c.kind != "not told"
-        slope = (
-            f"slope {_tenth(c.slope)} ({_tenth(c.low)} to {_tenth(c.high)}): {c.kind}" if told else "no slope above the start's"
-        )
+        slope = f"slope {_tenth(c.slope)} ({_tenth(c.low)} to {_tenth(c.high)}): {c.kind}"
         axis.set_title(f"{c.channel} [{unit}]", pad=20)
-        axis.text(0, 1.035, slope, transform=axis.transAxes, color=QUIET, fontsize=9.2)
+        axis.text(0, 1.035, slope if told else "no slope above the start's", transform=axis.transAxes, color=QUIET, fontsize=9.2)
         axis.set_xlabel("time since the restart [s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     handles.append(figure.axes[0].collections[0])
@@ -92,18 +173,10 @@ def heat(p: Localisation) -> str:
                 quiet = "#E6EEF5" if dark else QUIET
                 axis.text(j, i + 0.27, f"{_short(p.level[i, k])} × floor", ha="center", va="center", color=quiet, fontsize=7.6)
     time = np.nanmax(p.time[:, seen], 0)
-    axis.set_xticks(
-        range(len(seen)), [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
-    )
+    regimes = [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
+    axis.set_xticks(range(len(seen)), regimes)
     axis.set_yticks(range(len(p.channels)), p.channels, color=INK, fontsize=10)
-    axis.tick_params(length=0, labelsize=8.6)
-    axis.grid(visible=False)
-    for side in axis.spines.values():
-        side.set_visible(False)
-    axis.set_xticks(np.arange(-0.5, len(seen)), minor=True)
-    axis.set_yticks(np.arange(-0.5, len(p.channels)), minor=True)
-    axis.grid(which="minor", color="white", linewidth=2.5)
-    axis.tick_params(which="minor", length=0)
+    _tiles(axis, len(seen), len(p.channels), 8.6)
     return svg(figure, "Share of the gap by channel and regime")
 
 
@@ -194,15 +267,20 @@ def confusion(r: Round) -> str:
     axis.set_xticks(range(n), LETTERS[:n], color=INK)
     axis.xaxis.tick_top()
     axis.set_yticks(range(n), LETTERS[:n], color=INK)
-    axis.tick_params(length=0, labelsize=9)
+    _tiles(axis, n, n, 9)
+    return svg(figure, "Confusion map of the finalists")
+
+
+def _tiles(axis, columns: int, rows: int, labelsize: float) -> None:
+    """White lines between the cells of a matrix, in place of ticks and frame."""
+    axis.tick_params(length=0, labelsize=labelsize)
     axis.grid(visible=False)
     for side in axis.spines.values():
         side.set_visible(False)
-    axis.set_xticks(np.arange(-0.5, n), minor=True)
-    axis.set_yticks(np.arange(-0.5, n), minor=True)
+    axis.set_xticks(np.arange(-0.5, columns), minor=True)
+    axis.set_yticks(np.arange(-0.5, rows), minor=True)
     axis.grid(which="minor", color="white", linewidth=2.5)
     axis.tick_params(which="minor", length=0)
-    return svg(figure, "Confusion map of the finalists")
 
 
 def _tenth(value: float) -> str:
@@ -221,3 +299,78 @@ def _wrapped(text: str, width: int = 14) -> str:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return "\n".join(lines)
+
+
+HALF = 1.645  # of a 90 % band
+ZOOM = {"joint": 4.0, "heading": 8.0}  # s shown: a beat must be seen
+MOST = 3
+UNITS = {"joint": (math.degrees(1), "deg"), "heading": (math.degrees(1), "deg"), "position": (1e3, "mm"), "power": (1.0, "W")}
+
+
+class Chosen(NamedTuple):
+    """One panel: a column of a record, and the stretch shown."""
+
+    block: ChannelBlock
+    start: float
+    stop: float
+
+
+def chosen(c: Comparison) -> list[Chosen]:
+    """The block of each channel in which most of the gap lies, biggest first; one record twice only when there is no other."""
+    weights = c.weights()
+    best: dict[str, tuple[float, ChannelBlock]] = {}
+    for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
+        excess = float(np.sum((weights * (c.ratio[0] - 1.0))[b.where]))
+        if b.channel not in best or excess > best[b.channel][0]:
+            best[b.channel] = (excess, b)
+    order = sorted(best.values(), key=lambda found: -found[0])[:MOST]
+    return [Chosen(b, *stretch(c, b)) for _, b in order]
+
+
+def stretch(c: Comparison, b: ChannelBlock) -> tuple[float, float]:
+    """Where a channel is shown: all of it, or the seconds that differ most."""
+    length = ZOOM.get(b.channel, math.inf)
+    end = float(b.t[-1])
+    if end <= length:
+        return 0.0, end
+    starts = np.arange(0.0, end - length + 1e-9, 0.5)
+    ratio = c.ratio[0][b.where]
+    level = [float(np.mean(ratio[(b.t >= s) & (b.t < s + length)])) for s in starts]
+    return float(starts[int(np.argmax(level))]), float(starts[int(np.argmax(level))] + length)
+
+
+def traces(c: Comparison, use: list[str]) -> str:
+    """One column a chosen block: above what was measured and predicted, below what is left. use: part of each record."""
+    panels = chosen(c)
+    figure, axes = canvas(2, len(panels), (3.63 * len(panels), 3.9), sharex="col", height_ratios=(1.5, 1))
+    for column, (b, start, stop) in enumerate(panels):
+        record = c.records[b.record]
+        sensor = getattr(record, b.sensor)
+        factor, unit = UNITS[b.channel]
+        some = (sensor.t >= start) & (sensor.t <= stop)
+        t, predicted = sensor.t[some], c.predictions[b.record][b.sensor][:, some, b.column]
+        measured = sensor.values[some, b.column]
+        upper, lower = axes[:, column]
+        upper.plot(t, factor * measured, color=MEASURED, alpha=0.4, linewidth=3.2, label="measured")
+        upper.plot(t, factor * predicted[0], "--", color=BEFORE, linewidth=1.6, label="model as it was")
+        if c.changed:
+            upper.plot(t, factor * predicted[1], color=AFTER, linewidth=1.5, label="with what was found")
+        shown = (b.t >= start) & (b.t <= stop)
+        floor = factor * HALF * c.scale[b.where][shown]
+        lower.fill_between(b.t[shown], -floor, floor, color=BAND, linewidth=0, label="floor, nine of ten null runs")
+        lower.plot(b.t[shown], factor * c.residuals[0][b.where][shown], "--", color=BEFORE, linewidth=1.5)
+        if c.changed:
+            lower.plot(b.t[shown], factor * c.residuals[1][b.where][shown], color=AFTER, linewidth=1.6)
+        lower.axhline(0, color=QUIET, linewidth=0.6)
+        which = f"joint {b.column + 1}" if b.channel == "joint" else "xy"[b.column] if b.channel == "position" else b.channel
+        upper.set_title(f"{which} [{unit}]", pad=20)
+        about = f"{drawn(record.excitation or record.name)}, {use[b.record]}"
+        upper.text(0, 1.04, about, transform=upper.transAxes, color=QUIET, fontsize=9.2)
+        lower.set_xlabel("time [s]")
+        lower.set_xlim(start, stop)
+        if column == 0:
+            lower.set_ylabel("what is left", color=INK)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    more, names = axes[1, 0].get_legend_handles_labels()
+    figure.legend([*handles, *more], [*labels, *names], loc="outside lower center", ncols=4)
+    return svg(figure, "Measured, model before and after")

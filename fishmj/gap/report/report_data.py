@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from fishmj import console
-from fishmj.gap.decide.rivals import on_bound
+from fishmj.gap.decide.decide import on_bound
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
@@ -106,9 +106,9 @@ def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
     ):
         if not keep.any():
             continue
-        by = [channels(e.layout, (r / e.scale) ** 2, keep) for r in residuals]
+        by = [likelihood.by_channel(r, e.scale, e.layout, keep) for r in residuals]
         mean = lambda found: float(np.mean(list(found.values())))
-        reached = [mean(channels(e.layout, (r / e.scale) ** 2, keep)) for r in null]
+        reached = [mean(likelihood.by_channel(r, e.scale, e.layout, keep)) for r in null]
         low, high = (float(q) for q in np.quantile(reached, [0.05, 0.95]))
         both = {k: (by[0][k], by[1][k]) for k in by[0]}
         out.append(ReportPart(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
@@ -123,15 +123,6 @@ def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
     return tuple(out)
 
 
-def channels(layout, ratio: np.ndarray, keep: np.ndarray) -> dict[str, float]:
-    """Mean square by channel over the records where `keep`."""
-    sums: dict[str, list[float]] = {}
-    for b in layout.blocks:
-        if keep[b.record]:
-            sums.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
-    return {name: float(np.mean(values)) for name, values in sums.items()}
-
-
 def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
     """The finalists of every round that was accepted, or of the first when none was."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
@@ -140,23 +131,19 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
     for number, step in enumerate(found.steps):
         if not step.accepted and number:
             break
-        everything, best = np.ones(len(e.records), bool), step.ranked[0]
-        gained = (e.linearised_at(start.row) if number else e).subset(everything).loss(start.row) - best.cost
-        z, *sides = e.linearised_at(best.row).subset(everything).z(np.stack([start.row, *(c.row for c in step.ranked)]))
-        free = [c for c in step.ranked if c is best or not on_bound(e.model, c)]
-        share = likelihood.p_best(
-            np.stack(
-                [likelihood.costs(s, e.layout) for c, s in zip(step.ranked, sides, strict=True) if any(c is f for f in free)]
-            )
-        )
+        best = step.ranked[0]
+        gained = (e.linearised_at(start.row) if number else e).loss(start.row) - best.cost
+        z, *sides = e.linearised_at(best.row).subset().z(np.stack([start.row, *(c.row for c in step.ranked)]))
+        free = [i for i, c in enumerate(step.ranked) if c is best or not on_bound(e.model, c)]
+        share = likelihood.p_best(np.stack([likelihood.costs(sides[i], e.layout) for i in free]))
+        drawn = dict(zip(free, map(float, share), strict=True))
         new = best.names[-1]
         against = {str(r["name"]): float(r["p_best"]) for r in v.rivals if r.get("instead_of", new) == new}
         given = against | ({new: sure[new]} if step.accepted and new in sure else {})
         rows = []
-        for c in step.ranked:
+        for i, c in enumerate(step.ranked):
             name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
-            p = next((float(p) for f, p in zip(free, share, strict=True) if f is c), None)
-            p = given.get(name, p)  # the verdict polished its rivals: one may have left its bound
+            p = given.get(name, drawn.get(i))  # the verdict polished its rivals: one may have left its bound
             behind = float((c.cost - best.cost) / gained) if gained > 0 else None
             rows.append(ReportRow(name, values(e.model, c, name), behind, p, name in against, c is best))
         order = listed(rows)
@@ -183,7 +170,7 @@ def values(model, c: Candidate, name: str) -> dict:
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
     """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
     e = inquiry.evidence
-    whole = e.subset(np.ones(len(e.records), bool))
+    whole = e.subset()
     rows, owners = [], []
     for effect in e.model.active.effects:
         if effect.name in inquiry.found.best.names:
@@ -214,22 +201,19 @@ def plain(m: ReportData) -> dict:
     place["side"] = m.place.side and m.place.side._asdict()
     place["rates"] = m.place.rates and m.place.rates._asdict()
     place["locked"] = {k: v._asdict() for k, v in m.place.locked.items()}
-    return console.plain(
-        {
-            "verdict": m.inquiry.verdict.plain(),
-            "notes": list(m.inquiry.notes),
-            "records": [
-                {"name": r.name, "excitation": r.excitation, "part": part}
-                for r, part in zip(m.inquiry.records, parted(m.inquiry), strict=True)
-            ],
-            "gap": [asdict(p) for p in m.parts],
-            "localisation": place,
-            "weighed": m.weighed,
-            "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
-            "rounds": [asdict(r) for r in m.rounds],
-            "not_visible": [asdict(b) for b in m.blind],
-        }
-    )
+    used = zip(m.inquiry.records, parted(m.inquiry), strict=True)
+    page = {
+        "verdict": m.inquiry.verdict.plain(),
+        "notes": list(m.inquiry.notes),
+        "records": [{"name": r.name, "excitation": r.excitation, "part": part} for r, part in used],
+        "gap": [asdict(p) for p in m.parts],
+        "localisation": place,
+        "weighed": m.weighed,
+        "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
+        "rounds": [asdict(r) for r in m.rounds],
+        "not_visible": [asdict(b) for b in m.blind],
+    }
+    return console.plain(page)
 
 
 def parted(inquiry: Inquiry) -> list[str]:

@@ -10,6 +10,7 @@ of the null runs integrates them out.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -32,18 +33,14 @@ class Candidate:
     z: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
 class EffectFitter:
-    """Candidates on one set of records.
+    """Candidates on one set of records. model: with `predict`, `active`, `index`; the others: the data and its null."""
 
-    Args:
-        model: with `predict`, `active`, `index`. records, layout, whiten: the data and its null.
-    """
-
-    def __init__(self, model, records, layout, whiten):
-        self.model = model
-        self.records = records
-        self.layout = layout
-        self.whiten = whiten
+    model: Any
+    records: list
+    layout: Any
+    whiten: Any
 
     def z(self, rows) -> np.ndarray:
         """Whitened residuals (R, m) of parameter rows (R, P); diverged rollouts count as huge."""
@@ -69,9 +66,9 @@ class EffectFitter:
         z = self.z(np.asarray(row)[None])
         return Candidate(names, places, row, float(self.costs(np.asarray(row)[None], z)[0]), z[0])
 
-    def base(self, row=None) -> Candidate:
+    def base(self) -> Candidate:
         """The model as it is."""
-        return self.at(self.model.null if row is None else row)
+        return self.at(self.model.null)
 
     def grid_search(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
         """{effect: its best few values} for those of which only a value right to a fraction of a per cent explains anything.
@@ -229,9 +226,8 @@ def shape_probes(model, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
             row = base.copy()
             for p in effect.parameters:
                 if not p.shape:
-                    row[model.index(effect.name, p.name)] = np.clip(
-                        p.null + (1 if p.high > p.null else -1) * _size(p), p.low, p.high
-                    )
+                    usual = p.null + (1 if p.high > p.null else -1) * _size(p)
+                    row[model.index(effect.name, p.name)] = np.clip(usual, p.low, p.high)
             row[model.index(effect.name, shape.name)] = value
             out.append(row)
     return out
@@ -252,9 +248,8 @@ def secants(model, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
             sizes.append(_size(p))
         jac = np.array(columns) * np.array(sizes)[:, None]
         normal = jac @ jac.T
-        change = -np.linalg.solve(
-            normal + 1e-6 * np.trace(normal) * np.eye(len(normal)) + 1e-12 * np.eye(len(normal)), jac @ base.z
-        )
+        regular = normal + 1e-6 * np.trace(normal) * np.eye(len(normal)) + 1e-12 * np.eye(len(normal))
+        change = -np.linalg.solve(regular, jac @ base.z)
         row = base.row.copy()
         for place, p, size, c in zip(places, [p for p in effect.parameters if not p.shape], sizes, change, strict=True):
             row[place] = np.clip(p.null + c * size, p.low, p.high)

@@ -18,11 +18,9 @@ from copy import copy
 
 import numpy as np
 
-from fishmj.gap.null.through_sensors import as_sensed, changes_sensing
-from fishmj.gap.null.whitening import leftover, smooth, whitening
+from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
 from fishmj.gap.search.model_error import ModelError, ModelResponse
 from fishmj.gap.thresholds import thresholds
@@ -52,11 +50,6 @@ class Likelihood:
         self.d = leftover(null, self.layout)
         self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
         self.response = ModelResponse(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
-
-    @property
-    def everything(self) -> np.ndarray:
-        """(L,) bool: all records."""
-        return np.ones(len(self.records), bool)
 
     def with_model(self, model) -> "Likelihood":
         """The same records and null with other effects in question; `model` at its null is the same model."""
@@ -130,8 +123,9 @@ class Likelihood:
         bool, samples that count; default, all."""
         return self.response.error(self._residuals(row[None])[0], self.layout, allowed, keep)
 
-    def subset(self, keep: np.ndarray, more: np.ndarray | None = None) -> EffectFitter:
-        """A fitter on the records where keep (L,) is true. more: (K, n) further factors of S there."""
+    def subset(self, keep: np.ndarray | None = None, more: np.ndarray | None = None) -> EffectFitter:
+        """A fitter on the records where keep (L,) is true; default, all. more: (K, n) further factors of S there."""
+        keep = np.ones(len(self.records), bool) if keep is None else keep
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
         factors = self.factors[:, columns]
@@ -140,7 +134,7 @@ class Likelihood:
 
     def loss(self, row: np.ndarray) -> float:
         """Twice the negative log likelihood of all records, of one parameter row."""
-        return self.subset(self.everything).loss(row)
+        return self.subset().loss(row)
 
     def jacobian(self, c: Candidate) -> np.ndarray:
         """(K, m) what a typical size of each parameter of a candidate does to the residual, about its values."""
@@ -175,7 +169,7 @@ def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tup
     near = e.with_estimated_model_error(best.row)
     loss = near.loss(best.row)
     for _ in range(thresholds().likelihood.relinearisations if times is None else times):
-        proposal = refine(near.subset(e.everything), best)
+        proposal = refine(near.subset(), best)
         there = e.with_estimated_model_error(proposal.row)
         proposal_loss = there.loss(proposal.row)
         if proposal_loss > loss:
@@ -183,7 +177,7 @@ def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tup
         near = there
         best = proposal
         loss = proposal_loss
-    return near, on_records(near.subset(e.everything), best)
+    return near, on_records(near.subset(), best)
 
 
 def gap(residual: np.ndarray, scale: np.ndarray, layout) -> float:
@@ -191,12 +185,13 @@ def gap(residual: np.ndarray, scale: np.ndarray, layout) -> float:
     return float(np.mean(list(by_channel(residual, scale, layout).values())))
 
 
-def by_channel(residual: np.ndarray, scale: np.ndarray, layout) -> dict[str, float]:
-    """The same for each channel: joint, position, heading, power."""
+def by_channel(residual: np.ndarray, scale: np.ndarray, layout, keep: np.ndarray | None = None) -> dict[str, float]:
+    """The same for each channel: joint, position, heading, power. keep: (L,) bool, records that count; default, all."""
     ratio = (residual / scale) ** 2
     found: dict[str, list] = {}
     for b in layout.blocks:
-        found.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
+        if keep is None or keep[b.record]:
+            found.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
     return {channel: float(np.mean(values)) for channel, values in found.items()}
 
 

@@ -128,11 +128,8 @@ def channel_changes(layout, change: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------ outlier records
 def error_without_outliers(near, row: np.ndarray, gain: float, gates: Gates) -> tuple[ModelError, tuple[str, ...]]:
-    """(error of the formulas of a row, names of the records whose path is left out).
-
-    Args:
-        near: the `Likelihood` linearised at the row. gain: on records predicted without their fold.
-    """
+    """(error of the formulas of a row, names of the records whose path is left out). near: the `Likelihood` linearised at the
+    row. gain: on records predicted without their fold."""
     whole = near.error(row, gates.form)
     few = int((1.0 - gates.transfer) * len(near.records) + 1e-9)
     if not few or gain < gates.gain or believable(whole, gain, gates):

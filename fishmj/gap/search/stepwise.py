@@ -8,22 +8,111 @@ accept      by what the first of them gains on records predicted without their f
             both
 converge    values and covariance, in turns
 prune       what the others no longer need
+
+Every record is predicted by what the others say: k-fold cross-validation, a fit without each fold.
+
+S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      what those leave open of the parameters counts
+b     = (r(theta) - r(theta_f) - J (theta - theta_f)) / max(1, cost(theta) - cost(theta_f) of the others)^1/2    not linear
+loss  = sum_f |z_f|^2 + log det S_f                                  twice the negative log likelihood of all records, held out
+conditional_loss = sum_f loss(all) - loss(others), both at theta_f   each fold given what the others tell of the constants
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fishmj.effects.ambiguity import together
-from fishmj.gap.search import likelihood
-from fishmj.gap.search.cross_validation import CrossValidated, converge
-from fishmj.gap.search.fit import Candidate, EffectFitter, drop_effect, on_records, refine
-from fishmj.gap.search.likelihood import Likelihood, relinearise
+from fishmj.gap.records.records import Record
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
+from fishmj.gap.search.likelihood import Likelihood, costs, gap, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
+from fishmj.gap.verdict import said
 from fishmj.gap.watch import Bar
+from fishmj.gap.wording import title
 
 
+# --------------------------------------------------------------------------------------------------------------- cross-validation
+class CrossValidated(NamedTuple):
+    """A set of effects. near: the likelihood linearised at it. best: on all records. fits: without each fold."""
+
+    near: Likelihood
+    best: Candidate
+    fits: tuple[Candidate, ...]
+
+    def held_out(self, folds: np.ndarray) -> list[tuple[EffectFitter, Candidate]]:
+        """Each fold (F, L) with the fit that did not see it."""
+        given = zip(folds, self.fits, self.uncertainty_factors(folds), strict=True)
+        fitters = [(self.near.subset(f, more[:, f[self.near.layout.record]]), c) for f, c, more in given]
+        return [(fitter, fitter.at(c.row, c.names, c.places)) for fitter, c in fitters]
+
+    def uncertainty_factors(self, folds: np.ndarray) -> list[np.ndarray]:
+        """For each fold (F, L) factors of S (K + 1, m): what the others leave open of the parameters."""
+        jacobian = self.near.jacobian(self.best) if self.best.places else np.zeros((0, self.near.layout.size))
+        given = zip(folds, self.fits, strict=True)
+        return [parameter_uncertainty_factors(self.near, fold, fit, self.best, jacobian) for fold, fit in given]
+
+    def loss(self, folds: np.ndarray) -> float:
+        """Over all records, each held out."""
+        return sum(c.cost + fitter.whiten.logdet for fitter, c in self.held_out(folds))
+
+    def conditional_loss(self, folds: np.ndarray) -> float:
+        """The same, given what the other records tell of the fish's constants, which all of them share."""
+        near = self.near
+        out = 0.0
+        for fold, fit, more in zip(folds, self.fits, self.uncertainty_factors(folds), strict=True):
+            others = near.subset(~fold, more[:, ~fold[near.layout.record]])
+            out += near.subset(more=more).loss(fit.row) - others.loss(fit.row)
+        return out
+
+    def gap(self, folds: np.ndarray) -> float:
+        """The gap, in units of the floor, each fold (F, L) by the fit that did not see it."""
+        layout = self.near.layout
+        predicted = self.near.model.predict(self.near.records, np.stack([fit.row for fit in self.fits]))
+        whole = layout.residuals(predicted)
+        mine = np.where(folds[:, layout.record], whole, 0.0).sum(0)
+        return gap(mine, self.near.scale, layout)
+
+
+def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> CrossValidated:
+    """A candidate and its fits without each fold, in the likelihood linearised at it."""
+    near, best = relinearise(e, best)
+    return CrossValidated(near, best, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
+
+
+def parameter_uncertainty_factors(
+    e: Likelihood, fold: np.ndarray, fit: Candidate, best: Candidate, jacobian: np.ndarray
+) -> np.ndarray:
+    """Factors (K + 1, m) about the fit without one fold (L,). jacobian: (K, m) of the parameters, per typical size.
+
+    The last is the bend: on the way to where all records lead, what is not linear, over the standard deviations that the others
+    put between. A limit that only one record reaches has no slope in the others, which leave it at its null.
+    """
+    others = e.subset(~fold)
+    white = others.whiten(jacobian[:, ~fold[e.layout.record]])
+    root = np.linalg.cholesky(white @ white.T + np.eye(len(jacobian)) / thresholds().fit.prior_sd ** 2)
+    places = list(best.places)
+    way = (best.row - fit.row)[places] / bounds(e.model)[2][places]
+    distance = max(others.at(best.row).cost - others.at(fit.row).cost, 1.0)
+    bend = e.change(fit.row, best.row) - way @ jacobian
+    return np.concatenate([np.linalg.solve(root, jacobian), bend[None] / np.sqrt(distance)])
+
+
+def split(records: list[Record], seed: int = 0) -> np.ndarray:
+    """(F, L) bool: three parts of the records, two of two, the smallest first; replicates of one excitation in different ones,
+    where that can be."""
+    rng = np.random.default_rng(seed)
+    part = np.full(len(records), -1)
+    names = np.array([r.excitation or r.name for r in records])
+    count = min(thresholds().cross_validation.folds, len(records))
+    for i in rng.permutation(len(records)):
+        part[i] = min(range(count), key=lambda f: (np.sum((part == f) & (names == names[i])), np.sum(part == f)))
+    folds = part == np.arange(count)[:, None]
+    return folds[np.argsort(folds.sum(1), kind="stable")]
+
+
+# ---------------------------------------------------------------------------------------------------------------------- selection
 @dataclass(frozen=True)
 class SelectionStep:
     """One round.
@@ -39,6 +128,10 @@ class SelectionStep:
     gain: float
     accepted: bool
     gap: tuple[float, float] | None = None
+
+    def text(self) -> str:
+        """In words."""
+        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.gap)}"
 
 
 @dataclass(frozen=True)
@@ -68,27 +161,10 @@ class Selection:
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
-class RoundProgress(NamedTuple):
-    """Where a round stands on a bar of rounds. before: rounds done."""
-
-    bar: Bar | None = None
-    before: int = 0
-
-    def report(self, share: float) -> None:
-        """Report the share of this round that is done."""
-        if self.bar is not None:
-            self.bar.update(self.before + share)
-
-
-NO_BAR = RoundProgress()
-
-
-def forward_select(
-    e: Likelihood, gates: Gates, folds: np.ndarray, effects=None, progress=None, bar: Bar | None = None
-) -> Selection:
-    """Add effects while records predicted without their fold get likelier. progress: called with each step. bar: of rounds."""
-    pool = [x for x in effects or e.model.active.effects if is_absent(e.model, x)]
-    whole = e.subset(e.everything)
+def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bar: Bar) -> Selection:
+    """Add effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
+    pool = [x for x in e.model.active.effects if is_absent(e.model, x)]
+    whole = e.subset()
     base = whole.base()
     selected = CrossValidated(e, base, (base,) * len(folds))
     steps: list[SelectionStep] = []
@@ -98,10 +174,10 @@ def forward_select(
         visited.add(frozenset(selected.best.names))
         remaining = [x for x in pool if x.name not in selected.best.names]
         gain_so_far = sum(s.gain for s in steps)
-        step = propose(selected, folds, remaining, gates, gain_so_far, RoundProgress(bar, len(steps)))
+        report = lambda share: bar.update(len(steps) + share)
+        step = propose(selected, folds, remaining, gates, gain_so_far, report)
         steps.append(step)
-        if progress:
-            progress(step)
+        say(step.text())
         if not step.accepted or step.fitted is None:
             break
         selected = converge(e, folds, step.fitted.best, step.fitted.fits)
@@ -112,15 +188,23 @@ def forward_select(
 
 
 def propose(
-    known: CrossValidated, folds: np.ndarray, effects, gates: Gates, gain_so_far: float, progress: RoundProgress = NO_BAR
+    known: CrossValidated,
+    folds: np.ndarray,
+    effects,
+    gates: Gates,
+    gain_so_far: float,
+    report: Callable[[float], None] = lambda share: None,
 ) -> SelectionStep:
-    """The best set one effect larger than `known`, or with an earlier choice swapped, and whether it is accepted."""
+    """The best set one effect larger than `known`, or with an earlier choice swapped, and whether it is accepted.
+
+    report: called with the share of the round that is done.
+    """
     limits = thresholds().stepwise
-    whole = known.near.subset(known.near.everything)
+    whole = known.near.subset()
     base = on_records(whole, known.best)
     required = required_gain(gates, known, gain_so_far, uncontested=True)
     short = shortlist(known.near, base, effects, gates)
-    progress.report(0.4)
+    report(0.4)
 
     # What cannot gain enough where it was fitted cannot gain it where it was not: the costly part is skipped.
     best_in_sample = base.cost - short[0].cost
@@ -132,7 +216,7 @@ def propose(
     for i, c in enumerate(short[: gates.finalists]):
         if base.cost - c.cost > limits.finalist_fraction * best_in_sample:
             finalists.append(relinearise(known.near.origin, c, 1))
-        progress.report(0.4 + 0.3 * (i + 1) / gates.finalists)
+        report(0.4 + 0.3 * (i + 1) / gates.finalists)
     loss = [near.loss(best.row) for near, best in finalists]
     order = np.argsort(loss)
 
@@ -143,7 +227,7 @@ def propose(
         near, best = finalists[i]
         fitted = CrossValidated(near, best, tuple(refine(near.subset(~f), best) for f in folds))
         tried.append((i, fitted, before - fitted.loss(folds)))
-        progress.report(0.7 + 0.3 * len(tried) / limits.attempts)
+        report(0.7 + 0.3 * len(tried) / limits.attempts)
         if tried[-1][2] > required:
             break
     else:
@@ -160,7 +244,10 @@ def propose(
             accepted = True
             gain = joint
     ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
-    return SelectionStep(tuple(ranked), fitted, gain, accepted, gap_before_after(known, fitted, folds) if accepted else None)
+    moved = None
+    if accepted:
+        moved = (min(known.near.gap(known.near.model.null)[0], known.gap(folds)), fitted.gap(folds))
+    return SelectionStep(tuple(ranked), fitted, gain, accepted, moved)
 
 
 def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncontested: bool) -> float:
@@ -181,16 +268,10 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
     return min(others, default=np.inf) - loss[first]
 
 
-def gap_before_after(known: CrossValidated, fitted: CrossValidated, folds: np.ndarray) -> tuple[float, float]:
-    """What `SelectionStep.gap` holds."""
-    as_it_is = known.near.gap(known.near.model.null)[0]
-    return min(as_it_is, known.gap(folds)), fitted.gap(folds)
-
-
 # ------------------------------------------------------------------------------------------------------------------ candidates
 def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
-    whole = e.subset(e.everything)
+    whole = e.subset()
     few = e.subset(informative_records(base, e.layout))
     one = e.subset(informative_records(base, e.layout, 1))
     fine = one.grid_search(on_records(one, base), effects)
@@ -204,7 +285,7 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Can
 
 def informative_records(c: Candidate, layout, most: int | None = None) -> np.ndarray:
     """(L,) bool: the records in which most is unexpected."""
-    excess = likelihood.costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
+    excess = costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
     keep = np.zeros(len(layout.records), bool)
     keep[np.argsort(-excess)[: thresholds().stepwise.informative_records if most is None else most]] = True
     return keep
@@ -244,7 +325,7 @@ def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, nam
     """The same without one effect, fitted anew."""
     near = fitted.near
     fits = tuple(drop_effect(near.subset(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
-    return converge(e, folds, drop_effect(near.subset(near.everything), fitted.best, name), fits)
+    return converge(e, folds, drop_effect(near.subset(), fitted.best, name), fits)
 
 
 def loss_increase(fitted: CrossValidated, less: CrossValidated, folds: np.ndarray) -> float:

@@ -9,45 +9,145 @@ Admissible are
     static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
-    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same (sensor_terms.py)
-A robot that is its own mirror image has only products of the force's own parity. The others are kept as *one-sided* terms: they
-say that port and starboard differ, and have to gain more to stand before a mirror-symmetric one (select.py).
+    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same
+Parity is +1 even, -1 odd when port and starboard are exchanged. A robot that is its own mirror image has only products of the
+force's own parity. The others are kept as *one-sided* terms: they say that port and starboard differ, and have to gain more to
+stand before a mirror-symmetric one (select.py).
+
+A reading is a curve with one coefficient:
+
+    r = a + c f(a)      r' = (1 + c f'(a)) a'      the servo turns the joint until r, not a, is what was commanded
+    f = a               counts per turn; the first harmonic as far as a joint turns (sin a is a to within 6 % up to 35 degrees)
+    f = a^2, a^3        a potentiometer or a linkage with a bent characteristic
+    f = sin k a         a magnet off its axis, sine and cosine of unequal size, a field that is no pure sine: k = 2, 3, 4
+
+Whose sensor it is decides what the log shows:
+
+    servo reading     its own sensor errs, the log has the joint's angle from another one
+    encoder reading   one sensor for both: the log has r
 """
 
 import hashlib
+from collections.abc import Callable
 from functools import cache
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
+from fishmj import effects
 from fishmj.effects.effect import Effect, Parameter
-from fishmj.gap.terms.regressors import (
-    AHEAD,
-    ANGLE,
-    BEND,
-    LOAD,
-    MOTION,
-    RATE,
-    SLIP,
-    TAIL,
-    TIME,
-    TIP,
-    Factor,
-    X,
-    Y,
-    product,
-    signed,
-)
-from fishmj.gap.terms.sensor_terms import CURVES, in_the_log_too, in_the_loop
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.thresholds import thresholds
+from fishmj.mjcf.description import Robot
 
-FORCES = {
-    "surge force": ("fx", 1, 0.05),
-    "sway force": ("fy", -1, 0.1),
-    "yaw moment": ("n", -1, 0.01),
-}  # field, parity, usual size
-TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}  # parity, usual size
+
+class Factor(NamedTuple):
+    """One quantity. value: from the array namespace and a `BodyMotion`, `Gear` or `LocalWater`. size: usual in a session, SI."""
+
+    name: str
+    value: Callable
+    parity: int
+    size: float
+
+
+SURGE = Factor("surge speed", lambda xp, b: b.u, 1, 0.2)
+SWAY = Factor("sway speed", lambda xp, b: b.w, -1, 0.06)
+YAW = Factor("yaw rate", lambda xp, b: b.r, -1, 0.6)
+TAIL = Factor("tail rate", lambda xp, b: b.swing, -1, 4.0)
+BEND = Factor("tail angle", lambda xp, b: b.bend, -1, 0.8)
+MOTION = (SURGE, SWAY, YAW, TAIL)
+
+ANGLE = Factor("angle", lambda xp, g: g.angle, -1, 0.4)
+RATE = Factor("rate", lambda xp, g: g.rate, -1, 2.5)
+LOAD = Factor("motor torque", lambda xp, g: g.drive, -1, 0.4)
+
+TIP = thresholds().library.trailing_edge
+SLIP = Factor("tail speed sideways", lambda xp, k: k.w[-1] + k.omega[-1] * TIP, -1, 0.3)
+AHEAD = Factor("tail speed ahead", lambda xp, k: k.u[-1], 1, 0.2)
+
+X = Factor("place x", lambda xp, b: b.x, 0, 1.0)  # parity 0: the tank has no mirror
+Y = Factor("place y", lambda xp, b: b.y, 0, 1.0)
+TIME = Factor("session time", lambda xp, b: b.time, 1, 8.0)
+
+
+def signed(f: Factor) -> Factor:
+    """The square with the sign of its root: f |f|."""
+    return Factor(f"{f.name} squared, signed", lambda xp, b: f.value(xp, b) * xp.abs(f.value(xp, b)), f.parity, f.size**2)
+
+
+def product(*factors: Factor) -> Factor:
+    """All of them multiplied; equal ones are written as a power."""
+    names: dict[str, int] = {}
+    for f in factors:
+        names[f.name] = names.get(f.name, 0) + 1
+    words = {1: "", 2: " squared", 3: " cubed"}
+
+    def value(xp, b):
+        out = factors[0].value(xp, b)
+        for f in factors[1:]:
+            out = out * f.value(xp, b)
+        return out
+
+    parity = 1
+    size = 1.0
+    for f in factors:
+        parity *= f.parity
+        size *= f.size
+    name = " x ".join(name + words[n] for name, n in names.items())
+    return Factor(name, value, parity, size)
+
+
+class ReadingCurve(NamedTuple):
+    """f. value, slope: from the array namespace and the angle [rad]. parity: +1 even. size: usual in a session."""
+
+    name: str
+    value: Callable
+    slope: Callable
+    parity: int
+    size: float
+
+
+def harmonic(k: int) -> ReadingCurve:
+    """The sine of k times the angle."""
+    return ReadingCurve(f"sine of {k} x angle", lambda xp, a: xp.sin(k * a), lambda xp, a: k * xp.cos(k * a), -1, 0.7)
+
+
+CURVES = (
+    ReadingCurve("angle", lambda xp, a: a, lambda xp, a: 1.0, -1, 0.4),
+    ReadingCurve("angle squared", lambda xp, a: a * a, lambda xp, a: 2.0 * a, 1, 0.16),
+    ReadingCurve("angle cubed", lambda xp, a: a * a * a, lambda xp, a: 3.0 * a * a, -1, 0.064),
+    *(harmonic(k) for k in (2, 3, 4)),
+)
+
+
+def in_the_loop(curve: ReadingCurve) -> dict[str, Callable]:
+    """The sites of a servo reading."""
+
+    def servo(xp, p, s, memory, h):
+        error = s.error - p.coefficient * curve.value(xp, s.angle)
+        return s._replace(error=error, rate=s.rate * (1.0 + p.coefficient * curve.slope(xp, s.angle))), memory
+
+    return {"servo": servo}
+
+
+def in_the_log_too(curve: ReadingCurve) -> dict[str, Callable]:
+    """The sites of an encoder reading."""
+
+    def measure(xp, p, seen):
+        if not xp.any(p.coefficient):  # whole records of many fish, nearly all of which have another term
+            return seen
+        more = xp.expand_dims(p.coefficient + 0.0, -1) * curve.value(xp, seen.joint)
+        return seen._replace(joint=seen.joint + more)
+
+    return in_the_loop(curve) | {"measure": measure}
+
+
+# Force -> (field, parity, usual size) on the body; (parity, usual size) at the tail; direction in the tank.
+FORCES = {"surge force": ("fx", 1, 0.05), "sway force": ("fy", -1, 0.1), "yaw moment": ("n", -1, 0.01)}
+TAILS = {"force along the tail": (1, 0.05), "force across the tail": (-1, 0.1)}
 WORLD = {"force along x": (1.0, 0.0), "force along y": (0.0, 1.0)}
 USUAL = thresholds().library
-ONE = Factor("constant", lambda xp, b: 1.0, 0, 1, 1.0)
+ONE = Factor("constant", lambda xp, b: 1.0, 1, 1.0)
+_COMPILED: dict[str, SwimmingFish] = {}  # fingerprint -> the model with the library
 
 
 @cache
@@ -56,9 +156,10 @@ def library() -> tuple[Effect, ...]:
     return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep(), *reading_terms())
 
 
-def name_of(effect: Effect) -> str:
-    """Its systematic name: 'sway force ~ yaw rate x tail rate'."""
-    return effect.formula
+def model_with_terms(robot: Robot) -> SwimmingFish:
+    """The swimming fish of `robot` with the effects it lists, in which every term is at its null; compiled once a process."""
+    made = SwimmingFish(robot, catalogue=[*library(), *(effects.get(fitted.name) for fitted in robot.effects)])
+    return _COMPILED.setdefault(made.fingerprint, made)
 
 
 def one_sided(effect: Effect) -> bool:
@@ -109,7 +210,7 @@ def joint_terms() -> list[Effect]:
 
 def _held() -> Factor:
     """Direction of motion times load: friction that grows with what the gear carries."""
-    return Factor("motor torque, against the motion", lambda xp, g: xp.abs(g.drive) * g.rate / (xp.abs(g.rate) + 0.2), 0, -1, 0.4)
+    return Factor("motor torque, against the motion", lambda xp, g: xp.abs(g.drive) * g.rate / (xp.abs(g.rate) + 0.2), -1, 0.4)
 
 
 def hysteresis() -> Effect:
@@ -121,7 +222,7 @@ def hysteresis() -> Effect:
         z = z + h * g.rate * (1.0 - z * z / 0.01 * xp.where(turning > 0.0, 1.0, 0.0))
         return g._replace(torque=g.torque + p.coefficient * z / 0.1), (z,)
 
-    memory = Factor("hysteresis of the angle", lambda xp, g: g.angle, 0, -1, 1.0)
+    memory = Factor("hysteresis of the angle", lambda xp, g: g.angle, -1, 1.0)
     return provisional("joint torque", memory, USUAL.torque, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
@@ -133,41 +234,35 @@ def creep() -> Effect:
         rest = rest + (g.angle - rest) * (h / 0.5)
         return g._replace(torque=g.torque + p.coefficient * (g.angle - rest)), (rest,)
 
-    memory = Factor("creep of the angle", lambda xp, g: g.angle, 0, -1, 0.4)
+    memory = Factor("creep of the angle", lambda xp, g: g.angle, -1, 0.4)
     return provisional("joint torque", memory, USUAL.torque, True, gear=gear, memory=(0.0,), stage="actuator")
 
 
 def reading_terms() -> list[Effect]:
     """Readings of every joint's sensor alike, in the servo's loop, and in the log too."""
     return [
-        provisional(
-            reading, Factor(f.name, f.value, 0, f.parity, f.size), USUAL.reading, f.parity < 0, stage="measurement", **sites(f)
-        )
+        provisional(reading, f, USUAL.reading, f.parity < 0, stage="measurement", **sites(f))
         for reading, sites in (("servo reading", in_the_loop), ("encoder reading", in_the_log_too))
         for f in CURVES
     ]
 
 
-def provisional(force: str, f: Factor, size: float, symmetric: bool, stage: str = "hydrodynamics", **site) -> Effect:
+def provisional(
+    force: str, f: Factor | ReadingCurve, size: float, symmetric: bool, stage: str = "hydrodynamics", **site
+) -> Effect:
     """The effect of one term, called X- and a hash of its name."""
     formula = f"{force} ~ {f.name}"
     usual = size / f.size
+    bound = USUAL.bound * usual
     unit = "rad" if stage == "measurement" else "N m" if force in ("yaw moment", "joint torque") else "N"
+    unit += " per SI unit of the product"
     return Effect(
         name=f"X-{hashlib.sha256(formula.encode()).hexdigest()[:8]}",
         stage=stage,
         about="mirror-symmetric" if symmetric else "one-sided: port and starboard differ",
         formula=formula,
         source="none: a term of the typed library",
-        parameters=(
-            Parameter(
-                name="coefficient",
-                unit=f"{unit} per SI unit of the product",
-                low=-USUAL.bound * usual,
-                high=USUAL.bound * usual,
-                typical=(0.1 * usual, usual),
-            ),
-        ),
+        parameters=(Parameter(name="coefficient", unit=unit, low=-bound, high=bound, typical=(0.1 * usual, usual)),),
         shows=("joint",) if {"gear", "servo"} & set(site) else ("position", "heading"),
         **site,
     )

@@ -13,17 +13,18 @@ stability  share of half-samples of thirds of records in which it is one of the 
 sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from fishmj.effects.effect import Effect
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import leftover, whitening
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.terms.library import library, name_of, one_sided
+from fishmj.gap.terms.library import library, model_with_terms, one_sided
 from fishmj.gap.thresholds import thresholds
 
 LIMITS = thresholds().terms
@@ -52,23 +53,16 @@ class Term:
     @property
     def firm(self) -> bool:
         """Whether it passes every doubt."""
-        return (
-            self.gain > 0
-            and self.q <= LIMITS.false_discovery
-            and self.stability >= LIMITS.stability
-            and self.closure >= LIMITS.closure
-        )
+        found = self.gain > 0 and self.q <= LIMITS.false_discovery
+        return found and self.stability >= LIMITS.stability and self.closure >= LIMITS.closure
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
-    """The terms that describe what `records` show beyond the model, best first.
-
-    Args:
-        model: the fish with the library in it. null: (n, m) residuals of null runs at the windows of `records`.
-    """
+    """The terms that describe what `records` show beyond the model, the fish with the library in it, best first. null: (n, m)
+    residuals of null runs at the windows of `records`."""
     e = Likelihood(model, records, null)
-    whole = e.subset(e.everything)
+    whole = e.subset()
     terms = [x for x in model.active.effects if x in library()]
     base = whole.base()
     g, probed = signatures(whole, terms)
@@ -91,6 +85,15 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
         net[k] = (gain - floor[k]) * sided[k]
     ranked = sorted(order, key=lambda k: -net[k])[: LIMITS.listed]
     return tuple(_term(terms, k, polished, base, net, q, stable, g, e.layout.size, model) for k in ranked)
+
+
+def describe(e: Likelihood, null: SimulatedNull, seed: int) -> tuple[dict, ...]:
+    """The terms of the records of `e` as plain dictionaries; none for a model that is no swimming fish."""
+    if not isinstance(e.model, SwimmingFish):
+        return ()
+    residuals = null.residuals(e.model, e.records, e.layout)
+    terms = terms_of(model_with_terms(e.model.robot), e.records, residuals, seed)
+    return tuple(asdict(t) | {"firm": t.firm} for t in terms)
 
 
 def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
@@ -120,23 +123,13 @@ def _term(terms, k, polished, base, net, q, stable, g, size, model) -> Term:
     c = polished[terms[k].name]
     norm = np.linalg.norm(g, axis=1) + 1e-300
     cos = np.abs(g @ g[k]) / norm / norm[k]
-    alike = tuple(name_of(terms[j]) for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
+    alike = tuple(terms[j].formula for j in np.argsort(-cos) if cos[j] > LIMITS.cosine and j != k)
     p = effect.parameters[0]
     value = float(c.row[model.index(effect.name, p.name)])
     excess = base.cost - size
     closure = float((base.cost - c.cost) / excess) if excess > 0 else 0.0
-    return Term(
-        name_of(effect),
-        effect.name,
-        value,
-        p.unit,
-        closure,
-        float(net[k]),
-        float(q[k]),
-        float(stable[k]),
-        one_sided(effect),
-        alike,
-    )
+    doubts = (float(net[k]), float(q[k]), float(stable[k]))
+    return Term(effect.formula, effect.name, value, p.unit, closure, *doubts, one_sided(effect), alike)
 
 
 def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np.ndarray]:
@@ -169,11 +162,7 @@ def sums(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np
 
 def held_out_gains(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """(K,) gain of each term on groups it was not fitted to, one at a time."""
-    return held_out_gain(*sums(z, g, onto))
-
-
-def held_out_gain(b: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """The same from the sums by record: c(-l) = b(-l)/a(-l), gain 2 c b_l - c^2 a_l."""
+    b, a = sums(z, g, onto)  # c(-l) = b(-l) / a(-l), gain 2 c b_l - c^2 a_l
     c = (b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
     return np.sum(2 * c * b - c * c * a, 1)
 
@@ -197,12 +186,10 @@ def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray)
     return each * max(1.0, float(np.percentile(luckiest, 95)))
 
 
-def decoy_gains(
-    z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng, draws: int = LIMITS.decoys
-) -> np.ndarray:
-    """(draws K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
+def decoy_gains(z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng) -> np.ndarray:
+    """(decoys K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
     out = []
-    for _ in range(draws):
+    for _ in range(LIMITS.decoys):
         moved = np.empty_like(g)
         shift = rng.uniform(0.125, 0.875, len(layout.records))
         for b in layout.blocks:
@@ -223,7 +210,7 @@ def discovery(gains: np.ndarray, decoys: np.ndarray) -> np.ndarray:
     return out
 
 
-def stability(z, g, onto: np.ndarray, share, rng, draws: int = LIMITS.half_samples) -> np.ndarray:
+def stability(z, g, onto: np.ndarray, share, rng) -> np.ndarray:
     """(K,) how often each term is among the first two when only half of the groups are looked at.
 
     share: (K,) what of each term's gain is left once null runs and sides are counted.
@@ -231,8 +218,8 @@ def stability(z, g, onto: np.ndarray, share, rng, draws: int = LIMITS.half_sampl
     b, a = sums(z, g, onto)
     count = onto.shape[1]
     hits = np.zeros(len(g))
-    for _ in range(draws):
+    for _ in range(LIMITS.half_samples):
         half = rng.permutation(count)[: max(2, count // 2)]
         gain = b[:, half].sum(1) ** 2 / (a[:, half].sum(1) + 1e-12) * np.clip(share, 0.0, 1.0)
         hits[np.argsort(-gain)[:2]] += 1
-    return hits / draws
+    return hits / LIMITS.half_samples

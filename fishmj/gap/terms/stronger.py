@@ -7,19 +7,26 @@ A name is a formula, and has to do better than one that knows nothing: the best 
 model as it is and judged as the name was, held out and by the likelihood linearised at itself. A right name leads by hundreds and
 more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
 to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
+
+Nor does a term that is an effect's own formula say anything against the effect. Alike are what both do in states drawn at
+random: the push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
+where a joint comes to rest and what the log says of it. -Y |u| w is a sway force ~ surge speed x sway speed, whatever either does
+astern; a damping is a joint torque ~ rate; a command's gain a servo reading ~ angle.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.search.cross_validation import CrossValidated
+from fishmj.effects.effect import Effect
+from fishmj.effects.sites import BodyMotion, Gear, Measured, ServoDrive
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search.fit import Candidate, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, relinearise
-from fishmj.gap.search.stepwise import Selection, informative_records
-from fishmj.gap.terms.equivalence import is_own_formula
-from fishmj.gap.terms.library import library, name_of
+from fishmj.gap.search.stepwise import CrossValidated, Selection, informative_records
+from fishmj.gap.terms.library import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor, library, model_with_terms
 from fishmj.gap.terms.select import shortlist, signatures
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
@@ -35,14 +42,12 @@ class StrongerTerm(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
-def challenge(model, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
-    """The verdict, with the lead of the best free term; UNEXPLAINED where that is more than chance.
-
-    Args:
-        model: the fish with the library in place of the catalogue (terms.model_with_terms).
-    """
+def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
+    """The verdict (of a swimming fish) with the lead of the best free term; UNEXPLAINED where that is more than chance."""
+    if not isinstance(e.model, SwimmingFish):
+        return verdict
     limits = thresholds()
-    free = strongest_term(model, e, found)
+    free = strongest_term(model_with_terms(e.model.robot), e, found)
     lead = free.gain - verdict.gates["gain"]
     allowed = max(limits.likelihood.model_error, limits.stronger.form_ratio * found.near.form)
     checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
@@ -59,7 +64,7 @@ def outdone(checks: dict) -> bool:
     return checks.get("lead", 0.0) > thresholds().stronger.lead and checks["believed"]
 
 
-def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
+def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> StrongerTerm:
     """The term that explains most of the records of `e`, but for those that are the formula of what was found."""
     start = e.with_model(model)
     folds = found.folds
@@ -69,13 +74,13 @@ def strongest_term(model, e: Likelihood, found: Selection) -> StrongerTerm:
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
     fitted = CrossValidated(near, c, tuple(refine(near.subset(~f), c) for f in folds))
     before = sum(e.subset(f).loss(found.base.row) for f in folds)
-    return StrongerTerm(name_of(terms[c.names[0]]), before - fitted.loss(folds), near.form)
+    return StrongerTerm(terms[c.names[0]].formula, before - fitted.loss(folds), near.form)
 
 
 def best_in_sample(start: Likelihood, terms: list) -> list[Candidate]:
     """The best terms by |z|^2: found on the few records in which most is unexpected, fitted to all."""
     limits = thresholds().stronger
-    whole = start.subset(start.everything)
+    whole = start.subset()
     base = whole.base()
     few = start.subset(informative_records(base, start.layout))
     here = on_records(few, base)
@@ -84,3 +89,63 @@ def best_in_sample(start: Likelihood, terms: list) -> list[Candidate]:
     screened = few.screen(here, [terms[k] for k in shortlist(first_order, probed)])[: limits.screened]
     fitted = sorted((on_records(whole, c) for c in screened), key=lambda c: c.cost)[: limits.fitted]
     return whole.refine(fitted, 3)[: limits.tried]
+
+
+LIMITS = thresholds().equivalence
+
+
+def is_own_formula(effect: Effect, term: Effect) -> bool:
+    """Whether a term is the effect's own formula; only of effects that push the body, turn a joint or move its rest, and that
+    remember nothing."""
+    if effect.memory or term.memory:
+        return False
+    pairs = [(does(effect), does(term)) for does in (pushes, torques, rests)]
+    return any(bool(abs(a @ b) > LIMITS.cosine * np.linalg.norm(a) * np.linalg.norm(b) > 0.0) for a, b in pairs)
+
+
+def pushes(effect: Effect) -> np.ndarray:
+    """(3 n,) over n random states of an effect at its usual size; zero of one that does not push."""
+    if effect.body is None:
+        return np.zeros(3 * LIMITS.states)
+    u, w, r, swing, bend = drawn(SURGE, SWAY, YAW, TAIL, BEND)
+    still = dict.fromkeys(BodyMotion._fields, 0.0) | {"sway_mass": 1.0, "drag": 1.0, "wet": 1.0, "added": 1.0}
+    state = BodyMotion(**still | {"u": np.abs(u), "w": w, "r": r, "swing": swing, "bend": bend})
+    pushed, _ = effect.body(np, usual(effect), state, effect.memory, LIMITS.step)
+    return np.concatenate([np.broadcast_to(x, LIMITS.states) for x in (pushed.fx, pushed.fy, pushed.n / LIMITS.length)])
+
+
+def torques(effect: Effect) -> np.ndarray:
+    """(n,) of an effect at its usual size on a joint; zero of one that is in no gear."""
+    if effect.gear is None:
+        return np.zeros(LIMITS.states)
+    angle, rate, drive = drawn(ANGLE, RATE, LOAD)
+    state = Gear(drive, angle, rate, torque=0.0, resist=0.0, wet=1.0, kb=0.1, limit=1.6)
+    turned, _ = effect.gear(np, usual(effect), state, effect.memory, LIMITS.step)
+    return np.broadcast_to(turned.torque - turned.resist * rate + turned.drive - drive, LIMITS.states)
+
+
+def rests(effect: Effect) -> np.ndarray:
+    """(2 n,) by how much a joint comes to rest off its command with an effect at its usual size, and the log off both."""
+    (asked,) = drawn(ANGLE)
+    values = usual(effect)
+    shift = np.zeros(LIMITS.states)
+    reading = asked
+    if effect.command is not None:
+        shift = effect.command(np, values, asked, effect.memory, LIMITS.step)[0] - asked
+    if effect.servo is not None:
+        state = ServoDrive(shift, asked, rate=0.0, kp=1.0, kv=0.0, kb=0.1, limit=1.6, current=0.0, time=0.0)
+        shift = effect.servo(np, values, state, effect.memory, LIMITS.step)[0].error
+    if effect.measure is not None:
+        still = dict.fromkeys(Measured._fields, np.zeros(LIMITS.states))
+        reading = effect.measure(np, values, Measured(**still | {"joint": asked[:, None]})).joint[:, 0]
+    return np.concatenate([np.broadcast_to(x, LIMITS.states) for x in (shift, shift + reading - asked)])
+
+
+def drawn(*factors: Factor) -> np.ndarray:
+    """(len(factors), n) values of their usual size."""
+    return np.random.default_rng(0).standard_normal((len(factors), LIMITS.states)) * np.array([[f.size] for f in factors])
+
+
+def usual(effect: Effect) -> SimpleNamespace:
+    """The parameters at their usual size."""
+    return SimpleNamespace(**{p.name: p.null if p.shape else p.probe for p in effect.parameters}, joint=0)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from fishmj.gap.null.whitening import residual_and_tangents, whitening
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import EffectFitter
 
 LONGEST = 200  # averages over which an autocorrelation is summed

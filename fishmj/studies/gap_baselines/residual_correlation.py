@@ -8,8 +8,7 @@ The largest rho / bound above LOUD is named by the effect for which such a corre
 
 import numpy as np
 
-from fishmj.gap.records.records import Record
-from fishmj.gap.records.residual import ChannelBlock, ResidualLayout
+from fishmj.gap.records.records import ChannelBlock, Record, ResidualLayout
 from fishmj.studies.gap_baselines.answer import NOTHING, Answer, unsized
 from fishmj.studies.gap_baselines.noise import tau
 

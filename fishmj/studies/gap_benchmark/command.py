@@ -14,7 +14,7 @@ from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.commands import gap_options
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
 from fishmj.store import write_text

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated_null import SimulatedNull
-from fishmj.gap.records.records import record_of
-from fishmj.gap.records.residual import ResidualLayout
-from fishmj.gap.terms import model_with_terms, terms_of
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.records.records import ResidualLayout, record_of
+from fishmj.gap.terms.library import model_with_terms
+from fishmj.gap.terms.select import terms_of
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark import cases, command
 from fishmj.studies.gap_benchmark.run import true_gap

@@ -7,10 +7,9 @@ from functools import cache
 import numpy as np
 
 from fishmj.errors import SimDiverged
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import residual_and_tangents
-from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import Record, ResidualLayout, record_of
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.verdict import Named
 from fishmj.gap.workflow import investigate

@@ -15,8 +15,7 @@ from typing import NamedTuple
 from fishmj.calib import calib_folder
 from fishmj.engines import in_water
 from fishmj.errors import StoreError
-from fishmj.gap.null.recorded_null import RecordedNull, trials_of
-from fishmj.gap.null.simulated_null import SimulatedNull
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.log import Trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json

@@ -11,7 +11,7 @@ independent share. There is no adequacy to be read from it, since the scatter ho
 import numpy as np
 
 from fishmj.gap.null.whitening import Whitening, whitening
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout
 
 LEAST = 1e-3  # of a column's rms: D never goes below
 

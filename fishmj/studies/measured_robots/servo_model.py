@@ -18,8 +18,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import Gear, Measured, ServoDrive
-from fishmj.gap.models.interpolation import hermite
-from fishmj.gap.models.kernel import Kernel
+from fishmj.gap.models.kernel import Kernel, hermite
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.units import G

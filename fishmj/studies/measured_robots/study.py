@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap.null.whitening import Whitening
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, EffectFitter
 from fishmj.gap.thresholds import thresholds

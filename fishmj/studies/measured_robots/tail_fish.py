@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap.models.swimming_fish import Constant
-from fishmj.gap.records.records import Sensor
-from fishmj.gap.records.residual import ResidualLayout
+from fishmj.gap.records.records import ResidualLayout, Sensor
 from fishmj.log import Trial
 from fishmj.studies.measured_robots.answer import described, solved
 from fishmj.studies.measured_robots.decoy_terms import RIVALS

@@ -4,29 +4,34 @@
 
 The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
 and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
-an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (source_digest.py),
-so a standard experiment is run once a machine.
+an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (`digest`), so a
+standard experiment is run once a machine.
+
+`RecordedNull` takes runs that were swum elsewhere (data/gap/lbm/nulls: of the flow solver): nothing can be made on the spot, an
+experiment that the sets do not hold has no null.
 """
 
+import ast
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
+import fishmj
 from fishmj.calib import resolve
-from fishmj.errors import SimDiverged, StoreError
+from fishmj.errors import LogError, SimDiverged, StoreError
 from fishmj.excitation import Excitation
-from fishmj.gap.null import source_digest
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.records.residual import WINDOW, ResidualLayout
-from fishmj.gap.watch import Bar, Bars, silent
+from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
+from fishmj.gap.watch import Bars, silent
+from fishmj.log import Trial
+from fishmj.log.dataset import read_bundle
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, sha256, write_npz
@@ -34,7 +39,11 @@ from fishmj.store import read_npz, sha256, write_npz
 Tick = Callable[[int], None]
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
 RUNS = 96
+MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # that may be asked for
+FEWEST = 12  # fish of recorded runs
+ALIKE = 1e-3  # rad between two commands, m and rad between two starts
 SIMULATOR = "fishmj.virtual_robot.trials"
+SOURCES = Path(fishmj.__file__).resolve().parent
 
 
 @dataclass(frozen=True)
@@ -73,7 +82,11 @@ class SimulatedNull:
             return
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
-                self.experiment(model, record, partial(_counted, bar, i * self.runs))
+
+                def tick(done: int, before: int = i * self.runs) -> None:
+                    bar.update(before + done)
+
+                self.experiment(model, record, tick)
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
@@ -130,14 +143,9 @@ class SimulatedNull:
         drawn = [self.runs, self.nuisance, self.noise, self.seed]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
         swims = hashlib.sha256(repr(model.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
-        made = [source_digest.digest(SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]
+        made = [digest(SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]
         text = json.dumps([*made, swims, model.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
-
-
-def _counted(bar: Bar, before: int, done: int) -> None:
-    """`done` runs of one experiment, on the bar of all."""
-    bar.update(before + done)
 
 
 def kept_at(key: str) -> Path:
@@ -147,7 +155,7 @@ def kept_at(key: str) -> Path:
 
 def model_digest(model) -> str:
     """Hash of the code that predicts the null runs and takes their residuals."""
-    return source_digest.digest(type(model).__module__, "fishmj.gap.records.records", "fishmj.gap.records.residual")
+    return digest(type(model).__module__, "fishmj.gap.records.records")
 
 
 def as_excitation(record: Record) -> Excitation:
@@ -160,3 +168,106 @@ def as_excitation(record: Record) -> Excitation:
         start=(round(float(x), 3), round(float(y), 3), round(float(yaw), 3)),
         push=(float(u), float(w), float(r)),
     )
+
+
+@dataclass(frozen=True)
+class RecordedNull(SimulatedNull):
+    """folder: one bundle (.npz) a fish. without: names of bundles left out. The draws of `SimulatedNull` are not used."""
+
+    folder: Path = Path()
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "runs", len(self.bundles))  # of a frozen dataclass
+
+    @property
+    def bundles(self) -> list[Path]:
+        """Of every fish that takes part.
+
+        Raises:
+            LogError: too few.
+        """
+        found = [path for path in sorted(self.folder.glob("*.npz")) if path.stem not in self.without]
+        if len(found) < FEWEST:
+            raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
+        return found
+
+    def holds(self, excitation: str) -> bool:
+        return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
+
+    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
+        """The experiment of every fish; noise and constants are what they were."""
+        out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
+        if len(out) != len(self.bundles):
+            held = ", ".join(sorted({str(t.value("excitation")) for t in trials_of(self.bundles[0])}))
+            did = f"experiment {what.id!r} of record {record.name} was done by {len(out)} of {len(self.bundles)} fish"
+            raise LogError(f"{self.folder}: {did}; expected all. The sets hold {held}")
+        return out
+
+    def _key(self, model, record: Record, what: Excitation) -> str:
+        made = [[sha256(path) for path in self.bundles], digest("fishmj.log.dataset"), model_digest(model)]
+        text = json.dumps([*made, model.fingerprint, what.id, *WINDOW, record.dt, *what.start])
+        return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
+
+
+@cache
+def trials_of(path: Path) -> tuple[Trial, ...]:
+    """The trials of one fish, read once."""
+    return tuple(read_bundle(path))
+
+
+def _same(trial: Trial, what: Excitation, record: Record) -> bool:
+    """Whether a trial is that experiment: its name, what was commanded, where it began and how it moved."""
+    if str(trial.value("excitation", "")) != what.id:
+        return False
+    other = record_of(trial, record.dt)
+    rows = min(len(other.commands), len(record.commands))
+    moved = np.abs(np.subtract([*other.place, *other.push, *other.flow], [*record.place, *record.push, *record.flow])).max()
+    return bool(moved < ALIKE and np.mean(np.abs(other.commands[:rows] - record.commands[:rows])) < ALIKE)
+
+
+def null_of(drawn: dict) -> SimulatedNull:
+    """As a report or a version says how null runs are drawn (reported.py): runs, noise, seed, folder of recorded ones."""
+    return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else SimulatedNull(**drawn)
+
+
+# ------------------------------------------------------------------------------------------------------------------ source digest
+@cache
+def digest(*modules: str) -> str:
+    """Hash of the source of `modules` (dotted names within fishmj) and of everything in fishmj that they import.
+
+    Imports are read off the source, those inside functions too, so that no list has to be kept by hand. A package counts by its
+    `__init__.py` and by what of it is imported; modules that are found by name at run time (the effects of the catalogue) do not.
+    """
+    files = reached(*modules)
+    text = b"".join(name.encode() + b"\0" + files[name].read_bytes() + b"\0" for name in sorted(files))
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def reached(*modules: str) -> dict[str, Path]:
+    """Module -> file, of `modules` and everything in fishmj that they import."""
+    todo, found = list(modules), {}
+    while todo:
+        name = todo.pop()
+        path = None if name in found else _file(name)
+        if path is not None:
+            found[name] = path
+            todo += [*_imports(path), name.rpartition(".")[0]]
+    return found
+
+
+def _file(name: str) -> Path | None:
+    """Where a module of fishmj lives; None for other names, such as a function of a module."""
+    first, *rest = name.split(".")
+    place = SOURCES.joinpath(*rest)
+    files = (place / "__init__.py", place.with_suffix(".py")) if first == "fishmj" else ()
+    return next((path for path in files if path.is_file()), None)
+
+
+def _imports(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)

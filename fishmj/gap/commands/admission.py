@@ -1,0 +1,350 @@
+"""What is asked of a model and of logs before a search: so that no name comes out of nothing, or of a mistake.
+
+searchable, null_fits   the search traces the model's links into one compiled step and repeats every record with `virtual_robot`;
+                        both are built for the planar fish of four links
+admitted                the trials that are the model's: what goes by another name may still be the same robot, which is the
+                        user's to say
+insufficient_data       too few     one record cannot both fit and judge
+                        too short   no record lasts 2 s: less than two beats
+                        too quiet   no command moves, nothing was pushed, no water flowed: every effect predicts the same rest
+admit                   a gap so large that no missing effect is meant by it: other units, a sign, another frame, another robot
+
+One or two effects of the catalogue, at up to one and a half times their typical size, reach a gap of 1000 in nine of 1440 blind
+sets of the benchmark (tethers, stiff skins, up to 18,946: docs/figures/gap/bench_2010.json, bench_2011.json). So a search stops
+where a cause is recognised, from FAR on in one channel, and in any case from BEYOND on; docs/results/gap_benchmark.md says
+how often that is wrong.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import console, effects
+from fishmj.errors import ConfigError, FishmjError, LogError
+from fishmj.excitation import PERIOD
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
+from fishmj.gap.records import datasets
+from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.wording import title
+from fishmj.log import Trial
+from fishmj.log.dataset import Taken
+from fishmj.mjcf.description import Robot, load_robot
+
+LINKS = 4
+SHIPPED = "fish"  # what the null sets swam as, which say a name only
+MEANWHILE = "what works meanwhile: fishmj calibrate, train and replay take any number of links"
+
+
+def searchable(robot: Robot, model: object) -> None:
+    """Raise ConfigError when the search cannot take this robot. model: what the user called it."""
+    if len(robot.links) != LINKS:
+        has = f"{model} has {len(robot.links)} links"
+        raise ConfigError(f"the search so far takes fish of four links and three joints; {has} ({MEANWHILE})")
+    ticks = PERIOD / robot.timing.physics_dt
+    if abs(ticks - round(ticks)) > 1e-6:
+        step = f"{model} has physics_dt = {robot.timing.physics_dt:g} s"
+        raise ConfigError(f"the search repeats commands every {PERIOD:g} s, a whole number of physics steps; {step}; take 0.004")
+
+
+def admitted(data: Path, robot: Robot, model: object, agreed: bool) -> tuple[Taken, tuple[str, ...]]:
+    """The trials of a data set that can be compared with the model, and notes on them.
+
+    Raises:
+        LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
+    """
+    given = datasets.readable_trials(data, robot.timing.physics_dt)
+    whose = of_this_robot(given.trials.values(), robot, model, agreed)
+    notes = (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose)
+    for note in notes:
+        console.warn(note)
+    return given, notes
+
+
+def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: bool = False) -> list[str]:
+    """Notes on whose the trials are.
+
+    Args:
+        model: what the user called the robot. agreed: logs of another name are meant (`--same-robot`).
+    Raises:
+        LogError: another number of joints, or another robot's name that nobody agreed to.
+    """
+    said: Counter[str] = Counter()
+    for trial in trials:
+        joints = joints_of(trial)
+        name = str(trial.value("robot", "") or "")[:64]
+        said[name] += 1
+        if joints and joints != robot.n_joints:
+            whose = f"trial {trial.name} ({name or 'no robot named'}) has {joints} joints"
+            mine = f"the model {model} ({robot.name}) {robot.n_joints}"
+            raise LogError(f"{whose}, {mine}; name the model of that robot with --model")
+    others = sorted(name for name in said if name and name != robot.name)
+    if others:
+        differ = f"the logs are of {', '.join(map(repr, others))}, the model {model} is {robot.name!r}"
+        if not agreed and not console.confirmed(f"{differ}. Is it the same robot?"):
+            raise LogError(f"{differ}; name its own model with --model, or pass --same-robot if it is the same robot")
+        return [f"{differ}: taken for the same robot"]
+    return [f"{said['']} of {said.total()} trials name no robot; taken for {robot.name!r}"] if said[""] else []
+
+
+def joints_of(trial: Trial) -> int:
+    """Joints that were commanded, or else measured; 0 where neither table is there."""
+    for table, letter in (("cmd", "c"), ("joint", "j")):
+        columns = trial.tables.get(table, {})
+        if columns:
+            return sum(1 for name in columns if name[0] == letter and name[1:].isdigit())
+    return 0
+
+
+def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
+    """Raise ConfigError when null sets were swum by another robot than the questioned model's."""
+    if not isinstance(null, RecordedNull):
+        return
+    trial = trials_of(null.bundles[0])[0]
+    name, joints = str(trial.value("robot", "") or "")[:64], joints_of(trial)
+    if joints != robot.n_joints or (name and name != robot.name):
+        swum = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
+        mine = f"the model {model} is {robot.name!r} with {robot.n_joints}"
+        raise ConfigError(f"{swum}; {mine}. Leave --null out: runs are made anew")
+    differs = differences(load_robot(SHIPPED), robot)
+    if differs:
+        swum = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
+        raise ConfigError(f"{swum}; leave --null out: runs of this model are made anew")
+
+
+def differences(one: Robot, other: Robot) -> list[str]:
+    """Fields in which two descriptions differ, water, effects and names apart."""
+    bare = [replace(r, effects=(), water={}, name="", title="") for r in (one, other)]
+    out = [key for key in ("links", "fins", "density_water") if getattr(bare[0], key) != getattr(bare[1], key)]
+    for table in ("servo", "timing"):
+        a, b = (vars(getattr(r, table)) for r in bare)
+        out += [
+            f"{table}.{key} ({a[key]:g}, {b[key]:g})" if isinstance(a[key], float) else f"{table}.{key}"
+            for key in a
+            if a[key] != b[key]
+        ]
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------------------- enough to tell
+FEWEST, SHORTEST, QUIETEST = 2, 2.0, np.radians(1.0)  # records, s, rad of command from end to end
+NEXT = 4  # excitations to suggest
+
+
+@dataclass(frozen=True)
+class InsufficientData:
+    """Why nothing can be told. confounded: effects that these records cannot tell apart. record: excitations to do next."""
+
+    reason: str
+    confounded: tuple[str, ...]
+    record: tuple[str, ...]
+
+    def text(self) -> str:
+        """For a terminal."""
+        names, todo = ", ".join(map(title, self.confounded)), ", ".join(self.record)
+        return f"{self.reason}\nconfounded: {names}\nrecord next: {todo} (fishmj.excitation; two runs of each)"
+
+
+def insufficient_data(given: Taken, robot: Robot) -> InsufficientData | None:
+    """What a data set lacks to tell effects apart, those that change the mean of a log; None when nothing."""
+    records = [record_of(t, robot.timing.physics_dt) for t in given.trials.values()]
+    moved = max(float(np.ptp(r.commands, 0).max()) for r in records)
+    alone = not any(np.any(r.push) or np.any(r.flow) for r in records)
+    longest = max(r.seconds for r in records)
+    if len(records) < FEWEST:
+        reason = f"too few: {len(records)} record, at least {FEWEST} are needed, one to fit and one to judge"
+    elif longest < SHORTEST:
+        reason = f"too short: the longest record has {longest:.2f} s, at least {SHORTEST:g} s are needed"
+    elif moved < QUIETEST and alone:
+        reason = f"too quiet: commands move by {np.degrees(moved):.2f} deg at most, nothing was pushed and no water flowed"
+    else:
+        return None
+    measured = channels(records)
+    seen = [e for e in effects.catalogue().values() if not e.stochastic and measured & set(e.shows)]
+    names = {e.name for e in seen}
+    votes = Counter(x for e in seen for c in e.confusions if c.other in names for x in c.excitations)
+    return InsufficientData(reason, tuple(sorted(names)), tuple(x for x, _ in votes.most_common(NEXT)))
+
+
+def channels(records: list[Record]) -> set[str]:
+    """Channels that were measured."""
+    has = lambda name: any(getattr(r, name) is not None for r in records)
+    found = {"joint"} if has("joint") else set()
+    return found | ({"position", "heading"} if has("pose") else set()) | ({"power"} if has("power") else set())
+
+
+# ------------------------------------------------------------------------------------------------------------------ too different
+FAR, BEYOND = 1e3, 1e5  # mean squares over the floor: of the worst channel, of all
+UNITS = {
+    "joint": ((57.3, "degrees"),),
+    "yaw": ((57.3, "degrees"),),
+    "path": ((1000.0, "mm"), (100.0, "cm")),
+    "power": ((1000.0, "mW"),),
+}
+NEAR = 1.35  # a ratio of amplitudes within this factor of a unit's is that unit
+AGAINST, ALIKE, STILL = -0.6, 0.8, 0.1  # correlations; part of the model's amplitude
+BENT, TURNED, AWAY = 0.35, 0.5, 0.5  # rad of a joint's mean, rad of a path's direction, m from where it was put
+JUMP = 0.4  # rad between two frames, in a tenth of them
+MOVES = {"joint": 0.02, "yaw": 0.05, "path": 0.05, "power": 0.2}  # rad, rad, m, W: less says nothing about a ratio
+
+
+class TooDifferent(FishmjError):
+    """Model and logs are so far apart that a search would only name what imitates the mistake."""
+
+    def __init__(self, gap: float, channels: dict[str, float], causes: list[str]):
+        parts = ", ".join(f"{name} {value:.3g}" for name, value in channels.items())
+        super().__init__(f"the gap is {gap:.3g} times the floor (mean square; {parts}): too different to tell what is missing")
+        self.gap, self.channels, self.causes = gap, channels, causes
+
+    def told(self, json: bool, **more: object) -> int:
+        """Say it, as JSON too where that is asked for; the exit code."""
+        console.say(str(self), *(f"  {cause}" for cause in self.causes), "search all the same with --anyway")
+        if json:
+            console.emit_json({"reason": str(self), "gap": self.gap, "channels": self.channels, "causes": self.causes} | more)
+        return console.CANNOT_TELL
+
+
+class Pair(NamedTuple):
+    """One channel, measured and predicted, each record less its own mean; records end to end."""
+
+    measured: np.ndarray
+    predicted: np.ndarray
+    offset: float  # mean of measured less predicted
+
+    @property
+    def ratio(self) -> float:
+        """Of amplitudes."""
+        return float(np.std(self.measured) / max(np.std(self.predicted), 1e-12))
+
+    @property
+    def correlation(self) -> float:
+        scale = float(np.std(self.measured) * np.std(self.predicted))
+        return float(np.mean(self.measured * self.predicted)) / scale if scale > 0 else 0.0
+
+
+def admit(e: Likelihood, anyway: bool = False) -> None:
+    """Let a search go on, or not. anyway: the user has said that such a gap is meant.
+
+    Raises:
+        TooDifferent: the gap is beyond BEYOND, or beyond FAR with a cause that is recognised, and nobody agreed to it.
+    """
+    gap, channels = e.gap(e.model.null)
+    if anyway or max(gap, *channels.values()) <= FAR:
+        return
+    causes = likely(e)
+    if not causes and gap <= BEYOND:
+        return
+    found = TooDifferent(gap, channels, causes or ["no usual cause is recognised; is it the data of this robot?"])
+    if console.confirmed("\n".join([str(found), *(f"  {c}" for c in found.causes), "Search all the same?"])):
+        return
+    raise found
+
+
+def likely(e: Likelihood) -> list[str]:
+    """Likely causes, channel by channel."""
+    predictions = e.model.predict(e.records, e.model.null)
+    sets = list(zip(e.records, predictions, strict=True))
+    joints = [pair(sets, "joint", i) for i in range(e.model.joints)]
+    out = [text for i, p in enumerate(joints) for text in of_joint(i, p, joints)]
+    yaw = pair(sets, "pose", 2)
+    yaws = [r.pose.values[:, 2] for r in e.records if r.pose is not None]
+    jump = max((float(np.quantile(np.abs(np.diff(values)), 0.9)) for values in yaws), default=0)
+    if jump > JUMP:
+        out.append(f"heading: turns by {jump:.1f} rad from frame to frame: in degrees?")
+    elif yaw is not None and moves(yaw, "yaw"):
+        out += units("heading", yaw, "yaw")
+        if yaw.correlation < AGAINST:
+            out.append(f"heading: turns against the model (correlation {yaw.correlation:.2f}): a mirrored yaw or image")
+    out += of_path(sets)
+    power = pair(sets, "power", 0)
+    return out + (units("power", power, "power") if power is not None and moves(power, "power") else [])
+
+
+def pair(sets, sensor: str, column: int) -> Pair | None:
+    """One column over all records that have it."""
+    measured, predicted, offsets = [], [], []
+    for record, prediction in sets:
+        given = getattr(record, sensor)
+        if given is not None and given.values.shape[1] > column:
+            m, p = given.values[:, column], prediction[sensor][0][:, column]
+            offsets.append(float(np.mean(m - p)))
+            measured.append(m - m.mean())
+            predicted.append(p - p.mean())
+    if not measured:
+        return None
+    return Pair(np.concatenate(measured), np.concatenate(predicted), float(np.median(offsets)))
+
+
+def moves(p: Pair, kind: str) -> bool:
+    """Whether the model moves enough for a ratio to say something."""
+    return float(np.std(p.predicted)) > MOVES[kind]
+
+
+def units(name: str, p: Pair, kind: str) -> list[str]:
+    """Whether the amplitudes have the ratio of two units."""
+    for factor, unit in UNITS[kind]:
+        for ratio, text in ((p.ratio, f"in {unit}"), (1 / max(p.ratio, 1e-12), f"divided by {factor:g} once too often")):
+            if factor / NEAR < ratio < factor * NEAR:
+                return [f"{name}: moves {p.ratio:.3g} times as far as the model: {text}?"]
+    return []
+
+
+def of_joint(i: int, p: Pair | None, joints: list) -> list[str]:
+    """Unit, sign, order, zero, power."""
+    name = f"joint {i + 1}"
+    if p is None:
+        return []
+    zero = [f"{name}: {np.degrees(p.offset):.0f} deg off on average: its zero"] if abs(p.offset) > BENT else []
+    if not moves(p, "joint"):
+        return zero
+    out = units(name, p, "joint")
+    if p.correlation < AGAINST:
+        against = f"{name}: runs against the model (correlation {p.correlation:.2f}): the sign of its angle or of its command"
+        return [*out, against]
+    if out:
+        return out
+    if p.ratio < STILL:
+        return [f"{name}: moves {p.ratio:.0%} of what it was told: unpowered, or another column"]
+    across = [-1.0 if q is None or k == i else _across(p, q) for k, q in enumerate(joints)]
+    if p.correlation < ALIKE < max(across) and max(across) > p.correlation + 0.2:
+        return [f"{name}: follows the command of joint {int(np.argmax(across)) + 1}: the order of the joints"]
+    return zero
+
+
+def _across(p: Pair, other: Pair) -> float:
+    """Correlation of what one joint does with what another was predicted to do."""
+    if len(p.measured) != len(other.predicted):
+        return -1.0
+    return p._replace(predicted=other.predicted).correlation
+
+
+def of_path(sets) -> list[str]:
+    """Unit, mirror, turn of the frame, and the place where the fish was put."""
+    steps, away = [], []
+    for record, prediction in sets:
+        if record.pose is None:
+            continue
+        m, p = record.pose.values[:, :2], prediction["pose"][0][:, :2]
+        steps.append((m - m[0], p - p[0]))
+        away.append(float(np.hypot(*(record.start[:2] - record.place[:2]))))
+    if not steps:
+        return []
+    measured, predicted = (np.concatenate([s[k] for s in steps]) @ np.array([1.0, 1.0j]) for k in (0, 1))
+    far = max(away)
+    origin = [f"position: the fish begins {far:.2g} m from where it was put: another origin of the frame"] if far > AWAY else []
+    sizes = [float(np.sqrt(np.mean(np.abs(path) ** 2))) for path in (measured, predicted)]
+    if sizes[1] < MOVES["path"]:
+        return origin
+    scaled = units("position", Pair(np.array([0.0, sizes[0]]), np.array([0.0, sizes[1]]), 0.0), "path")
+    scale = max(sizes[0] * sizes[1], 1e-12)
+    straight, mirrored = (np.mean(measured * np.conj(q)) / scale for q in (predicted, np.conj(predicted)))
+    out = scaled or origin
+    if abs(mirrored) > ALIKE and abs(mirrored) > abs(straight) + 0.2:
+        out.append(f"position: fits the model's mirror image (coherence {abs(mirrored):.2f} in place of {abs(straight):.2f})")
+    elif abs(straight) > ALIKE and abs(np.angle(straight)) > TURNED:
+        out.append(f"position: goes {np.degrees(np.angle(straight)):.0f} deg beside the model's path: a turned frame, or heading")
+    return out

@@ -1,0 +1,236 @@
+"""Which experiment would decide between the explanations that are left: how far each would set two of them apart, and in words.
+
+    z     = S^-1/2 (y_i - y_j)        predictions of both, on planned stamps
+    S     = null of that experiment + sum_k s_k^2 t_k t_k^T (parameters k of both, as far as data leave them open) + form error
+    sigma = |z|
+
+What the constants of the fish or another value of either explanation could make up for does not count, so |z| is the expected
+distance in standard deviations (T-optimal design, Atkinson & Fedorov 1975, nuisance integrated out).
+
+A hypothesis is one explanation with its fitted row and how far each parameter may be off. `to_plain` and `from_plain` carry it
+through a report, so that a longer look later needs no data.
+"""
+
+from dataclasses import replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import effects, excitation
+from fishmj.effects.ambiguity import together
+from fishmj.excitation import Excitation
+from fishmj.gap.decide.decide import swap_effect
+from fishmj.gap.decide.intervals import estimate
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.null.whitening import smooth, whitening
+from fishmj.gap.records import mass_properties
+from fishmj.gap.records.records import Record, ResidualLayout, Sensor
+from fishmj.gap.search.fit import Candidate
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.stepwise import Selection
+from fishmj.gap.thresholds import thresholds
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.watch import Bars, silent
+from fishmj.gap.wording import title
+
+FORM_ERROR = 0.1  # of what an explanation changes
+HINTS = 6  # experiments that a quick look tries
+ENOUGH = 5.0  # sigma from which an experiment is said to decide
+LEFT = 3  # explanations compared, the best among them
+WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (measurements.toml beside the trials)"
+OPEN = ("CLASS", "UNEXPLAINED")
+
+
+class Hypothesis(NamedTuple):
+    """One explanation that is still possible."""
+
+    names: tuple[str, ...]
+    row: np.ndarray  # (P,) parameter row
+    moves: np.ndarray  # (K, P) rows, each one standard deviation of one parameter away
+    weight: float  # how probable it is
+
+    @property
+    def label(self) -> str:
+        return " + ".join(self.names)
+
+
+class ExperimentScore(NamedTuple):
+    """What one experiment promises."""
+
+    excitation: str
+    seconds: float
+    sigma: float  # between the two sides that it sets apart best, of those that the first takes part in
+    pair: tuple[str, str]
+    worth: float  # sum over pairs of weights times sigma^2, a second
+
+    def text(self) -> str:
+        """As a recommendation."""
+        a, b = (title(side) for side in self.pair)
+        expected = f"expected separation {self.sigma:.0f} sigma"
+        return f"Run `{self.excitation}` ({self.seconds:.0f} s): {expected}; would decide between {a} and {b}."
+
+
+def experiment_scores(
+    model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, bars: Bars = silent
+) -> list[ExperimentScore]:
+    """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
+    plans = [planned_record(excitation.get(name), like) for name in filter(null.holds, runs)]
+    null.prepare(model, plans, bars)
+    out = []
+    with bars(len(plans), "experiments", "") as bar:
+        for plan in plans:
+            out.append(experiment_score(model, sides, plan, null))
+            bar.update(len(out))
+    return sorted(out, key=lambda p: -p.worth)
+
+
+def experiment_score(model, sides: list[Hypothesis], record: Record, null: SimulatedNull) -> ExperimentScore:
+    """One experiment."""
+    layout = ResidualLayout([record])
+    e = Likelihood(model, [record], null.residuals(model, [record], layout), FORM_ERROR)
+    rows = np.concatenate([model.null[None], *(np.concatenate([s.row[None], s.moves]) for s in sides)])
+    seen = -layout.residuals(model.predict([record], rows))  # predictions, up to what was measured
+    spots = np.cumsum([1, *(1 + len(s.moves) for s in sides)])
+    parts = [seen[a:b] for a, b in zip(spots[:-1], spots[1:], strict=True)]
+    worth = 0.0
+    best = (0.0, (sides[0].label, sides[1].label))
+    for i, j in combinations(range(len(sides)), 2):
+        open_ = [p[1:] - p[0] for p in (parts[i], parts[j])]
+        wrong = [smooth(FORM_ERROR * (p[0] - seen[0]), layout) for p in (parts[i], parts[j])]
+        d = np.sqrt(e.d**2 + np.maximum(*wrong) ** 2)
+        z = whitening(np.concatenate([e.factors, *open_]), d)(parts[i][0] - parts[j][0])
+        sigma = float(np.linalg.norm(z))
+        worth += sides[i].weight * sides[j].weight * sigma**2
+        if i == 0 and sigma > best[0]:
+            best = (sigma, (sides[i].label, sides[j].label))
+    return ExperimentScore(record.excitation, record.seconds, *best, worth / record.seconds)
+
+
+def planned_record(run: Excitation, like: Record) -> Record:
+    """The record that an experiment will give, all zeros where there will be measurements."""
+    steps = round(excitation.PERIOD / like.dt)
+
+    def sensor(old: Sensor | None) -> Sensor | None:
+        if old is None:
+            return None
+        period = float(np.median(np.diff(old.t)))
+        t = np.arange(float(old.t[0]) % period, run.seconds, period)
+        return Sensor(t, np.zeros((len(t), old.values.shape[1])), old.sigma)
+
+    place = np.array(run.start, float)
+    return like._replace(
+        name=run.id,
+        excitation=run.id,
+        replicate_of="",
+        commands=np.repeat(run.commands, steps, axis=0),
+        joint=sensor(like.joint),
+        pose=sensor(like.pose),
+        power=sensor(like.power),
+        place=place,
+        start=place,
+        push=np.array(run.push, float),
+        joints=run.commands[0].copy(),
+        weighed=None,
+    )
+
+
+def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:
+    """A handful of experiments worth a look: what the catalogue says separates the sides, then those of the standard session."""
+    found: list[str] = []
+    for a, b in combinations(sides, 2):
+        for one, other in ((x, y) for p, q in ((a, b), (b, a)) for x in p.names for y in q.names):
+            found += [run for c in effects.get(one).confusions if c.other == other for run in c.excitations]
+            same = together(one, other)
+            found += same.excitations if same else ()
+    first = dict.fromkeys(found)
+    return tuple(dict.fromkeys([*first, *excitation.DESIGNED]))[: max(HINTS, len(first))]
+
+
+def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
+    """The same with weights that add up to 1, none below a twentieth before: a rival that is listed is possible."""
+    weights = np.maximum([s.weight for s in sides], 0.05)
+    return [s._replace(weight=float(w)) for s, w in zip(sides, weights / weights.sum(), strict=True)]
+
+
+def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent) -> Verdict:
+    """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
+    sides = normalise_weights(hypotheses_of(e, found, verdict))
+    if len(sides) < 2:
+        return verdict
+    quick = experiment_scores(e.model, sides, e.records[0], hinted_experiments(sides), null, bars=bars)
+    listed = {s.names[-1]: to_plain(e.model, s) for s in sides[1:]}
+    rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
+    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.model, quick, sides))
+
+
+def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
+    """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
+    best = next((p for p in found if p.sigma >= ENOUGH), None)
+    if best:
+        return best.text()
+    rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
+    sigma, other = max((mass_properties.separation(model, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
+    if sigma >= ENOUGH:
+        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {title(sides[0].label)} and {title(other)}."
+    most = max(found, key=lambda p: p.sigma)
+    a, b = most.pair
+    text = f"No experiment tried separates {title(a)} from {title(b)} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
+    same = next((c for x in sides[0].names for y in sides[1].names if (c := together(x, y))), None)
+    return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
+
+
+def hypotheses_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothesis]:
+    """What is left: the best, then each listed rival in its place; where none is listed, the next of the last round."""
+    if not found.steps:
+        return []
+    near = found.near
+    whole = near.subset()
+    accepted = [s for s in found.steps if s.accepted]
+    sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
+    for rival in verdict.rivals[: LEFT - 1]:
+        rounds = [s for s in accepted if s.ranked[0].names[-1] == rival["instead_of"]] or accepted
+        like = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
+        other = swap_effect(whole, found.best, rival["instead_of"], like) if like else None
+        sets += [other] if other else []
+    if len(sets) < 2:
+        sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]
+    fitted = {c.names: c for c in whole.refine(sets, 3)}
+    weights = [min([1.0, *(n.p_best for n in verdict.effects)])] + [float(r["p_best"]) for r in verdict.rivals] + [0.0] * LEFT
+    return [hypothesis(near, fitted[c.names], w) for c, w in zip(sets, weights, strict=False)]
+
+
+def hypothesis(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
+    """A candidate with how far its parameters may be off."""
+    moves = np.repeat(c.row[None], len(c.places), 0)
+    for k, (place, spread) in enumerate(zip(c.places, estimate(e, c)[1], strict=True)):
+        moves[k, place] += spread
+    return Hypothesis(c.names, c.row, moves, weight)
+
+
+def to_plain(model, s: Hypothesis) -> dict:
+    """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
+    out: dict = {}
+    quantile = thresholds().intervals.quantile
+    entries = [(x, p) for x in model.active.effects if x.name in s.names for p in x.parameters]
+    for k, (x, p) in enumerate(sorted(entries, key=lambda xp: s.names.index(xp[0].name))):
+        place = model.index(x.name, p.name)
+        value = s.row[place]
+        half = quantile * abs(s.moves[k, place] - value)
+        out.setdefault(x.name, {})[p.name] = [float(value), float(value - half), float(value + half)]
+    return out
+
+
+def from_plain(model, values: dict, weight: float) -> Hypothesis:
+    """The side that `to_plain` wrote."""
+    row = model.null.copy()
+    moves = []
+    quantile = thresholds().intervals.quantile
+    for name, entries in values.items():
+        for parameter, (value, low, high) in entries.items():
+            row[model.index(name, parameter)] = value
+            moves.append((model.index(name, parameter), (high - low) / 2 / quantile))
+    rows = np.repeat(row[None], len(moves), 0)
+    for k, (place, spread) in enumerate(moves):
+        rows[k, place] += spread
+    return Hypothesis(tuple(values), row, rows, weight)

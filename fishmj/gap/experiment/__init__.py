@@ -1,1 +1,0 @@
-"""Which experiment separates what the records cannot."""
