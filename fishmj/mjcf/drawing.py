@@ -43,6 +43,3 @@ def drawn_sections(robot: Robot, i: int) -> np.ndarray:
     full = np.array([np.interp(depth, rows[:, 0], rows[:, k]) for k in (1, 2)])
     stations = np.r_[0.0, depth * (1 - np.cos(NOSE[1:]))]
     return np.concatenate([np.column_stack([stations, np.sin(NOSE)[:, None] * full]), behind])
-
-
-__all__ = ["PALETTE", "colour_of", "drawn_sections"]

@@ -99,6 +99,3 @@ def opencv() -> Any:
     except ImportError as error:
         raise MissingExtra("opencv-python-headless", "all", "a picture from above") from error
     return cv2
-
-
-__all__ = ["FromAbove", "coarse_skin", "opencv"]

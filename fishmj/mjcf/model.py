@@ -148,6 +148,3 @@ def reference_pose(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     mujoco.mju_quat2Mat(turn, data.qpos[3:7])
     yaw = np.arctan2(turn[3], turn[0])
     return np.array([data.qpos[0], data.qpos[1], yaw, data.qvel[0], data.qvel[1], turn[6:] @ data.qvel[3:6]])
-
-
-__all__ = ["ROOTS", "build", "build_spec", "mjcf_xml", "personalise", "reference_pose", "reference_qpos"]

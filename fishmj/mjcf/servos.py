@@ -154,6 +154,3 @@ def _up(value: float, n: int) -> float:
     """Rounded up to n significant digits."""
     step = 10.0 ** (floor(log10(value)) - n + 1)
     return float(f"{ceil(value / step - 1e-9) * step:.{n + 1}g}")
-
-
-__all__ = ["SHELF", "DataSheet", "gear_efficiency", "servo_from_sheet", "sheet_of"]

@@ -148,6 +148,3 @@ def _water(water: dict) -> list[str]:
     text = lambda v: f'"{v}"' if isinstance(v, str) else str(v)
     rows = [f"{key} = {text(value)}" + (f"  # {notes[key]}" if key in notes else "") for key, value in water.items()]
     return ["[water]                      # prior: values from the literature (docs/methods/water.md), fitted to no flow", *rows]
-
-
-__all__ = ["Fish", "robot_of", "toml_of"]

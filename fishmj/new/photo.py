@@ -299,6 +299,3 @@ def _cv2() -> Any:
     except ImportError as error:
         raise MissingExtra("opencv-python-headless", "all", "an outline from a photo") from error
     return cv2
-
-
-__all__ = ["Seen", "read_photo", "size_of"]

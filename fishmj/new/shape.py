@@ -123,6 +123,3 @@ def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
         colour = PALETTE[i % len(PALETTE)]
         made.append(Link(name=names[i], length=length, mass=1.0, sections=sections, fin_from=plate, colour=colour))
     return tuple(made)
-
-
-__all__ = ["LINKS", "Outline", "cut", "joints_of", "root_of_fin", "typical", "typical_width"]

@@ -139,6 +139,3 @@ def sections_of(cv2: Any, edges: Edges) -> np.ndarray:
     stations = stations[np.diff(stations, prepend=-np.inf) > 1e-3 * x[-1]]
     stations[-1] = x[-1]
     return np.stack([stations, np.interp(stations, x, height)], -1)
-
-
-__all__ = ["Edges", "FinSeen", "edges_of", "head", "hull_of", "sections_of"]

@@ -103,6 +103,3 @@ def swim_of(robot: Robot) -> TestSwim:
 
 def _graded(value: float, good: tuple[float, float], possible: tuple[float, float] = (-np.inf, np.inf)) -> str:
     return OK if good[0] <= value <= good[1] else LOOK if possible[0] <= value <= possible[1] else FALSE
-
-
-__all__ = ["SwimCheck", "TestSwim", "checks", "swim_of"]

@@ -97,6 +97,3 @@ def _row(path: Path, line: int, row: list[str], columns: list[tuple[int, float, 
             raise ConfigError(f"{path}:{line}: {name} = {cell[:40]!r}; expected a number of {least:g} m or more")
         values.append(value)
     return values
-
-
-__all__ = ["read_sections"]

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fishmj import names
 from fishmj.errors import DescriptionError
-from fishmj.mjcf.findings import shown
+from fishmj.mjcf.description_schema import shown
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
