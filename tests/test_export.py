@@ -16,8 +16,8 @@ from fishmj.log.columns import unit
 from fishmj.log.compact import write_bundle
 from fishmj.log.export import carried, export
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.drawing import solids
 from fishmj.mjcf.geometry import geometry_of
-from fishmj.mjcf.solids import solids
 
 SHAPE = lambda trial: solids(load_robot())
 

@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from fishmj.errors import ConfigError
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.description import Link
-from fishmj.mjcf.drawing import PALETTE, colour_of, drawn_sections
+from fishmj.mjcf.drawing import PALETTE, colour_of, drawn_sections, loft
 from fishmj.mjcf.priors import balanced, displaced, plate_share, water_prior
 from fishmj.mjcf.servos import SHELF, gear_efficiency, servo_from_sheet, sheet_of
 from fishmj.mjcf.skin import skin
-from fishmj.mjcf.visual_geometry import loft
 from fishmj.new.quantity import quantity
 from fishmj.new.shape import cut, joints_of, typical
 

@@ -103,6 +103,21 @@ def geometry_of(robot: Robot, stations: int | None = None) -> Geometry:
     )
 
 
+def link_centres(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Link centres (T, N, 2) m of planar states q (T, 3 + J) m, rad."""
+    geometry = geometry_of(robot)
+    x, y, heading = q[:, 0], q[:, 1], q[:, 2]
+    centres = []
+    for i in range(geometry.n_links):
+        if i:
+            back = geometry.joint[i - 1]
+            x, y = x + back * np.cos(heading), y + back * np.sin(heading)
+            heading = heading + q[:, 2 + i]
+        mid = geometry.span[i].mean()
+        centres.append(np.stack([x + mid * np.cos(heading), y + mid * np.sin(heading)], -1))
+    return np.stack(centres, 1)
+
+
 def _quadrature(link, n):
     """Midpoints (n,), step and weights (n,) along the link, measured from its front end."""
     ds = link.length / n

@@ -1,4 +1,4 @@
-"""Servos: from the figures of a data sheet to a description's `[servo]`, and a shelf of named ones.
+"""Servos: from the figures of a data sheet to a description's `[servo]`, a shelf of named ones, and what a command becomes.
 
 A position servo is a DC motor behind gears: at the voltage V it stalls at the torque T and turns freely at w0. With K its
 constant, R its resistance, both seen at the output, and kb the slope of its torque-speed line
@@ -10,8 +10,11 @@ share of the torque that gears let through. A data sheet says nothing of the con
 error and kd is the motor's own kb, as data/calib/paper.toml has them for the default fish.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, isfinite, log10, pi, radians
+
+import numpy as np
 
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Servo
@@ -154,3 +157,27 @@ def _up(value: float, n: int) -> float:
     """Rounded up to n significant digits."""
     step = 10.0 ** (floor(log10(value)) - n + 1)
     return float(f"{ceil(value / step - 1e-9) * step:.{n + 1}g}")
+
+
+# the command path of one fish, from the bus to the servos; the same in MuJoCo and in the flow solver
+
+
+def on_the_bus(servo: Servo, command: np.ndarray) -> np.ndarray:
+    """What the servos make of a command (J,) rad: clamped to the range, rounded to the resolution."""
+    clamped = np.minimum(np.maximum(command, -servo.range), servo.range)
+    return np.rint(clamped / servo.resolution) * servo.resolution
+
+
+def arrived(commands: Sequence[np.ndarray], step: int, delay: int, steps: int, ramp: bool) -> np.ndarray:
+    """What the servos aim at in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
+
+    Args:
+        commands: all so far, one a bus tick of `steps` steps; number 0 was on the bus before t = 0.
+        ramp: the servo moves evenly from one command to the next in one tick (the path "move_time").
+    """
+    whole, part = divmod(step - delay, steps)
+    newest = commands[max(whole + 1, 0)]
+    if not ramp:
+        return newest
+    before = commands[max(whole, 0)]
+    return before + (part + 1) / steps * (newest - before)

@@ -13,7 +13,7 @@ from fishmj.log.foxglove import Solid
 from fishmj.log.table_schema import TABLES
 from fishmj.log.trial import Trial, stacked
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.solids import solids
+from fishmj.mjcf.drawing import solids
 from fishmj.replay.scene import named_robot
 
 EXAMPLES = """examples:
