@@ -1,6 +1,7 @@
 """How links are drawn: colours, a nose that is round, the hull through the sections of a link, its fins.
 
-Nothing but pictures changes: water, mass and inertia keep the sections as they are described.
+Only pictures have the round nose: water, mass and inertia keep the sections as they are described. The plates of a fin are those
+that the water acts on.
 """
 
 import numpy as np

@@ -1,4 +1,7 @@
-"""What takes two keys of a description to be wrong: stations and length, masses and volume, nested steps, a servo's figures."""
+"""What takes two keys of a description to be wrong: stations and length, masses and volume, nested steps, a servo's figures.
+
+And what is possible, but unlikely: a note says it once, and the description is read.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -15,6 +18,7 @@ THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float;
 ROUNDED = 0.01  # of the mass: mass_total may be rounded
 NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
+# beyond these it is unlikely
 LONG, HEAVY = (0.05, 3.0), (0.01, 300.0)  # m, kg: of robotic fish
 WIDTHS = (0.8, 1.25)  # factor on the widths that lets the fish float
 JUMP = 2.0  # times, of heights at a hinge

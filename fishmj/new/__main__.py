@@ -37,7 +37,7 @@ def options() -> console.Parser:
 
 
 def _answers(group) -> None:
-    """Options in the place of questions, and what belongs to them. A text is parsed with the answers before it."""
+    """Options in the place of questions. One without a type is parsed later: its range depends on the answers before it."""
     from fishmj.mjcf.servos import SHELF
     from fishmj.new.answers import FIN, HEIGHT, LENGTH, TAIL, TALL, WIDE, WIDTH
     from fishmj.new.fish_toml import SIDE_SPAN
@@ -83,6 +83,7 @@ def _outline(group) -> None:
 
 
 def _data_sheet(group) -> None:
+    """One option for each figure of a servo's data sheet."""
     from fishmj.new.answers import NEEDED, SHEET
     from fishmj.new.quantity import KINDS
 
