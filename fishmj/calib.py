@@ -1,6 +1,7 @@
 """Calibration files: `data/calib/*.toml`, the one place where a number of the paper or of a ruler lives."""
 
 import codecs
+import os
 import re
 import tomllib
 from functools import cache
@@ -127,9 +128,9 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
             raise ConfigError(f"{shown}: {wrong}")
         return path
     if str(name) not in (known if robot else shipped()):
-        if _exists(beside := Path(f"{path}.toml")):
+        if os.path.exists(beside := Path(f"{path}.toml")):  # a text that can be no path does not exist
             raise ConfigError(f"{shown}: expected a shipped name ({', '.join(known)}) or a .toml file; did you mean {beside}?")
-        if _exists(path):
+        if os.path.exists(path):
             kind = trouble(path, "") or "is a file whose name does not end in .toml"
             raise ConfigError(f"{shown}: {kind}; expected a .toml file, or a shipped name: {', '.join(known)}")
         near = next((key for key, own in robots().items() if own == str(name)), "") if robot else ""
@@ -141,13 +142,6 @@ def shown_path(path: str | Path) -> str:
     """A path for a message: printable whatever it holds, 300 characters at most."""
     text = "".join(c if c.isprintable() else "?" for c in str(path)[:300])
     return text if len(str(path)) <= 300 else f"{text}..."
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False
 
 
 def shipped() -> list[str]:

@@ -48,14 +48,9 @@ EXITS = {
 }
 TRACEBACK = "FISHMJ_TRACEBACK"  # environment: 1 shows the traceback of every error
 LONGEST = 1000  # characters of an error's line
-_FULL = {
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EROFS,
-    errno.EMFILE,
-    errno.ENFILE,
-    errno.EIO,
-}  # of a file system, with or without a name
+MEMORY = 30.0  # s of progress that the time left is told from
+# of a file system, with or without the name of a file
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.EIO}
 
 Main = Callable[[list[str]], int | None]
 
@@ -392,7 +387,7 @@ class Progress:
         with Progress(1_000_000, "train", unit="steps") as bar:
             bar.update(done, reward=0.4)
 
-    The time left comes from the last `memory` seconds of progress, so that a slow start (compilation) is forgotten.
+    The time left comes from the last `MEMORY` seconds of progress, so that a slow start (compilation) is forgotten.
     """
 
     def __init__(
@@ -404,17 +399,15 @@ class Progress:
         stream: IO[str] | None = None,
         clock: Callable[[], float] = time.monotonic,
         every: float | None = None,
-        memory: float = 30.0,
     ):
         self.total, self.label, self.unit = total, label, unit
         self._stream = sys.stderr if stream is None else stream
         self._live = bool(getattr(self._stream, "isatty", lambda: False)())
         self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
-        self._clock, self._memory = clock, memory
-        self._start = clock()
+        self._clock, self._start = clock, clock()
         self.begun = 0.0  # done before, and no part of the rate
         self._shown = -math.inf
-        self._seen = [(self._start, 0.0)]  # (time [s], done), the last `memory` seconds
+        self._seen = [(self._start, 0.0)]  # (time [s], done), the last `MEMORY` seconds
         self._named = False  # a stage without a rate is under way
         self._width = 0
 
@@ -447,7 +440,7 @@ class Progress:
         if self._named:
             self._named, self._seen, self._shown = False, [], -math.inf
         self._seen.append((now, done))
-        while len(self._seen) > 2 and now - self._seen[1][0] > self._memory:
+        while len(self._seen) > 2 and now - self._seen[1][0] > MEMORY:
             self._seen.pop(0)
         if done < self.total and now - self._shown < self._every:
             return

@@ -24,7 +24,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path, PurePath
 from typing import NoReturn
 
@@ -105,23 +105,18 @@ def telling(tell: Callable[[str], object]) -> None:
 
 
 @contextmanager
-def keeping(words: Words) -> Iterator[None]:
+def keeping(words: Words, *, by_itself: bool = False) -> Iterator[None]:
     """On an interrupt within, `words()` keeps what is not kept yet; the last line ends with its answer."""
-    yield from _within(words, False)
-
-
-@contextmanager
-def finishing(words: Words) -> Iterator[None]:
-    """As `keeping`, for a loop that hears the signals itself: it has `GRACE` s to come to its end."""
-    yield from _within(words, True)
-
-
-def _within(words: Words, by_itself: bool) -> Iterator[None]:
     _kept.append((words, by_itself))
     try:
         yield
     finally:
         _kept.remove((words, by_itself))
+
+
+def finishing(words: Words) -> AbstractContextManager[None]:
+    """As `keeping`, for a loop that hears the signals itself: it has `GRACE` s to come to its end."""
+    return keeping(words, by_itself=True)
 
 
 @contextmanager

@@ -70,7 +70,7 @@ def shown(value: Any) -> str:
 
 
 class PolicyBody(NamedTuple):
-    """What a policy must find again on a robot (mjcf.structure)."""
+    """What a policy must find again on a robot (mjcf.identity)."""
 
     name: str
     structure: dict

@@ -25,9 +25,9 @@ from fishmj.engines.single import water_of
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Flow, sample
 from fishmj.log import Trial
-from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
+from fishmj.mjcf.servos import arrived, on_the_bus
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)

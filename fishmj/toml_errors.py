@@ -192,6 +192,3 @@ def _plain(told: str) -> str:
     """What tomllib says, without Python's types."""
     names = re.sub(r"\(('[^']*'(?:, '[^']*')*),?\)", lambda m: m[1].replace("'", "").replace(", ", "."), told)
     return "".join(c if c.isprintable() else "?" for c in names[:120])
-
-
-__all__ = ["explained"]

@@ -16,7 +16,7 @@ from jax import lax
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.hydro_fit import record, segment_dataset
 from fishmj.mjcf import load_robot
-from fishmj.mjcf.command_bus import on_the_bus
+from fishmj.mjcf.servos import on_the_bus
 from fishmj.store import Manifest, write_json
 
 ROBOT = load_robot("fish")

@@ -18,7 +18,7 @@ from fishmj.gap.records.datasets import readable_trials
 from fishmj.gap.records.records import record_of
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
-from fishmj.mjcf.centres import link_centres
+from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.play import LiveSession
 from fishmj.play import __main__ as play

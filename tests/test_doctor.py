@@ -7,11 +7,8 @@ import sys
 
 import pytest
 
-from fishmj import console
-from fishmj.doctor import Finding, devices, known_issues, packages, verdicts
-from fishmj.doctor import __main__ as doctor
-from fishmj.doctor.machine import browser
-from fishmj.doctor.packages import requirements, version
+from fishmj import console, doctor
+from fishmj.doctor import Finding, browser, requirements, verdicts, version
 
 DECIDED = """
     mujoco mujoco-mjx dm-control jax numpy scipy warp-lang gymnasium optax safetensors meshcat opencv-python-headless matplotlib
@@ -23,18 +20,18 @@ def one(findings: list[Finding], name: str) -> Finding:
 
 
 def test_a_missing_core_package_is_bad_with_the_line_that_mends_it():
-    found = one(packages.findings(["numpy>=2.4", "no-such-package==1.2.3"]), "no-such-package")
+    found = one(doctor.packages(["numpy>=2.4", "no-such-package==1.2.3"]), "no-such-package")
     assert found.state == "bad" and "missing" in found.text and 'pip install "no-such-package==1.2.3"' in found.text
 
 
 def test_a_wrong_version_of_a_core_package_is_bad_and_says_which():
-    found = one(packages.findings(["numpy>=99"]), "numpy")
+    found = one(doctor.packages(["numpy>=99"]), "numpy")
     assert found.state == "bad" and version("numpy") in found.text and ">=99" in found.text
 
 
 def test_the_packages_that_run_this_test_are_right():
-    assert [f for f in packages.findings() if f.section == "core" and f.state != "ok"] == []
-    assert {f.name for f in packages.findings() if f.section == "extras"} == {
+    assert [f for f in doctor.packages() if f.section == "core" and f.state != "ok"] == []
+    assert {f.name for f in doctor.packages() if f.section == "extras"} == {
         "cuda",
         "fast",
         "logs",
@@ -50,12 +47,12 @@ def test_the_packages_that_run_this_test_are_right():
 
 
 def test_a_missing_extra_is_no_fault_and_has_its_install_line():
-    found = one(packages.findings(['no-such-package>=1; extra == "thing"', 'numpy; extra == "thing"']), "thing")
+    found = one(doctor.packages(['no-such-package>=1; extra == "thing"', 'numpy; extra == "thing"']), "thing")
     assert found.state == "no" and "no-such-package" in found.text and 'pip install "fishmj[thing]"' in found.text
 
 
 def test_an_extra_of_a_package_counts_as_missing_when_only_the_package_is_there():
-    found = one(packages.findings(['pytest[dev]; extra == "thing"']), "thing")
+    found = one(doctor.packages(['pytest[dev]; extra == "thing"']), "thing")
     assert found.state == ("no" if version("argcomplete") is None else "ok")
 
 
@@ -74,16 +71,16 @@ def test_the_core_is_what_the_house_decided():
     ],
 )
 def test_a_probe_that_dies_is_a_line_not_a_crash(code, says):
-    assert says in devices.probe(code, "json")
+    assert says in doctor.probe(code, "json")
 
 
 def test_a_probe_that_hangs_is_given_up(monkeypatch):
-    monkeypatch.setattr(devices, "PROBE_TIME", 0.5)
-    assert "no answer within 0.5 s" in devices.probe("import time; time.sleep(30)", "json")
+    monkeypatch.setattr(doctor, "PROBE_TIME", 0.5)
+    assert "no answer within 0.5 s" in doctor.probe("import time; time.sleep(30)", "json")
 
 
 def test_a_probe_of_a_package_that_is_absent_says_so():
-    assert devices.probe("print(1)", "no_such_module") == "no_such_module is not installed"
+    assert doctor.probe("print(1)", "no_such_module") == "no_such_module is not installed"
 
 
 def test_a_broken_nvidia_smi_is_a_note(tmp_path, monkeypatch):
@@ -91,13 +88,13 @@ def test_a_broken_nvidia_smi_is_a_note(tmp_path, monkeypatch):
     tool.write_text("#!/bin/sh\necho 'Failed to talk to the driver'; exit 9\n")
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    found = devices._nvidia()
-    assert found.state == "note" and "Failed to talk to the driver" in found.text
+    state, text = doctor._nvidia()
+    assert state == "note" and "Failed to talk to the driver" in text
 
 
 def test_no_nvidia_smi_means_the_cpu(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert devices._nvidia().state == "no"
+    assert doctor._nvidia()[0] == "no"
 
 
 def test_a_browser_can_be_named(tmp_path, monkeypatch):
@@ -113,14 +110,14 @@ def test_a_browser_can_be_named(tmp_path, monkeypatch):
 
 def test_a_misspelt_renderer_is_found(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "elg")
-    assert one(known_issues.findings(), "MUJOCO_GL").state == "bad"
+    assert one(doctor.known_issues(), "MUJOCO_GL").state == "bad"
     monkeypatch.setenv("MUJOCO_GL", "egl")
-    assert "MUJOCO_GL" not in {f.name for f in known_issues.findings()}
+    assert "MUJOCO_GL" not in {f.name for f in doctor.known_issues()}
 
 
 def test_a_later_mujoco_is_named_as_a_trap(monkeypatch):
-    monkeypatch.setattr(known_issues, "version", lambda name: "4.0.1" if name == "mujoco" else None)
-    assert one(known_issues.findings(), "mujoco 4").state == "bad"
+    monkeypatch.setattr(doctor, "version", lambda name: "4.0.1" if name == "mujoco" else None)
+    assert one(doctor.known_issues(), "mujoco 4").state == "bad"
 
 
 def test_a_broken_core_means_that_nothing_works():

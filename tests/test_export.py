@@ -17,8 +17,8 @@ from fishmj.log.export import export
 from fishmj.log.importers.mcap import carried
 from fishmj.log.trial import unit
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.drawing import solids
 from fishmj.mjcf.geometry import geometry_of
-from fishmj.mjcf.solids import solids
 
 SHAPE = lambda trial: solids(load_robot())
 

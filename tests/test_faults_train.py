@@ -197,8 +197,8 @@ class FullDisk:
     """`write_tensors` on a disk that has no room for the first `times` checkpoints."""
 
     def __init__(self, monkeypatch, times):
-        self.times, self.real, self.tried = times, store.checkpoints.write_tensors, 0
-        monkeypatch.setattr(store.checkpoints, "write_tensors", self)
+        self.times, self.real, self.tried = times, store.arrays.write_tensors, 0
+        monkeypatch.setattr(store.arrays, "write_tensors", self)
 
     def __call__(self, path, arrays, meta):
         self.tried += 1

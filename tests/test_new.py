@@ -23,8 +23,7 @@ from fishmj.mjcf.servos import SHELF
 from fishmj.new import __main__ as verb
 from fishmj.new.answers import QUESTIONS
 from fishmj.new.fish_toml import Fish, toml_of
-from fishmj.new.shape import cut, joints_of, typical
-from fishmj.new.table import read_sections
+from fishmj.new.shape import cut, joints_of, read_sections, typical
 from fishmj.sim import Sim
 
 

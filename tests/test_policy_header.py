@@ -16,7 +16,7 @@ from fishmj.controllers.learned import LearnedController
 from fishmj.errors import ConfigError, FishmjError, StoreError
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.mjcf.description import load_robot
-from fishmj.mjcf.structure import observation_of, structure_of
+from fishmj.mjcf.identity import observation_of, structure_of
 from fishmj.policy import SCHEMA, Policy, shipped
 from fishmj.store import write_tensors
 from fishmj.store.arrays import _digest

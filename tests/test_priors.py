@@ -10,39 +10,41 @@ from hypothesis import strategies as st
 from fishmj.errors import ConfigError
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.description import Link
-from fishmj.mjcf.drawing import PALETTE, colour_of, drawn_sections
+from fishmj.mjcf.drawing import PALETTE, colour_of, drawn_sections, loft
 from fishmj.mjcf.priors import balanced, displaced, plate_share, water_prior
-from fishmj.mjcf.servos import SHELF, gear_efficiency, servo_from_sheet, sheet_of
+from fishmj.mjcf.servos import SHELF, DataSheet, servo_from_sheet
 from fishmj.mjcf.skin import skin
-from fishmj.mjcf.visual_geometry import loft
 from fishmj.new.quantity import quantity
 from fishmj.new.shape import cut, joints_of, typical
 
 
+def sheet(torque: float, speed: float, voltage: float, current: float | None = None) -> DataSheet:
+    return DataSheet(name="any", stall_torque=torque, no_load_speed=speed, voltage=voltage, stall_current=current)
+
+
 def test_the_default_servo_comes_out_of_its_data_sheet():
-    sheet = sheet_of("lx-824")
-    assert servo_from_sheet(sheet.stall_torque, sheet.no_load_speed, sheet.voltage) == load_robot("fish").servo
+    assert servo_from_sheet(SHELF["lx-824"]) == load_robot("fish").servo
 
 
 @settings(max_examples=50, deadline=None)
 @given(torque=st.floats(0.02, 50.0), speed=st.floats(0.5, 30.0), voltage=st.floats(3.0, 48.0))
 def test_a_servo_of_any_sheet_is_a_motor(torque, speed, voltage):
-    s = servo_from_sheet(torque, speed, voltage)
+    s = servo_from_sheet(sheet(torque, speed, voltage))
     assert s.kv >= 0 and s.kb == pytest.approx(torque / speed, rel=2e-3)
     assert s.constant**2 / s.resistance == pytest.approx(s.kb, rel=0.01)
     assert np.degrees(s.torque / s.kp) == pytest.approx(12.0, rel=0.06)
 
 
 def test_sheets_whose_figures_contradict_each_other_are_refused():
-    for sheet in SHELF.values():
-        if sheet.stall_current is not None:
-            assert 0.3 < gear_efficiency(sheet.stall_torque, sheet.no_load_speed, sheet.voltage, sheet.stall_current) < 1.0
+    for known in SHELF.values():
+        if known.stall_current is not None:
+            assert 0.3 < known.gear_efficiency < 1.0
     with pytest.raises(ConfigError, match="kg cm or N m"):
-        servo_from_sheet(17.0, 5.236, 7.4, stall_current=3.0)  # kg cm taken for N m
+        servo_from_sheet(sheet(17.0, 5.236, 7.4, 3.0))  # kg cm taken for N m
     with pytest.raises(ConfigError, match="contradict"):
-        servo_from_sheet(0.017, 5.236, 7.4, stall_current=3.0)
+        servo_from_sheet(sheet(0.017, 5.236, 7.4, 3.0))
     with pytest.raises(ConfigError, match="voltage = nan"):
-        servo_from_sheet(1.7, 5.236, float("nan"))
+        servo_from_sheet(sheet(1.7, 5.236, float("nan")))
 
 
 @pytest.mark.parametrize(

@@ -164,6 +164,6 @@ def test_what_comes_with_fishmj_is_found_from_anywhere_unless_the_user_has_his_o
 
 def test_an_installed_package_says_where_the_rest_of_the_data_is(monkeypatch):
     assert left_out("data/gap/lbm/planted") == "", "a checkout has all"
-    monkeypatch.setattr("fishmj.store.package_data.OWN", Path("data"))
+    monkeypatch.setattr("fishmj.store.manifest.OWN", Path("data"))
     assert "checkout or the source distribution (sdist)" in left_out("data/gap/lbm/planted")
     assert left_out("elsewhere/data") == ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.structure import observation_of, structure_of
+from fishmj.mjcf.identity import observation_of, structure_of
 from fishmj.names import nearest
 from fishmj.policy import FOLDER, Policy, file_of
 from fishmj.policy_header import PolicyBody, fit

@@ -12,8 +12,7 @@ from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import sha256
-from fishmj.store.manifest import MANIFEST
-from fishmj.store.package_data import SOURCES
+from fishmj.store.manifest import MANIFEST, SOURCES
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
 DATA = OWN / "hydro"

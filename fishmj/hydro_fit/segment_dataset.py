@@ -19,8 +19,7 @@ from pathlib import Path
 from fishmj.errors import DatasetError, StoreError
 from fishmj.hydro_fit.record import SCHEMA, UNITS, SegmentRecord, described, read_record
 from fishmj.store import Manifest, left_out, read_json
-from fishmj.store.manifest import MANIFEST
-from fishmj.store.package_data import SOURCES
+from fishmj.store.manifest import MANIFEST, SOURCES
 
 SEGMENTS, SPLIT = "segments", "split.json"
 SPLITS = ("train", "val", "test")

@@ -1,28 +1,20 @@
 """The robot: a small description (dataclass or TOML) in, geometry and a MuJoCo model out."""
 
+from typing import TYPE_CHECKING, Any
+
 from fishmj.mjcf.description import Fin, Link, Robot, Servo, Timing, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
-
-def build(robot="fish", root: str = "planar", *, bare: bool = False, ellipsoid: bool = False):
-    """The compiled MuJoCo model of a robot; see `fishmj.mjcf.model.build`."""
-    from fishmj.mjcf import model
-
-    return model.build(robot, root, bare=bare, ellipsoid=ellipsoid)
-
-
-def build_spec(robot="fish", root: str = "planar", *, bare: bool = False, ellipsoid: bool = False):
-    """The editable `mujoco.MjSpec` of a robot; see `fishmj.mjcf.model.build_spec`."""
-    from fishmj.mjcf import model
-
-    return model.build_spec(robot, root, bare=bare, ellipsoid=ellipsoid)
-
-
-def mjcf_xml(robot="fish", root: str = "planar") -> str:
-    """The MJCF text of a robot."""
-    from fishmj.mjcf import model
-
-    return model.mjcf_xml(robot, root)
-
+if TYPE_CHECKING:
+    from fishmj.mjcf.model import build, build_spec, mjcf_xml
 
 __all__ = ["Fin", "Geometry", "Link", "Robot", "Servo", "Timing", "build", "build_spec", "geometry_of", "load_robot", "mjcf_xml"]
+
+
+def __getattr__(name: str) -> Any:
+    """`build`, `build_spec` and `mjcf_xml`: MuJoCo is loaded at their first use only."""
+    if name not in __all__:
+        raise AttributeError(f"module 'fishmj.mjcf' has no attribute {name!r}")
+    from fishmj.mjcf import model
+
+    return getattr(model, name)

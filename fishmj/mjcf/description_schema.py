@@ -1,13 +1,15 @@
 """What may stand in a robot description: every block and key with its unit, its bounds and what it is.
 
 pydantic checks a description against these models; `validation.py` turns what it finds into lines for a reader, and
-`relations.py` adds what no single key can know (masses that add up, steps that nest). The table of keys in
-docs/guide/your_own_fish.md is made from here.
+`relations.py` adds what no single key can know (masses that add up, steps that nest). `Fault` is one thing that is wrong, `line`
+tells it. The table of keys in docs/guide/your_own_fish.md is made from here.
 
 Lengths in m from the front of each link backwards, angles in rad or in keys that end in `_deg`.
 """
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from datetime import date, time
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -33,6 +35,10 @@ def _printable(text: str) -> str:
 
 Name = Annotated[str, AfterValidator(_name)]
 Text = Annotated[str, AfterValidator(_printable)]
+Station = Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]  # m
+Along = Annotated[float, Field(ge=-30.0, le=30.0, allow_inf_nan=False)]  # m
+Share = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
+TWO, THREE = Field(min_length=2, max_length=2), Field(min_length=3, max_length=3)
 NAME = "1 to 64 letters, digits, '_', '.' or '-', the first of them no '-'"
 REQUIRED: Any = ...
 
@@ -88,18 +94,13 @@ class LinkBlock(TomlTable):
     name: Name = name("the links' names must differ")
     length: float = number("from its front hinge, or the nose, to its rear hinge, or the tail's end", 1e-3, 30.0, "m")
     mass: float = number("as it is in the water, flooded parts included", 1e-5, 3e5, "kg")
-    sections: Annotated[
-        list[Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]],
-        Field(min_length=2, max_length=500),
-    ] = _field(
+    sections: Annotated[list[Annotated[list[Station], THREE]], Field(min_length=2, max_length=500)] = _field(
         "ellipses; stations rise from 0 to `length`",
         "m",
         "2 to 500 rows [from the front, height, width] in m, the last two from 0.0001 to 10",
         REQUIRED,
     )
-    com: (
-        Annotated[list[Annotated[float, Field(ge=-30.0, le=30.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)] | None
-    ) = _field(
+    com: Annotated[list[Along], THREE] | None = _field(
         "centre of mass, up at most half the link's height; left out: that of the shape",
         "m",
         "[back from the front, 0.0, up] in m",
@@ -108,9 +109,7 @@ class LinkBlock(TomlTable):
     fin_from: float | None = number(
         "behind this station a single sheet for the flow solver; on the last link", 0.0, 30.0, "m", default=None
     )
-    colour: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)] = (
-        _field("for pictures", "", "[red, green, blue], each from 0 to 1", [0.4, 0.5, 0.6])
-    )
+    colour: Annotated[list[Share], THREE] = _field("for pictures", "", "[red, green, blue], each from 0 to 1", [0.4, 0.5, 0.6])
 
 
 class FinBlock(TomlTable):
@@ -118,8 +117,8 @@ class FinBlock(TomlTable):
 
     name: Name = name("the fins' names must differ")
     link: str = _field("the link that carries it", "", "the name of a link", REQUIRED, max_length=64)
-    station: Annotated[list[Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)]], Field(min_length=2, max_length=2)] = (
-        _field("from the link's front", "m", "[front edge, rear edge] in m, within the link, the rear edge behind", REQUIRED)
+    station: Annotated[list[Station], TWO] = _field(
+        "from the link's front", "m", "[front edge, rear edge] in m, within the link, the rear edge behind", REQUIRED
     )
     span: float = number("of each plate, at most half the fish's length", 1e-4, 10.0, "m")
     count: int = whole("left alone, or left and right", 1, 2, default=2)
@@ -265,4 +264,51 @@ def keys(block: str = "") -> list[str]:
     return [info.alias or field_name for field_name, info in model.model_fields.items()]
 
 
-__all__ = ["BLOCKS", "FREE", "LISTS", "MOST_LINKS", "SCHEMA", "TomlTable", "Description", "keys", "said"]
+def header(block: str) -> str:
+    """`[servo]`, `[[link]]`."""
+    return f"[[{block}]]" if block in LISTS else f"[{block}]"
+
+
+class Fault(NamedTuple):
+    """One thing that is wrong. block: "link"; nth: which of several, from 0; key: "mass", or "" for the whole block."""
+
+    block: str
+    nth: int | None
+    key: str
+    got: str
+    expected: str
+    todo: str = ""
+
+
+def line(f: Fault, table: Mapping[str, Any], where: str) -> str:
+    """`FILE [[link]] 2 'body1' mass: got nan, expected a number above 0 kg; what to do`."""
+    place = f" {header(f.block)}" if f.block else ""
+    if f.nth is not None:
+        entry = table[f.block][f.nth]
+        label = entry.get("name") if isinstance(entry, Mapping) else None
+        place += f" {f.nth + 1}" + (f" {label!r}" if names.is_name(label) else "")
+    key = (f" {f.key}" if f.key.isprintable() and len(f.key) <= 64 else f" {shown(f.key)}") if f.key else ""
+    if not f.expected:  # the catalogue of effects words its own
+        return f"{where}{place}{key}: {f.got}"
+    return f"{where}{place}{key}: got {f.got}, expected {f.expected}" + (f"; {f.todo}" if f.todo else "")
+
+
+def shown(value: Any, most: int = 60) -> str:
+    """A value for a message: short, on one line, and safe whatever it holds."""
+    if isinstance(value, bool):
+        text = str(value).lower()  # as TOML spells it
+    elif isinstance(value, int) and value.bit_length() > 128:
+        text = f"an integer of {value.bit_length()} bits"
+    elif isinstance(value, str):
+        text = repr(value[:most])
+        if len(value) > most or len(text) > most + 2:
+            text = f"{text[: most - 4]}...{text[0]}"
+    elif isinstance(value, Mapping):
+        text = f"a block of {len(value)} keys"
+    elif isinstance(value, date | time):
+        text = f"the {'time' if isinstance(value, time) else 'date'} {value.isoformat()}"
+    elif isinstance(value, list):
+        text = f"[{', '.join(shown(item, 20) for item in value[:6])}{', ...' * (len(value) > 6)}]"
+    else:
+        text = repr(value)
+    return text if len(text) <= most + 2 else text[: most - 3] + "..."

@@ -1,11 +1,14 @@
-"""How links are drawn: the colour of one that a description leaves without, and a nose that is round.
+"""How links are drawn: colours, a nose that is round, the hull through the sections of a link, its fins.
 
-Nothing but pictures changes: water, mass and inertia keep the sections as they are described.
+Only pictures have the round nose: water, mass and inertia keep the sections as they are described. The plates of a fin are those
+that the water acts on.
 """
 
 import numpy as np
 
+from fishmj.log.foxglove import Solid
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import Geometry, geometry_of
 
 PALETTE = (  # warm and dark ones, which stand out on blue water; neighbours differ in hue and in brightness
     (0.89, 0.35, 0.25),  # coral
@@ -19,6 +22,8 @@ PALETTE = (  # warm and dark ones, which stand out on blue water; neighbours dif
 )
 BLUNT = 0.25  # height of the first section over the head's, from which a nose is a wall
 NOSE = np.linspace(0.15, np.pi / 2, 7)  # rad, where a nose has its rings; the first is small, not a point: it has a normal
+RING = 20  # points round a section
+STEPS = 12  # rings along a link
 
 
 def colour_of(robot: Robot, i: int) -> tuple[float, float, float]:
@@ -45,4 +50,50 @@ def drawn_sections(robot: Robot, i: int) -> np.ndarray:
     return np.concatenate([np.column_stack([stations, np.sin(NOSE)[:, None] * full]), behind])
 
 
-__all__ = ["PALETTE", "colour_of", "drawn_sections"]
+def loft(robot: Robot, geometry: Geometry, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Closed surface through the elliptical sections of link i: vertices (V, 3) [m, link frame] and triangles (F, 3)."""
+    rows = drawn_sections(robot, i)
+    stations = np.union1d(np.linspace(0, robot.links[i].length, STEPS), rows[:, 0])
+    half_h = np.interp(stations, rows[:, 0], rows[:, 1]) / 2
+    half_w = np.maximum(np.interp(stations, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2, 2e-4)  # visible from above
+    turn = np.linspace(0, 2 * np.pi, RING, endpoint=False)
+    x = geometry.span[i, 1] - stations
+    rings = np.stack([np.repeat(x[:, None], RING, 1), half_w[:, None] * np.cos(turn), half_h[:, None] * np.sin(turn)], axis=-1)
+    vertices = np.concatenate([rings.reshape(-1, 3), [[x[0], 0, 0], [x[-1], 0, 0]]])
+    return vertices, hull_faces(len(stations), RING).astype(np.int32)
+
+
+def tube_faces(n: int, around: int) -> np.ndarray:
+    """Triangles (F, 3) between n rings of `around` points each, nose first; counter-clockwise from outside."""
+    a = (np.arange(n - 1)[:, None] * around + np.arange(around)).ravel()
+    b = (np.arange(n - 1)[:, None] * around + (np.arange(around) + 1) % around).ravel()
+    return np.concatenate([np.stack([a, a + around, b], 1), np.stack([b, a + around, b + around], 1)])
+
+
+def hull_faces(n: int, around: int) -> np.ndarray:
+    """The same, closed: behind the points of the rings come the middles of the first and of the last ring."""
+    k, following, last = np.arange(around), (np.arange(around) + 1) % around, (n - 1) * around
+    nose = np.stack([np.full(around, n * around), k, following], 1)
+    tail = np.stack([np.full(around, n * around + 1), last + following, last + k], 1)
+    return np.concatenate([tube_faces(n, around), nose, tail])
+
+
+def fin_plates(robot: Robot, geometry: Geometry, fin) -> list[tuple[float, float, float, float]]:
+    """Plates of one fin as (x centre, y centre, chord, span), m, in the frame of the link that carries it."""
+    index = [link.name for link in robot.links].index(fin.link)
+    link = robot.links[index]
+    front = geometry.span[index, 1]
+    rows = np.array(link.sections)
+    chord, station = fin.station[1] - fin.station[0], (fin.station[0] + fin.station[1]) / 2
+    root = np.interp(station, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2
+    sides = (1.0, -1.0)[: fin.count]
+    return [(front - station, side * (root + fin.span / 2), chord, fin.span) for side in sides]
+
+
+def solids(robot: Robot) -> tuple[Solid, ...]:
+    """The links as a viewer draws them, nose first: the same hulls and fin plates as in the robot's MuJoCo model."""
+    g, out = geometry_of(robot), []
+    for i, (link, front) in enumerate(zip(robot.links, [g.reference, *g.origin[1:]], strict=True)):
+        plates = [plate for fin in robot.fins if fin.link == link.name for plate in fin_plates(robot, g, fin)]
+        out.append(Solid(link.name, float(front), *loft(robot, g, i), tuple(plates), colour_of(robot, i)))
+    return tuple(out)

@@ -92,13 +92,10 @@ def coarse_skin(robot: Robot) -> Skin:
     return skin(robot, spacing=0.012, around=12, smooth=True)
 
 
-def opencv() -> Any:
+def opencv(needed_for: str = "a picture from above") -> Any:
     """The module cv2. Raises MissingExtra."""
     try:
         import cv2
     except ImportError as error:
-        raise MissingExtra("opencv-python-headless", "all", "a picture from above") from error
+        raise MissingExtra("opencv-python-headless", "all", needed_for) from error
     return cv2
-
-
-__all__ = ["FromAbove", "coarse_skin", "opencv"]

@@ -53,54 +53,56 @@ def geometry_of(robot: Robot, stations: int | None = None) -> Geometry:
     fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])[:-1]  # from the nose, backwards
     com_back = [_com_back(link) for link in robot.links]
     reference = float(sum(link.mass * (f + c) for link, f, c in zip(robot.links, fronts, com_back, strict=True)) / robot.mass)
-    zeros = {
-        name: np.zeros((n, m))
-        for name, m in [("mu", 3), ("mu_v", 3), ("x", k), ("h", k), ("w", k), ("p", k), ("com", 3), ("inertia", 3), ("span", 2)]
-    }
-    displaced, buoyancy, mass = np.zeros(n), np.zeros(n), np.array([link.mass for link in robot.links])
+    columns = (("mu", 3), ("mu_vertical", 3), ("strip_x", k), ("strip_h", k), ("strip_w", k), ("strip_p", k))
+    made: dict[str, np.ndarray] = {name: np.zeros((n, m)) for name, m in (*columns, ("com", 3), ("inertia", 3), ("span", 2))}
+    made |= {"mass": np.array([link.mass for link in robot.links]), "displaced": np.zeros(n), "buoyancy": np.zeros(n)}
     for i, link in enumerate(robot.links):
         lead = reference if i == 0 else 0.0  # the link's front end along its own x axis
         s, ds, weight = _quadrature(link, _FINE)
         h, w = _section(link, s, scale)
         area = pi / 4 * h * w
         x = lead - s
-        displaced[i] = rho * np.sum(area * weight)
-        buoyancy[i] = rho * np.sum(area * x * weight) / displaced[i]
+        made["displaced"][i] = rho * np.sum(area * weight)
+        made["buoyancy"][i] = rho * np.sum(area * x * weight) / made["displaced"][i]
         for m in range(3):
-            zeros["mu"][i, m] = np.sum(rho * pi / 4 * h**2 * x**m * weight)
-            zeros["mu_v"][i, m] = np.sum(rho * pi / 4 * w**2 * x**m * weight)
+            made["mu"][i, m] = np.sum(rho * pi / 4 * h**2 * x**m * weight)
+            made["mu_vertical"][i, m] = np.sum(rho * pi / 4 * w**2 * x**m * weight)
         s, ds, weight = _quadrature(link, k)
         fine = np.linspace(-0.5, 0.5, 41)[None, :] * ds + s[:, None]  # strip averages, so that few strips keep the areas
         h, w = _section(link, fine, scale)
-        zeros["x"][i] = lead - s
-        zeros["h"][i], zeros["w"][i] = h.mean(1) * ds, w.mean(1) * ds
-        zeros["p"][i] = _perimeter(h, w).mean(1) * ds
-        zeros["span"][i] = lead - link.length, lead
-        zeros["com"][i] = lead - com_back[i], *(link.com[1:] if link.com else (0.0, 0.0))
-        zeros["inertia"][i] = _inertia(link, scale, zeros["com"][i], lead)
+        made["strip_x"][i] = lead - s
+        made["strip_h"][i], made["strip_w"][i] = h.mean(1) * ds, w.mean(1) * ds
+        made["strip_p"][i] = _perimeter(h, w).mean(1) * ds
+        made["span"][i] = lead - link.length, lead
+        made["com"][i] = lead - com_back[i], *(link.com[1:] if link.com else (0.0, 0.0))
+        made["inertia"][i] = _inertia(link, scale, lead)
     heights = [row[1] * row[2] for link in robot.links for row in link.sections]
     return Geometry(
         n_links=n,
         origin=np.concatenate([[0.0], reference - fronts[1:]]),
-        span=zeros["span"],
-        joint=zeros["span"][:-1, 0].copy(),
-        mass=mass,
-        com=zeros["com"],
-        inertia=zeros["inertia"],
-        displaced=displaced,
-        buoyancy=buoyancy,
-        mu=zeros["mu"],
-        mu_vertical=zeros["mu_v"],
-        strip_x=zeros["x"],
-        strip_h=zeros["h"],
-        strip_w=zeros["w"],
-        strip_p=zeros["p"],
-        tail_x=float(zeros["span"][-1, 0]),
+        joint=made["span"][:-1, 0].copy(),
+        tail_x=float(made["span"][-1, 0]),
         tail_h=float(robot.links[-1].sections[-1][1]),
         frontal=float(pi / 4 * scale * max(heights)),
         reference=reference,
         width_scale=float(scale),
+        **made,
     )
+
+
+def link_centres(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Link centres (T, N, 2) m of planar states q (T, 3 + J) m, rad."""
+    geometry = geometry_of(robot)
+    x, y, heading = q[:, 0], q[:, 1], q[:, 2]
+    centres = []
+    for i in range(geometry.n_links):
+        if i:
+            back = geometry.joint[i - 1]
+            x, y = x + back * np.cos(heading), y + back * np.sin(heading)
+            heading = heading + q[:, 2 + i]
+        mid = geometry.span[i].mean()
+        centres.append(np.stack([x + mid * np.cos(heading), y + mid * np.sin(heading)], -1))
+    return np.stack(centres, 1)
 
 
 def _quadrature(link, n):
@@ -133,7 +135,7 @@ def _com_back(link):
     return float(np.sum(area * s * weight) / np.sum(area * weight))
 
 
-def _inertia(link, scale, com, lead):
+def _inertia(link, scale, lead):
     """Mass spread like the displaced volume, moved to the stated centre of mass: (Ixx, Iyy, Izz), kg m2."""
     s, _, weight = _quadrature(link, _FINE)
     h, w = _section(link, s, scale)

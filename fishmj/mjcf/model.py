@@ -14,12 +14,15 @@ import mujoco
 import numpy as np
 
 from fishmj.errors import ConfigError, InjectionError, UnknownName
-from fishmj.mjcf import visual_geometry
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.geometry import geometry_of
-from fishmj.units import G
+from fishmj.mjcf.drawing import colour_of, fin_plates, loft
+from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.units import WATER_DENSITY, WATER_VISCOSITY, G
 
 ROOTS = ("planar", "free")
+DYNAMIC_VISCOSITY = WATER_DENSITY * WATER_VISCOSITY  # Pa s
+FIN_THICKNESS = 0.001  # m, drawn half-thickness
+HIDDEN = 4  # MuJoCo geom group that viewers leave out
 PLANAR_JOINTS = (
     ("x", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0)),
     ("y", mujoco.mjtJoint.mjJNT_SLIDE, (0, 1, 0)),
@@ -80,10 +83,10 @@ def build_spec(
         else:
             _add_servo(spec, body, robot, f"j{i}")
         if ellipsoid:
-            visual_geometry.add_ellipsoid(body, geometry, i)
+            _add_ellipsoid(body, geometry, i)
             body.gravcomp = 1.0  # buoyancy, which MuJoCo's fluid leaves out; no righting moment
         if not bare:
-            visual_geometry.add_link(spec, body, robot, geometry, i)
+            _add_link(spec, body, robot, geometry, i)
         parent = body
     return spec
 
@@ -94,7 +97,7 @@ def _options(spec, robot: Robot, root: str, ellipsoid: bool) -> None:
     spec.option.gravity = [0, 0, -G if root == "free" else 0.0]
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     if ellipsoid:
-        spec.option.density, spec.option.viscosity = robot.density_water, visual_geometry.DYNAMIC_VISCOSITY
+        spec.option.density, spec.option.viscosity = robot.density_water, DYNAMIC_VISCOSITY
 
 
 def _add_root(body, root: str) -> None:
@@ -114,6 +117,38 @@ def _add_servo(spec, body, robot: Robot, name: str) -> None:
     actuator.forcelimited = actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
     actuator.forcerange = [-s.torque, s.torque]
     actuator.ctrlrange = [-s.range, s.range]
+
+
+def _add_link(spec, body, robot: Robot, geometry: Geometry, i: int) -> None:
+    """What link i looks like on `body`: a lofted hull, side fins, named sites. Massless, collides with nothing."""
+    link = robot.links[i]
+    rear, front = geometry.span[i]
+    vertices, faces = loft(robot, geometry, i)
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.add_mesh(name=f"{link.name}_hull", uservert=vertices.ravel(), userface=faces.ravel(), inertia=shell)
+    shape = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": [*colour_of(robot, i), 1.0]}
+    body.add_geom(name=link.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{link.name}_hull", **shape)
+    for fin in robot.fins:
+        if fin.link == link.name:
+            for (x, y, chord, span), side in zip(fin_plates(robot, geometry, fin), ("left", "right"), strict=False):
+                size = [chord / 2, span / 2, FIN_THICKNESS]
+                body.add_geom(name=f"{fin.name}_{side}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, 0], size=size, **shape)
+    body.add_site(name=f"{link.name}_centre", pos=[(rear + front) / 2, 0, 0], size=[0.004] * 3)
+    if i == 0:
+        body.add_site(name="reference", pos=[0, 0, 0], size=[0.004] * 3)
+        body.add_site(name="nose", pos=[front, 0, 0], size=[0.004] * 3)
+    if i == geometry.n_links - 1:
+        body.add_site(name="tail_tip", pos=[rear, 0, 0], size=[0.004] * 3)
+
+
+def _add_ellipsoid(body, geometry: Geometry, i: int) -> None:
+    """A hidden ellipsoid of the link's length, mean height and mean width that MuJoCo's own fluid model acts on."""
+    rear, front = geometry.span[i]
+    length = front - rear
+    semi = [length / 2, geometry.strip_w[i].sum() / length / 2, geometry.strip_h[i].sum() / length / 2]
+    unseen = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": HIDDEN, "rgba": [0, 0, 0, 0]}
+    kind, middle = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [(rear + front) / 2, 0, 0]
+    body.add_geom(name=f"{body.name}_fluid", type=kind, pos=middle, size=semi, fluid_ellipsoid=1, **unseen)
 
 
 def personalise(model: mujoco.MjModel, *, mass, kp, kv, kb, zero) -> None:
@@ -148,6 +183,3 @@ def reference_pose(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     mujoco.mju_quat2Mat(turn, data.qpos[3:7])
     yaw = np.arctan2(turn[3], turn[0])
     return np.array([data.qpos[0], data.qpos[1], yaw, data.qvel[0], data.qvel[1], turn[6:] @ data.qvel[3:6]])
-
-
-__all__ = ["ROOTS", "build", "build_spec", "mjcf_xml", "personalise", "reference_pose", "reference_qpos"]

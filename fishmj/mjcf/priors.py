@@ -111,6 +111,3 @@ def _sections(link: Link) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows = np.array(link.sections, float)
     s = (np.arange(_POINTS) + 0.5) / _POINTS * link.length
     return s, np.interp(s, rows[:, 0], rows[:, 1]), np.interp(s, rows[:, 0], rows[:, 2])
-
-
-__all__ = ["balanced", "displaced", "plate_share", "water_prior"]

@@ -1,4 +1,7 @@
-"""What takes two keys of a description to be wrong: stations and length, masses and volume, nested steps, a servo's figures."""
+"""What takes two keys of a description to be wrong: stations and length, masses and volume, nested steps, a servo's figures.
+
+And what is possible, but unlikely: a note says it once, and the description is read.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -6,7 +9,8 @@ from math import isfinite, pi, radians
 from typing import Any
 
 from fishmj import calib, names
-from fishmj.mjcf.findings import Fault, shown
+from fishmj.calib import constant
+from fishmj.mjcf.description_schema import Fault, shown
 from fishmj.plain_file import trouble
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
@@ -14,6 +18,11 @@ THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float;
 ROUNDED = 0.01  # of the mass: mass_total may be rounded
 NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
+# beyond these it is unlikely
+LONG, HEAVY = (0.05, 3.0), (0.01, 300.0)  # m, kg: of robotic fish
+WIDTHS = (0.8, 1.25)  # factor on the widths that lets the fish float
+JUMP = 2.0  # times, of heights at a hinge
+MOTOR = 3.0  # times: figures of one motor that differ by more do not belong together
 
 
 def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Fault]:
@@ -39,14 +48,8 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Faul
     version = table.get("version", {})
     kept = version.get("parent_text", "") if ("version", None) not in bad else ""
     if kept and not names.is_name(kept):
-        yield Fault(
-            "version",
-            None,
-            "parent_text",
-            shown(kept),
-            "the name of a file, without folders",
-            "the parent lies beside its version",
-        )
+        expected, todo = "the name of a file, without folders", "the parent lies beside its version"
+        yield Fault("version", None, "parent_text", shown(kept), expected, todo)
 
 
 def _link(i: int, link: Mapping[str, Any]) -> Iterator[Fault]:
@@ -67,21 +70,14 @@ def _link(i: int, link: Mapping[str, Any]) -> Iterator[Fault]:
     if (com := link.get("com")) is not None:
         tall = max(row[1] for row in rows)
         if com[1] != 0:
-            yield Fault(
-                "link", i, "com", shown(com), "y = 0, [back from the front, 0.0, up]", "the fish is the same left and right"
-            )
+            expected = "y = 0, [back from the front, 0.0, up]"
+            yield Fault("link", i, "com", shown(com), expected, "the fish is the same left and right")
         if not -length <= com[0] <= 2 * length or abs(com[2]) > tall / 2 * (1 + NEAR):
             expected = f"a point in the link: 0 to {length:g} m from its front, up to {tall / 2:g} m up or down, half its height"
             yield Fault("link", i, "com", shown(com), expected, "com is measured from the link's own front, not from the nose")
     if (start := link.get("fin_from")) is not None and start > length * (1 + NEAR):
-        yield Fault(
-            "link",
-            i,
-            "fin_from",
-            f"{start:g} m",
-            f"a station of the link, 0 to length = {length:g} m",
-            "measure it from the link's front",
-        )
+        expected = f"a station of the link, 0 to length = {length:g} m"
+        yield Fault("link", i, "fin_from", f"{start:g} m", expected, "measure it from the link's front")
 
 
 def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body_sound: bool) -> Iterator[Fault]:
@@ -89,30 +85,17 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
     told = [link["name"] for link in links]
     for i, label in enumerate(told):
         if label in told[:i]:
-            yield Fault(
-                "link",
-                i,
-                "name",
-                shown(label),
-                "another name for each link: they must differ",
-                f"[[link]] {told.index(label) + 1} has it",
-            )
+            expected, todo = "another name for each link: they must differ", f"[[link]] {told.index(label) + 1} has it"
+            yield Fault("link", i, "name", shown(label), expected, todo)
     length, mass = sum(link["length"] for link in links), sum(link["mass"] for link in links)
     for key, unit, total, most in (("length", "m", length, LONGEST), ("mass", "kg", mass, HEAVIEST)):
         if total > most:
-            yield Fault(
-                "link",
-                None,
-                key,
-                f"{total:g} {unit} in all",
-                f"at most {most:g} {unit} for the whole fish",
-                f"check the unit: {unit}",
-            )
+            got, expected = f"{total:g} {unit} in all", f"at most {most:g} {unit} for the whole fish"
+            yield Fault("link", None, key, got, expected, f"check the unit: {unit}")
     if links[0].get("fin_from") is not None and links[-1].get("fin_from") is None:
         got = f"a plate on the first link, {told[0]!r}, and none on the last, {told[-1]!r}"
-        yield Fault(
-            "link", 0, "fin_from", got, "the plate of a tail on the last link", "the links stand nose first; turn them round"
-        )
+        expected, todo = "the plate of a tail on the last link", "the links stand nose first; turn them round"
+        yield Fault("link", 0, "fin_from", got, expected, todo)
     if not body_sound:
         return
     body = table.get("body", {})
@@ -168,9 +151,8 @@ def _clashes(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any
     drawn = {f"{fin['name']}_{side}" for fin in fins for side in ("left", "right")} | {f"{link['name']}_fluid" for link in links}
     for i, link in enumerate(links):
         if link["name"] in drawn | set(RESERVED):
-            yield Fault(
-                "link", i, "name", shown(link["name"]), "a name that the model does not use for something else", "choose another"
-            )
+            expected = "a name that the model does not use for something else"
+            yield Fault("link", i, "name", shown(link["name"]), expected, "choose another")
 
 
 def _both(block: str, given: Mapping[str, Any], key: str) -> Iterator[Fault]:
@@ -205,19 +187,12 @@ def _servo(given: Mapping[str, Any]) -> Iterator[Fault]:
         todo = f"{_of_a_data_sheet(s)}raise kd to {kb:.4g} or more, or correct {figures}"
         yield Fault("servo", None, "kd", f"{s['kd']:g} N m s/rad{default}", expected, todo)
     if s["resolution"] >= s["range"]:
-        yield Fault(
-            "servo",
-            None,
-            "resolution",
-            f"{s['resolution']:.4g} rad",
-            f"less than the range, {s['range']:.4g} rad",
-            "it is one count of the encoder",
-        )
+        got, expected = f"{s['resolution']:.4g} rad", f"less than the range, {s['range']:.4g} rad"
+        yield Fault("servo", None, "resolution", got, expected, "it is one count of the encoder")
     if s["kp"] * s["range"] < 0.01 * s["torque"]:
+        expected = f"kp times range at least 1 % of the torque, {s['torque']:g} N m"
         todo = "the servo would hardly hold itself; check kp, in N m/rad"
-        yield Fault(
-            "servo", None, "kp", f"{s['kp']:g} N m/rad", f"kp times range at least 1 % of the torque, {s['torque']:g} N m", todo
-        )
+        yield Fault("servo", None, "kp", f"{s['kp']:g} N m/rad", expected, todo)
 
 
 def _of_a_data_sheet(s: Mapping[str, float]) -> str:
@@ -305,14 +280,85 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
         except FishmjError as error:
             yield Fault("effect", i, "", " ".join(str(error).split()).strip(": "), "")
         if block["name"] in told[:i]:
-            yield Fault(
-                "effect",
-                i,
-                "name",
-                f"{shown(block['name'])}, listed {told.count(block['name'])} times",
-                "each effect once",
-                "keep one block",
-            )
+            got = f"{shown(block['name'])}, listed {told.count(block['name'])} times"
+            yield Fault("effect", i, "name", got, "each effect once", "keep one block")
 
 
-__all__ = ["angle", "apart", "relations", "servo_of", "timing", "width_scale"]
+# what is possible, but unlikely
+
+
+def unlikely(table: Mapping[str, Any]) -> Iterator[Fault]:
+    """What is possible, but unlikely: it is read, and said once."""
+    links, servo = table["link"], servo_of(table.get("servo", {}))
+    length, mass = sum(link["length"] for link in links), sum(link["mass"] for link in links)
+    for key, unit, total, (low, high) in (("length", "m", length, LONG), ("mass", "kg", mass, HEAVY)):
+        if not low <= total <= high:
+            got, expected = f"{total:g} {unit} in all", f"about {low:g} to {high:g} {unit} for a robotic fish"
+            yield Fault("link", None, key, got, expected, f"check the unit: {unit}")
+    scale = width_scale(table)
+    if scale is not None and not WIDTHS[0] <= scale <= WIDTHS[1]:
+        got = f"{mass:g} kg for a hull that displaces {mass / scale:.3g} kg: to float, all widths are scaled by {scale:.2f}"
+        yield Fault("link", None, "mass", got, f"a factor from {WIDTHS[0]} to {WIDTHS[1]}", "check masses and sections")
+    for i, link in enumerate(links):
+        com = link.get("com")
+        if com is not None and not 0 <= com[0] <= link["length"]:
+            got, expected = f"{com[0]:g} m from the front", f"a point in the link, 0 to {link['length']:g} m"
+            yield Fault("link", i, "com", got, expected, "com counts from the link's own front")
+    yield from _unlikely_outline(links)
+    stated = table.get("body", {}).get("mass_total")
+    if stated is not None and abs(mass - stated) > 1e-6 * mass:
+        a, b = apart(stated, mass)
+        todo = "the links' masses are what counts"
+        yield Fault("body", None, "mass_total", f"{a} kg", f"the sum of the links' masses, {b} kg", todo)
+    rho = table.get("body", {}).get("density_water", 1000.0)
+    if not 950.0 <= rho <= 1100.0:
+        yield Fault("body", None, "density_water", f"{rho:g} kg/m3", "about 1000 kg/m3 in fresh water, 1025 in the sea")
+    yield from _unlikely_servo(servo)
+    yield from _unlikely_timing(table.get("timing", {}))
+
+
+def _unlikely_outline(links: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
+    """Hinges, plates and ballast, from nose to tail."""
+    for i, (front, rear) in enumerate(zip(links, links[1:], strict=False), 1):
+        a, b = front["sections"][-1][1], rear["sections"][0][1]
+        if max(a, b) >= JUMP * min(a, b):
+            got = f"height {b:g} m at its front, {a:g} m at the rear end of the link before it"
+            todo = "check that the links stand nose first and their sections front to rear"
+            yield Fault("link", i, "sections", got, "heights that meet at the hinge", todo)
+    for i, link in enumerate(links[:-1]):
+        if link.get("fin_from") is not None:
+            got, todo = f"a plate from {link['fin_from']:g} m on", "check that the links stand nose first"
+            yield Fault("link", i, "fin_from", got, "a plate on the last link only", todo)
+    high = sum(link["mass"] * link["com"][2] for link in links if link.get("com")) / sum(link["mass"] for link in links)
+    if high > 1e-9:
+        todo = "such a fish capsizes; up counts positive, ballast stands at a negative third number"
+        yield Fault("link", None, "com", f"{1000 * high:.3g} mm above the axis on average", "the mass below the axis", todo)
+
+
+def _unlikely_timing(given: Mapping[str, Any]) -> Iterator[Fault]:
+    """Latencies longer than any that a randomised fish has: the task draws those of the paper, whatever the description says."""
+    for key in ("command_latency", "camera_latency"):
+        (low, high), latency = constant("randomisation", key), given.get(key)
+        if latency is not None and latency > high:
+            todo = f"it is played as it is; randomised fish (training, judgement) draw theirs from {low:g} to {high:g} s"
+            yield Fault("timing", None, key, f"{latency:g} s", f"at most {high:g} s", todo)
+
+
+def _unlikely_servo(s: Mapping[str, float]) -> Iterator[Fault]:
+    kb, stall = s["torque"] / s["speed_no_load"], s["constant"] * s["voltage"] / s["resistance"]
+    pairs = (
+        ("constant", "N m s/rad", s["constant"] ** 2 / s["resistance"], kb, "constant^2 / resistance", "torque / speed_no_load"),
+        ("voltage", "rad/s", s["voltage"] / s["constant"], s["speed_no_load"], "voltage / constant", "speed_no_load"),
+        ("resistance", "N m", stall, s["torque"], "constant voltage / resistance", "torque"),
+    )
+    for key, unit, a, b, left, right in pairs:
+        if not b / MOTOR <= a <= b * MOTOR:
+            got, expected = f"{left} = {a:.3g} {unit}", f"about {right} = {b:.3g} {unit}"
+            yield Fault("servo", None, key, got, expected, "the figures are not of one motor; power will be wrong")
+    gain = f"{s['kp']:g} N m/rad"
+    if s["kp"] * s["range"] < 0.2 * s["torque"]:
+        expected, todo = "kp times range nearer to the torque", "the servo never gives a fifth of its torque"
+        yield Fault("servo", None, "kp", gain, expected, todo)
+    if s["kp"] * s["resolution"] > s["torque"]:
+        expected, todo = "kp times resolution below the torque", "one count of error gives full torque: the joint will chatter"
+        yield Fault("servo", None, "kp", gain, expected, todo)

@@ -1,4 +1,4 @@
-"""Servos: from the figures of a data sheet to a description's `[servo]`, and a shelf of named ones.
+"""Servos: from the figures of a data sheet to a description's `[servo]`, a shelf of named ones, and what a command becomes.
 
 A position servo is a DC motor behind gears: at the voltage V it stalls at the torque T and turns freely at w0. With K its
 constant, R its resistance, both seen at the output, and kb the slope of its torque-speed line
@@ -10,10 +10,13 @@ share of the torque that gears let through. A data sheet says nothing of the con
 error and kd is the motor's own kb, as data/calib/paper.toml has them for the default fish.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, isfinite, log10, pi, radians
 
-from fishmj.errors import ConfigError, UnknownName
+import numpy as np
+
+from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Servo
 
 SATURATES = radians(12.0)  # rad of error at which the drive reaches the stall torque
@@ -36,113 +39,75 @@ class DataSheet:
     idle_power: float = 0.3  # W, of its own board; 0.3 is a guess, as for the default fish
     source: str = ""
 
+    @property
+    def gear_efficiency(self) -> float | None:
+        """Share of the stalled motor's torque that reaches the output, T w0 / (V I); None without a stall current."""
+        return self.stall_torque * self.no_load_speed / (self.voltage * self.stall_current) if self.stall_current else None
+
 
 SHELF = {
     sheet.name: sheet
     for sheet in (
         DataSheet(
-            name="lx-824",
-            stall_torque=17 * KG_CM,
-            no_load_speed=S_PER_60_DEG / 0.2,
-            voltage=7.4,
+            name="lx-824", stall_torque=17 * KG_CM, no_load_speed=S_PER_60_DEG / 0.2, voltage=7.4,
             source="Hiwonder LX-824: 17 kg cm, 0.2 s per 60 deg at 7.4 V (as in data/calib/paper.toml); 240 deg in 1000 counts",
         ),
         DataSheet(
-            name="ax-12a",
-            stall_torque=1.5,
-            no_load_speed=59 * RPM,
-            voltage=12.0,
-            stall_current=1.5,
-            resolution=radians(0.29),
+            name="ax-12a", stall_torque=1.5, no_load_speed=59 * RPM, voltage=12.0, stall_current=1.5, resolution=radians(0.29),
             source="ROBOTIS e-Manual, AX-12A: 1.5 N m at 12 V, 1.5 A; 59 rev/min at 12 V; 0.29 deg",
         ),
         DataSheet(
-            name="xl330-m288",
-            stall_torque=0.52,
-            no_load_speed=103 * RPM,
-            voltage=5.0,
-            stall_current=1.47,
-            resolution=2 * pi / 4096,
-            idle_power=0.085,
+            name="xl330-m288", stall_torque=0.52, no_load_speed=103 * RPM, voltage=5.0, stall_current=1.47,
+            resolution=2 * pi / 4096, idle_power=0.085,
             source="ROBOTIS e-Manual, XL330-M288-T: 0.52 N m at 5 V, 1.47 A; 103 rev/min at 5 V; 4096 counts; standby 17 mA",
         ),
         DataSheet(
-            name="xw540-t260",
-            stall_torque=9.5,
-            no_load_speed=40 * RPM,
-            voltage=12.0,
-            stall_current=4.9,
+            name="xw540-t260", stall_torque=9.5, no_load_speed=40 * RPM, voltage=12.0, stall_current=4.9,
             resolution=2 * pi / 4096,
             source="ROBOTIS e-Manual, XW540-T260-R, waterproof (IP 68): 9.5 N m at 12 V, 4.9 A; 40 rev/min at 12 V; 4096 counts",
         ),
     )
-}
+}  # fmt: skip
 
 
-def sheet_of(name: str) -> DataSheet:
-    """A servo of the shelf. Raises UnknownName."""
-    if name not in SHELF:
-        raise UnknownName("servo", name, SHELF)
-    return SHELF[name]
-
-
-def servo_from_sheet(
-    stall_torque: float,
-    no_load_speed: float,
-    voltage: float,
-    *,
-    stall_current: float | None = None,
-    reach: float = pi / 3,
-    resolution: float = radians(0.24),
-    idle_power: float = 1.5,
-    where: str = "servo",
-) -> Servo:
+def servo_from_sheet(sheet: DataSheet, *, idle_power: float = 1.5, where: str = "servo") -> Servo:
     """A description's servo from data sheet figures at one voltage; formulas at the top of this file.
 
     Args:
-        stall_torque: N m. no_load_speed: rad/s. voltage: V.
-        stall_current: A; checks the others, and is not kept: `resistance` holds the gears' loss.
-        reach: commands are clamped to +-reach, rad. resolution: rad. idle_power: electronics of the whole robot, W.
-        where: names the servo in errors.
+        sheet: its stall current checks the others, and is not kept: `resistance` holds the gears' loss.
+        idle_power: electronics of the whole robot, W. where: names the servo in errors.
 
     Raises:
         ConfigError: a figure is not positive, or they contradict each other: a stalled motor cannot give more than
             V I / w0, nor do gears eat nearly all of it.
     """
-    figures = {"stall torque": stall_torque, "no-load speed": no_load_speed, "voltage": voltage, "reach": reach}
-    figures |= {"resolution": resolution} | ({} if stall_current is None else {"stall current": stall_current})
-    for what, value in figures.items():
+    stall, free, volts, current = sheet.stall_torque, sheet.no_load_speed, sheet.voltage, sheet.stall_current
+    figures = {"stall torque": stall, "no-load speed": free, "voltage": volts, "resolution": sheet.resolution}
+    for what, value in (figures | ({} if current is None else {"stall current": current})).items():
         if not (isfinite(value) and value > 0):
             raise ConfigError(f"{where}: {what} = {value}; expected a positive number")
     if not (isfinite(idle_power) and idle_power >= 0):
         raise ConfigError(f"{where}: idle power = {idle_power} W; expected 0 or more")
-    if stall_current is not None:
-        eta = gear_efficiency(stall_torque, no_load_speed, voltage, stall_current)
-        if eta > 1.0 + 1e-9 or eta < LEAST:
-            raise ConfigError(
-                f"{where}: {stall_torque:.3g} N m, {no_load_speed:.3g} rad/s and {stall_current:.3g} A at {voltage:.3g} V"
-                f" contradict each other: {100 * eta:.3g} % of the stalled motor's torque would come out of its gears, expected"
-                f" {100 * LEAST:g} to 100 %; are the units right (kg cm or N m, s/60deg or rpm), and all at one voltage?"
-            )
-    torque, speed = _digits(stall_torque, 4), _digits(no_load_speed, 4)
-    constant = _digits(voltage / speed, 4)
+    eta = sheet.gear_efficiency
+    if eta is not None and not LEAST <= eta <= 1.0 + 1e-9:
+        raise ConfigError(
+            f"{where}: {stall:.3g} N m, {free:.3g} rad/s and {current:.3g} A at {volts:.3g} V"
+            f" contradict each other: {100 * eta:.3g} % of the stalled motor's torque would come out of its gears, expected"
+            f" {100 * LEAST:g} to 100 %; are the units right (kg cm or N m, s/60deg or rpm), and all at one voltage?"
+        )
+    torque, speed = _digits(stall, 4), _digits(free, 4)
+    constant = _digits(volts / speed, 4)
     return Servo(
         kp=_digits(torque / SATURATES, 2),
         kd=_up(torque / speed, 2),  # up: less than the back-EMF slope would be a controller that pushes
         torque=torque,
         speed_no_load=speed,
-        voltage=voltage,
-        resistance=_digits(voltage * constant / torque, 3),
+        voltage=volts,
+        resistance=_digits(volts * constant / torque, 3),
         constant=constant,
-        range=reach,
-        resolution=resolution,
+        resolution=sheet.resolution,
         idle_power=idle_power,
     )
-
-
-def gear_efficiency(stall_torque: float, no_load_speed: float, voltage: float, stall_current: float) -> float:
-    """Share of the stalled motor's torque that reaches the output: T w0 / (V I)."""
-    return stall_torque * no_load_speed / (voltage * stall_current)
 
 
 def _digits(value: float, n: int) -> float:
@@ -156,4 +121,25 @@ def _up(value: float, n: int) -> float:
     return float(f"{ceil(value / step - 1e-9) * step:.{n + 1}g}")
 
 
-__all__ = ["SHELF", "DataSheet", "gear_efficiency", "servo_from_sheet", "sheet_of"]
+# the command path of one fish, from the bus to the servos; the same in MuJoCo and in the flow solver
+
+
+def on_the_bus(servo: Servo, command: np.ndarray) -> np.ndarray:
+    """What the servos make of a command (J,) rad: clamped to the range, rounded to the resolution."""
+    clamped = np.minimum(np.maximum(command, -servo.range), servo.range)
+    return np.rint(clamped / servo.resolution) * servo.resolution
+
+
+def arrived(commands: Sequence[np.ndarray], step: int, delay: int, steps: int, ramp: bool) -> np.ndarray:
+    """What the servos aim at in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
+
+    Args:
+        commands: all so far, one a bus tick of `steps` steps; number 0 was on the bus before t = 0.
+        ramp: the servo moves evenly from one command to the next in one tick (the path "move_time").
+    """
+    whole, part = divmod(step - delay, steps)
+    newest = commands[max(whole + 1, 0)]
+    if not ramp:
+        return newest
+    before = commands[max(whole, 0)]
+    return before + (part + 1) / steps * (newest - before)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.mjcf.description import Fin, Robot
-from fishmj.mjcf.drawing import colour_of, drawn_sections
+from fishmj.mjcf.drawing import colour_of, drawn_sections, hull_faces, tube_faces
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
 ZONE = 0.3  # half-length of the bend zone over the shorter adjacent link
@@ -122,19 +122,11 @@ def _hull(robot: Robot, g: Geometry, spacing: float, around: int, smooth: bool):
     slope = across[..., 0] * c * dw[:, None] + across[..., 1] * sn * dh[:, None]
     normals = np.concatenate([slope[..., None], across], -1).reshape(-1, 3)  # the hull widens towards the tail: nose-facing
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    n = len(s)
-    a = (np.arange(n - 1)[:, None] * around + np.arange(around)).ravel()
-    b = (np.arange(n - 1)[:, None] * around + (np.arange(around) + 1) % around).ravel()
-    faces = np.concatenate([np.stack([a, a + around, b], 1), np.stack([b, a + around, b + around], 1)])
-    k, after = np.arange(around), (np.arange(around) + 1) % around
-    ends = [np.stack([np.full(around, n * around), k, after], 1)]
-    ends += [np.stack([np.full(around, n * around + 1), (n - 1) * around + after, (n - 1) * around + k], 1)]
     vertices = np.concatenate([rings.reshape(-1, 3), [[x[0], 0, 0], [x[-1], 0, 0]]])
     normals = np.concatenate([normals, [[1, 0, 0], [-1, 0, 0]]])
-    base = np.array([colour_of(robot, i) for i in range(len(robot.links))])[
-        np.concatenate([np.repeat(owner, around), [0, owner[-1]]])
-    ]
-    return vertices, normals, np.concatenate([faces, *ends]), _shaded(base, normals), vertices[:, 0]
+    owner = np.concatenate([np.repeat(owner, around), [0, owner[-1]]])
+    base = np.array([colour_of(robot, i) for i in range(len(robot.links))])[owner]
+    return vertices, normals, hull_faces(len(s), around), _shaded(base, normals), vertices[:, 0]
 
 
 def _shaded(base: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -184,8 +176,5 @@ def _eye(robot: Robot, g: Geometry, side: float):
     e2 = np.cross(out, e1)
     ring = np.cos(turn)[..., None] * e1 + np.sin(turn)[..., None] * e2
     normals = (np.cos(polar)[..., None] * out + np.sin(polar)[..., None] * ring).reshape(-1, 3)
-    a = (np.arange(12)[:, None] * 16 + np.arange(16)).ravel()
-    b = (np.arange(12)[:, None] * 16 + (np.arange(16) + 1) % 16).ravel()
-    faces = np.concatenate([np.stack([a, a + 16, b], 1), np.stack([b, a + 16, b + 16], 1)])
     colour = np.where((polar < 0.7).reshape(-1, 1), [[0.05, 0.05, 0.07]], [[0.96, 0.96, 0.96]])
-    return centre + radius * normals, normals, faces, colour, np.full(normals.shape[0], centre[0])
+    return centre + radius * normals, normals, tube_faces(13, 16), colour, np.full(normals.shape[0], centre[0])

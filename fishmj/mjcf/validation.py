@@ -2,7 +2,7 @@
 
     errors, notes = examine(table, "my_fish.toml")
 
-`schema.py` says what a single key may be, `relations.py` what takes two of them, `plausible.py` what is unlikely (notes).
+`description_schema.py` says what a single key may be, `relations.py` what takes two of them, and what is unlikely (notes).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,20 +12,18 @@ from typing import Any
 from pydantic import ValidationError
 
 from fishmj import names
-from fishmj.mjcf import description_schema
-from fishmj.mjcf.findings import Fault, line, shown
-from fishmj.mjcf.plausible_robot import unlikely
-from fishmj.mjcf.relations import relations, servo_of
+from fishmj.mjcf.description_schema import BLOCKS, FREE, LISTS, SCHEMA, Description, Fault, header, keys, line, said, shown
+from fishmj.mjcf.relations import relations, servo_of, unlikely
 
 MOST = 100  # errors that are collected: more tell nobody more
 
 
 def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]:
     """(errors, notes), one line each, of a description as TOML gives it; `where` begins each line."""
-    given = table.get("schema", description_schema.SCHEMA)
-    if given != description_schema.SCHEMA:  # another format: every other line would be noise
+    given = table.get("schema", SCHEMA)
+    if given != SCHEMA:  # another format: every other line would be noise
         kind = "a fitted water, for --water" if isinstance(given, str) and given.startswith("fishmj.water/") else "another format"
-        finding = Fault("", None, "schema", shown(given), repr(description_schema.SCHEMA), f"this file is {kind}, not a robot")
+        finding = Fault("", None, "schema", shown(given), repr(SCHEMA), f"this file is {kind}, not a robot")
         return [line(finding, table, where)], []
     if foreign := _foreign(table):
         expected = "a robot: [[link]], [servo], [timing], [water], ..."
@@ -43,16 +41,16 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
 
 def _foreign(table: Mapping[str, Any]) -> str:
     """The keys of a table that has nothing of a robot, nor a mistyped block of one; otherwise empty."""
-    own = {"schema", *description_schema.BLOCKS}
-    unknown = [key for key in table if key not in description_schema.keys()]
-    if not unknown or own & table.keys() or any(get_close_matches(key, description_schema.keys(), 1, 0.6) for key in unknown):
+    own = {"schema", *BLOCKS}
+    unknown = [key for key in table if key not in keys()]
+    if not unknown or own & table.keys() or any(get_close_matches(key, keys(), 1, 0.6) for key in unknown):
         return ""
     return shown(", ".join(unknown))
 
 
 def _order(f: Fault) -> tuple:
     """As in the file's schema."""
-    blocks = [*description_schema.keys()]
+    blocks = keys()
     return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.nth is None else f.nth)
 
 
@@ -61,9 +59,9 @@ def _order(f: Fault) -> tuple:
 
 def _single_keys(table: Mapping[str, Any]) -> Iterator[Fault]:
     """What pydantic finds; several complaints about one key are one."""
-    surplus = set([key for key in table if key not in description_schema.keys()][MOST:])
+    surplus = set([key for key in table if key not in keys()][MOST:])
     try:
-        description_schema.Description.model_validate({key: item for key, item in table.items() if key not in surplus})
+        Description.model_validate({key: item for key, item in table.items() if key not in surplus})
     except ValidationError as error:
         told: dict[tuple, Fault] = {}
         entries = error.errors(include_url=False, include_context=False)
@@ -83,7 +81,7 @@ def _single_keys(table: Mapping[str, Any]) -> Iterator[Fault]:
 def _nearest(place: Sequence[Any]) -> list[str]:
     """The known key of a block that an unknown one is nearest to."""
     block, _, key, _ = _split(place)
-    return get_close_matches(key, description_schema.keys(block), 1, 0.6) if block in description_schema.BLOCKS and key else []
+    return get_close_matches(key, keys(block), 1, 0.6) if block in BLOCKS and key else []
 
 
 def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Fault:
@@ -92,26 +90,18 @@ def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Fault:
     if kind == "extra_forbidden":
         return _unknown(block, index, key, table)
     if kind == "missing" and not key:
-        return Fault(
-            block,
-            None,
-            "",
-            "none",
-            description_schema.said("", block)[2],
-            f"describe the links: add [[{block}]] with {_main(block)}",
-        )
+        needed = ", ".join(k for k, info in BLOCKS[block].model_fields.items() if info.is_required())
+        return Fault(block, None, "", "none", said("", block)[2], f"describe the links: add [[{block}]] with {needed}")
     if kind == "missing":
-        what, _, expected = description_schema.said(block, key)
+        what, _, expected = said(block, key)
         return Fault(block, index, key, "nothing", expected, f"add {key} = ... ({what})")
     if block and not key:  # the block itself is no table, or there are too few or too many
-        whole = description_schema.said("", block)[2]
+        whole = said("", block)[2]
         got = f"{len(value)} block{'s' * (len(value) != 1)}" if kind in ("too_short", "too_long") else shown(value)
-        return Fault(block, index, "", got, whole, f"a block begins with {_header(block)} on a line of its own")
-    if block not in description_schema.BLOCKS and block:  # [origin], [calibration.servo]
-        return Fault(
-            block, None, key, shown(value), description_schema.said("", block)[2], f"({description_schema.said('', block)[0]})"
-        )
-    what, unit, expected = description_schema.said(block, key)
+        return Fault(block, index, "", got, whole, f"a block begins with {header(block)} on a line of its own")
+    if block not in BLOCKS and block:  # [origin], [calibration.servo]
+        return Fault(block, None, key, shown(value), said("", block)[2], f"({said('', block)[0]})")
+    what, unit, expected = said(block, key)
     if (block, key, kind) == ("servo", "kd", "greater_than_equal") and (least := _least_damping(table)):
         expected = f"at least {least:.3g} {unit} = torque / speed_no_load"
     return Fault(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
@@ -129,10 +119,10 @@ def _split(place: Sequence[Any]) -> tuple[str, int | None, str, list[Any]]:
     """(block, index, key, place within the value) of pydantic's place."""
     parts = [str(p) if not isinstance(p, int) else p for p in place]
     first = str(parts[0])
-    if first in description_schema.LISTS:
+    if first in LISTS:
         index = parts[1] if len(parts) > 1 and isinstance(parts[1], int) else None
         return first, index, str(parts[2]) if len(parts) > 2 else "", parts[3:]
-    if first in description_schema.BLOCKS or first in ("calibration", *description_schema.FREE):
+    if first in BLOCKS or first in ("calibration", *FREE):
         return first, None, str(parts[1]) if len(parts) > 1 else "", parts[2:]
     return "", None, first, parts[1:]
 
@@ -161,18 +151,18 @@ def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) 
     """An unknown key or block, with the nearest known one."""
     name, own = shown(key)[1:-1], "your own notes go into [notes], [origin] or [measured]"
     if block:
-        known = description_schema.keys(block)
+        known = keys(block)
         near, home = get_close_matches(key, known, 1, 0.6), _home(key, block)
         todo = f"it belongs under {home}; a key belongs to the last [block] above it" if home and not near else own
         return Fault(block, index, name, "an unknown key", _one_of(near, known), todo)
-    blocks = [k for k in description_schema.keys() if k not in ("schema", "name", "title")]
+    blocks = [k for k in keys() if k not in ("schema", "name", "title")]
     if not isinstance(table[key], Mapping | list):
-        near, home = get_close_matches(key, description_schema.keys(), 1, 0.6), _home(key)
+        near, home = get_close_matches(key, keys(), 1, 0.6), _home(key)
         if home and not near:
             return Fault("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
         return Fault("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
     near = get_close_matches(key, blocks, 1, 0.6)
-    expected = _one_of([_header(k) for k in near], [_header(k) for k in blocks], quote=False)
+    expected = _one_of([header(k) for k in near], [header(k) for k in blocks], quote=False)
     return Fault("", None, f"[{name}]", "an unknown block", expected, own)
 
 
@@ -184,16 +174,4 @@ def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) ->
 
 def _home(key: str, but: str = "") -> str:
     """The header of another block that has this key; "" where none has."""
-    return next((_header(b) for b in description_schema.BLOCKS if b != but and key in description_schema.keys(b)), "")
-
-
-def _header(block: str) -> str:
-    return f"[[{block}]]" if block in description_schema.LISTS else f"[{block}]"
-
-
-def _main(block: str) -> str:
-    """The keys of a block that must be there."""
-    return ", ".join(k for k, info in description_schema.BLOCKS[block].model_fields.items() if info.is_required())
-
-
-__all__ = ["examine"]
+    return next((header(b) for b in BLOCKS if b != but and key in keys(b)), "")

@@ -22,112 +22,82 @@ Exit 1: the description was written, and a check says that it is wrong.
 
 
 def options() -> console.Parser:
-    from fishmj.mjcf.servos import SHELF
-    from fishmj.new.answers import FIN, HEIGHT, LENGTH, NEEDED, SHEET, TAIL, TALL, WIDE, WIDTH
-    from fishmj.new.fish_toml import SIDE_SPAN
-    from fishmj.new.quantity import KINDS, quantity
-    from fishmj.new.shape import LINKS
-
+    """The arguments of `new`."""
     summary = "Describe your fish: from eight answers, a table of sections or a photo to a checked description."
     p = console.parser("new", summary, examples=EXAMPLES)
     p.add_argument("name", nargs="?", metavar="NAME", help="of the fish, in logs, waters and policies (asked; default my_fish)")
-    p.add_argument(
-        "--out", type=console.out_file, metavar="FILE", help="description to write (default NAME.toml); NAME.png goes beside it"
-    )
+    out = "description to write (default NAME.toml); NAME.png goes beside it"
+    p.add_argument("--out", type=console.out_file, metavar="FILE", help=out)
     p.add_argument("--force", action="store_true", help="overwrite files that are there")
     p.add_argument("--yes", action="store_true", help="ask nothing: defaults for what is missing")
-    a = p.add_argument_group("answers", "a length may be 0.6, '60 cm' or 600mm, a mass 1.3 or 1300g; without a unit SI")
-    a.add_argument("--length", metavar="M", help="nose to tail fin, {:g} to {:g} m (asked; default 0.6)".format(*LENGTH))
-    a.add_argument(
-        "--height",
-        metavar="M",
-        help="greatest height of the body, {:g} to {:g} of the length (asked; default {:g} of it)".format(*HEIGHT, TALL),
+    _answers(p.add_argument_group("answers", "a length may be 0.6, '60 cm' or 600mm, a mass 1.3 or 1300g; without a unit SI"))
+    _outline(p.add_argument_group("measured outline, in place of length, height, width and tail height"))
+    _data_sheet(p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage"))
+    return p
+
+
+def _answers(group) -> None:
+    """Options in the place of questions. One without a type is parsed later: its range depends on the answers before it."""
+    from fishmj.mjcf.servos import SHELF
+    from fishmj.new.answers import FIN, HEIGHT, LENGTH, TAIL, TALL, WIDE, WIDTH
+    from fishmj.new.fish_toml import SIDE_SPAN
+    from fishmj.new.quantity import quantity
+    from fishmj.new.shape import LINKS
+
+    share = "{}, {:g} to {:g} of the length (asked; default {:g} of {})"
+    few, share_of_head, span = console.whole(*LINKS), console.number(0.1, 0.8), quantity("length", 0.0, 1.0)
+    sheets = f"{', '.join(SHELF)}, or a TOML file with the data sheet (asked; default lx-824)"
+    rows = (
+        ("length", "M", None, "nose to tail fin, {:g} to {:g} m (asked; default 0.6)".format(*LENGTH)),
+        ("height", "M", None, share.format("greatest height of the body", *HEIGHT, TALL, "it")),
+        ("width", "M", None, share.format("greatest width of the body", *WIDTH, WIDE, "the height")),
+        ("tail-height", "M", None, share.format("of the tail fin", *TAIL, FIN, "the body's")),
+        ("mass", "KG", None, "as it swims, half to twice what the hull displaces (asked; default what it displaces)"),
+        ("links", "N", few, "rigid links, {} to {} (asked; default 4)".format(*LINKS)),
+        ("joints", "M,..", None, "in place of --links: the joints' distances from the nose (default: by --links)"),
+        ("head", "SHARE", share_of_head, "of the length, 0.1 to 0.8, with --links (default 0.4)"),
+        ("servo", "NAME", console.text, sheets),
+        ("side-fin", "M", span, f"span of each side fin, 0 for none (default {SIDE_SPAN:g} of the length)"),
     )
-    a.add_argument(
-        "--width",
-        metavar="M",
-        help="greatest width of the body, {:g} to {:g} of the length (asked; default {:g} of the height)".format(*WIDTH, WIDE),
-    )
-    a.add_argument(
-        "--tail-height",
-        metavar="M",
-        help="of the tail fin, {:g} to {:g} of the length (asked; default {:g} of the body's)".format(*TAIL, FIN),
-    )
-    a.add_argument(
-        "--mass",
-        metavar="KG",
-        help="as it swims, half to twice what the hull displaces (asked; default what it displaces)",
-    )
-    a.add_argument(
-        "--links", type=console.whole(*LINKS), metavar="N", help="rigid links, {} to {} (asked; default 4)".format(*LINKS)
-    )
-    a.add_argument(
-        "--joints", metavar="M,..", help="in place of --links: the joints' distances from the nose (default: by --links)"
-    )
-    a.add_argument(
-        "--head", type=console.number(0.1, 0.8), metavar="SHARE", help="of the length, 0.1 to 0.8, with --links (default 0.4)"
-    )
-    a.add_argument(
-        "--servo",
-        type=console.text,
-        metavar="NAME",
-        help=f"{', '.join(SHELF)}, or a TOML file with the data sheet (asked; default lx-824)",
-    )
-    a.add_argument(
-        "--side-fin",
-        type=quantity("length", 0.0, 1.0),
-        metavar="M",
-        help=f"span of each side fin, 0 for none (default {SIDE_SPAN:g} of the length)",
-    )
-    m = p.add_argument_group("measured outline, in place of length, height, width and tail height")
-    m.add_argument(
-        "--sections",
-        type=console.path,
-        metavar="CSV",
-        help="columns x,height,width from nose to tail; units in the header or by --unit (default none)",
-    )
-    m.add_argument("--unit", choices=tuple(KINDS["length"].units), help="of the table where its header does not say (default m)")
-    m.add_argument(
-        "--photo",
-        type=console.path,
-        metavar="PNG",
-        help="from the side, PNG or JPG; scale from --length or --scale, widths from --width (default none)",
-    )
-    m.add_argument(
-        "--scale",
-        type=quantity("scale", 1e-6, 0.1),
-        metavar="M",
-        help="of the photo, m per pixel, 1e-06 to 0.1 (default from --length)",
-    )
-    m.add_argument(
-        "--nose",
-        choices=("left", "right"),
-        help="side of the photo that the nose points to (default: the end that looks like a head, which is said)",
-    )
-    m.add_argument(
-        "--width-ratio",
-        type=console.number(0.05, 3.0),
-        default=WIDE,
-        metavar="R",
-        help="of a photo's fish without --width: greatest width over height, 0.05 to 3 (default %(default)g)",
-    )
-    s = p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage")
+    for name, metavar, kind, words in rows:
+        group.add_argument(f"--{name}", type=kind, metavar=metavar, help=words)
+
+
+def _outline(group) -> None:
+    """Options of a table of sections and of a photo."""
+    from fishmj.new.answers import WIDE
+    from fishmj.new.quantity import KINDS, quantity
+
+    words = "columns x,height,width from nose to tail; units in the header or by --unit (default none)"
+    group.add_argument("--sections", type=console.path, metavar="CSV", help=words)
+    words = "of the table where its header does not say (default m)"
+    group.add_argument("--unit", choices=tuple(KINDS["length"].units), help=words)
+    words = "from the side, PNG or JPG; scale from --length or --scale, widths from --width (default none)"
+    group.add_argument("--photo", type=console.path, metavar="PNG", help=words)
+    words = "of the photo, m per pixel, 1e-06 to 0.1 (default from --length)"
+    group.add_argument("--scale", type=quantity("scale", 1e-6, 0.1), metavar="M", help=words)
+    words = "side of the photo that the nose points to (default: the end that looks like a head, which is said)"
+    group.add_argument("--nose", choices=("left", "right"), help=words)
+    words = "of a photo's fish without --width: greatest width over height, 0.05 to 3 (default %(default)g)"
+    group.add_argument("--width-ratio", type=console.number(0.05, 3.0), default=WIDE, metavar="R", help=words)
+
+
+def _data_sheet(group) -> None:
+    """One option for each figure of a servo's data sheet."""
+    from fishmj.new.answers import NEEDED, SHEET
+    from fishmj.new.quantity import KINDS
+
     for key, figure in SHEET.items():
         default = "that of --servo" if key in NEEDED else "none"
-        bounds = f"{figure.low:g} to {figure.high:g} {KINDS[figure.kind].si}"
-        s.add_argument(
-            f"--{key.replace('_', '-')}",
-            type=figure.parse,
-            metavar=figure.kind[0].upper(),
-            help=f"{figure.text}; {bounds} (default {default})",
-        )
-    return p
+        words = f"{figure.text}; {figure.low:g} to {figure.high:g} {KINDS[figure.kind].si} (default {default})"
+        group.add_argument(f"--{key.replace('_', '-')}", type=figure.parse, metavar=figure.kind[0].upper(), help=words)
 
 
 def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     from fishmj.new import answers
-    from fishmj.new.fish_toml import SIDE_SPAN, Fish, robot_of, toml_of
+    from fishmj.new.fish_toml import SIDE_SPAN, Fish
+    from fishmj.new.shape import read_sections
 
     given = given_answers(args)
     ask = None if args.yes or not (sys.stdin.isatty() and sys.stdout.isatty()) else input
@@ -138,7 +108,7 @@ def main(argv: list[str]) -> int:
     if sheet := sheet_of(args):
         known["servo"] = sheet
     if args.sections is not None:
-        known |= {"outline": read_table(args)}
+        known["outline"] = read_sections(args.sections, args.unit)
     if args.photo is not None:
         seen = read_side_view(args)
         known["outline"] = seen.outline
@@ -150,26 +120,20 @@ def main(argv: list[str]) -> int:
     free(args, files)
     outline = answers.hull(known)
     span = args.side_fin if args.side_fin is not None else round(SIDE_SPAN * outline.length, 3)
-    fish = Fish(
-        name=known["name"],
-        outline=outline,
-        mass=known["mass"],
-        joints=known["joints"],
-        sheet=known["servo"],
-        side_span=span,
-        origin=origin,
-    )
-    return finish(args, files, robot_of(fish), fish, toml_of, seen)
+    answered = {key: known[key] for key in ("name", "mass", "joints")}
+    fish = Fish(**answered, outline=outline, sheet=known["servo"], side_span=span, origin=origin)
+    return finish(args, files, fish, seen)
 
 
-def finish(args, files: dict[str, Path], robot, fish, toml_of, seen) -> int:
+def finish(args, files: dict[str, Path], fish, seen) -> int:
     """Check the description as it reads back, write everything, say what was found."""
     from fishmj import store
     from fishmj.mjcf.description import load_robot
     from fishmj.new.fish_picture import picture
+    from fishmj.new.fish_toml import robot_of, toml_of
     from fishmj.new.swim_check import checks, swim_of
 
-    text = toml_of(robot, fish)
+    text = toml_of(robot_of(fish), fish)
     with tempfile.TemporaryDirectory() as folder:  # nothing is written that does not read back
         robot = load_robot(store.write_text(Path(folder) / files["description"].name, text))
     swim = swim_of(robot)
@@ -184,14 +148,9 @@ def finish(args, files: dict[str, Path], robot, fish, toml_of, seen) -> int:
     written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if seen is not None else ()))}
     console.say(*(f"wrote {path}" for path in written.values()), "", *next_steps(files["description"], robot.name))
     if args.json:
-        facts = {
-            "speed": swim.speed,
-            "lengths_per_second": swim.speed / robot.length,
-            "torque": swim.torque,
-            "mass": round(robot.mass, 9),
-            **({} if seen is None else {"notes": list(seen.notes)}),
-        }
-        console.emit_json({**written, "name": robot.name, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
+        facts = {"name": robot.name, "speed": swim.speed, "lengths_per_second": swim.speed / robot.length, "torque": swim.torque}
+        facts |= {"mass": round(robot.mass, 9)} | ({} if seen is None else {"notes": list(seen.notes)})
+        console.emit_json({**written, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
     return console.FAILED_CHECK if wrong else console.OK
 
 
@@ -260,12 +219,6 @@ def sheet_of(args):
         options = ", ".join(f"--{key}" for key in figures)
         raise UsageError(f"new: {options} {what}: give all of a data sheet, or a --servo".replace("_", "-"))
     return DataSheet(name="data-sheet", source="data sheet figures, given on the command line", **figures)
-
-
-def read_table(args):
-    from fishmj.new.table import read_sections
-
-    return read_sections(args.sections, args.unit)
 
 
 def read_side_view(args):

@@ -236,6 +236,3 @@ def _asked(question: Question, known: Known, ask: Callable[[str], str], number: 
             return question.parse(text.strip() or default, known), "asked" if text.strip() else "default"
         except (argparse.ArgumentTypeError, FishmjError) as error:
             prefix = f"  {error}\n"
-
-
-__all__ = ["QUESTIONS", "SHEET", "gather", "hull", "joints", "servo"]

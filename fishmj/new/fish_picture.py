@@ -96,6 +96,3 @@ def _centres(axes: Any, robot: Robot, g: Geometry, fronts: np.ndarray) -> None:
     axes.plot(g.reference, depth, "X", color="black", mec="white", ms=11, zorder=7, label="centre of mass (+ of a link)")
     axes.plot([], [], "o", color="white", mec="#222222", ms=7, label="joint")
     axes.legend(loc="upper right", fontsize=8, ncols=3, frameon=False)
-
-
-__all__ = ["picture"]

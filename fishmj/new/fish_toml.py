@@ -28,11 +28,8 @@ class Fish:
 def robot_of(fish: Fish) -> Robot:
     """The description in numbers. Raises ConfigError where the answers do not go together."""
     links = balanced(cut(fish.outline, fish.joints), fish.mass)
-    sheet = fish.sheet
-    servo = servo_from_sheet(
-        sheet.stall_torque, sheet.no_load_speed, sheet.voltage, stall_current=sheet.stall_current, resolution=sheet.resolution,
-        idle_power=round(RADIO + len(fish.joints) * sheet.idle_power, 2), where=f"new: servo {sheet.name}",
-    )  # fmt: skip
+    idle_power = round(RADIO + len(fish.joints) * fish.sheet.idle_power, 2)
+    servo = servo_from_sheet(fish.sheet, idle_power=idle_power, where=f"new: servo {fish.sheet.name}")
     return Robot(
         name=fish.name, title=f"{fish.name}, {len(links)} links, {len(fish.joints)} servos, {fish.outline.length:.3g} m",
         links=links, servo=servo, fins=side_fins(fish, links), timing=Timing(), water=water_prior(links),
@@ -148,6 +145,3 @@ def _water(water: dict) -> list[str]:
     text = lambda v: f'"{v}"' if isinstance(v, str) else str(v)
     rows = [f"{key} = {text(value)}" + (f"  # {notes[key]}" if key in notes else "") for key, value in water.items()]
     return ["[water]                      # prior: values from the literature (docs/methods/water.md), fitted to no flow", *rows]
-
-
-__all__ = ["Fish", "robot_of", "toml_of"]

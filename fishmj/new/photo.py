@@ -3,20 +3,24 @@
     background   a quadratic in x and y through the picture's margin, in each colour channel (CIE Lab): light falls off evenly
     fish         the largest piece of what differs from it by more than Otsu's threshold (Otsu 1979), holes filled
     axis         the principal axis of its pixels without its fins; heights are top to bottom across it
-    fins, head   `fishmj.new.silhouette`
+    edges        upper and lower edge of the fish over its axis, one value a pixel, a median over a half of a hundredth of it
+    fins         what stands out of an edge in front of the tail fin and is shorter than a quarter of the fish: grey opening of
+                 the edge with that length (Serra 1982), where it stands out of the line from both sides by 0.08 of the height
+    head         the end without a tail fin; where neither or both flare, the end that the middle of the area lies nearer to
+    sections     Douglas and Peucker (1973) on the heights: they keep every extremum, to a pixel where 48 sections suffice
 
 A picture in which this is not clear is refused: an outline that is half right would be a fish that swims wrongly.
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.errors import ConfigError, MissingExtra
+from fishmj.errors import ConfigError
+from fishmj.mjcf.from_above import opencv
 from fishmj.names import nearest
 from fishmj.new.shape import Outline, root_of_fin, typical_width
-from fishmj.new.silhouette import Edges, FinSeen, edges_of, head, hull_of, sections_of
 
 BYTES = 50_000_000  # of the file
 PIXELS = 50_000_000  # of the picture; looked up before it is decoded
@@ -29,6 +33,40 @@ VISIBLE = 6.0  # the same, in units of CIE Lab
 SLENDER = 1.6  # length over height, at least
 OTHERS = 0.35  # of the fish's area, that the next piece may have
 UPRIGHT = 45.0  # deg of tilt, from which left and right do not tell the ends apart
+LONGEST_FIN = 0.25  # of the fish's length: what is longer is a back
+STANDS_OUT = 0.08  # of the fish's height
+FOOT = 0.02  # of the length, around a fin, that its edge takes to come down to the body
+SLOPE = 0.05  # of the length, over which the body's slope beside a fin is measured
+END = 0.02  # of the length: a slanted or torn end is filled from what stands just before it
+FIRST = (0.007, 0.025)  # shares of the length with a section each: the nose is round
+SECTIONS = 48  # at most
+LEANS = 0.01  # of the length, between the middle of the area and that of the fish, below which an end is not told from the other
+
+
+class Edges(NamedTuple):
+    """The fish over its axis, n stations a pixel apart, first the end that is called nose. Pixels."""
+
+    x: np.ndarray  # (n,) from the nose
+    top: np.ndarray  # (n,) across the axis, upwards
+    bottom: np.ndarray  # (n,)
+
+    @property
+    def height(self) -> np.ndarray:
+        """(n,), with both rims."""
+        return self.top - self.bottom + 1
+
+    def turned(self) -> "Edges":
+        """With the other end as the nose."""
+        return Edges(self.x, self.top[::-1], self.bottom[::-1])
+
+
+class FinSeen(NamedTuple):
+    """An appendage in front of the tail fin, left out of the hull. Pixels."""
+
+    above: bool
+    start: float  # from the nose
+    end: float
+    reach: float  # over the hull
 
 
 class Seen(NamedTuple):
@@ -36,7 +74,6 @@ class Seen(NamedTuple):
 
     outline: Outline
     overlay: bytes  # a PNG to check by eye
-    metres_per_pixel: float
     notes: tuple[str, ...]  # what was guessed or left out, a line each, with the option that changes it
 
 
@@ -66,7 +103,7 @@ def read_photo(
     Raises:
         ConfigError: no picture, too large a one, a truncated one, no clear outline, ends that look alike, or no scale.
     """
-    cv2 = _cv2()
+    cv2 = opencv("an outline from a photo")
     picture = _decoded(cv2, path)
     factor = min(1.0, WORK / max(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else picture
@@ -88,11 +125,15 @@ def read_photo(
     fin_at = None if root is None else root * (total / sections[-1, 0])
     greatest = width if width is not None else width_ratio * float(height[x <= (total if fin_at is None else fin_at)].max())
     rows = np.stack([x, height, greatest * np.maximum(typical_width(x / total), 0.01)], -1)
-    guessed = None if width is not None else f"{greatest:.3g} m at most, {width_ratio:g} of the body's height, is a guess"
-    notes = (*_notes(view, unit, nose), _width_note(guessed))
-    return Seen(
-        Outline(rows, fin_at, f"photo {nearest(path.name)}"), _overlay(cv2, small, mask, view, sections), unit * factor, notes
-    )
+    guessed = "times --width"
+    if width is None:
+        guessed = f"and {greatest:.3g} m at most, {width_ratio:g} of the body's height, is a guess: measure it, --width"
+    notes = _notes(view, unit, nose) + [
+        f"width: a side view does not show it; along the fish it is the default fish's, {guessed}; --sections takes a table of"
+        " widths"
+    ]
+    outline = Outline(rows, fin_at, f"photo {nearest(path.name)}")
+    return Seen(outline, _overlay(cv2, small, mask, view, sections), tuple(notes))
 
 
 def _notes(view: View, unit: float, asked: str | None) -> list[str]:
@@ -107,14 +148,6 @@ def _notes(view: View, unit: float, asked: str | None) -> list[str]:
         which = ", ".join(f"{place(fin)} ({unit * fin.reach:.2g} m high)" for fin in view.fins)
         lines.append(f"fins left out of the hull, from the nose: {which}; --sections takes a hull with them")
     return lines
-
-
-def _width_note(guessed: str | None) -> str:
-    return (
-        "width: a side view does not show it; along the fish it is the default fish's"
-        + (f", and {guessed}: measure it, --width" if guessed else ", times --width")
-        + "; --sections takes a table of widths"
-    )
 
 
 def size_of(data: bytes) -> tuple[int, int] | None:
@@ -268,14 +301,8 @@ def _overlay(cv2, picture, mask, view: View, sections) -> bytes:
     drawn = drawn.astype(np.uint8)
     outer, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(drawn, outer, -1, (0, 90, 255), 1, cv2.LINE_AA)
-    cv2.line(
-        drawn,
-        point(0, middle := float(hull.top[0] + hull.bottom[0]) / 2),
-        point(hull.x[-1], middle),
-        (255, 255, 255),
-        1,
-        cv2.LINE_AA,
-    )
+    middle = float(hull.top[0] + hull.bottom[0]) / 2
+    cv2.line(drawn, point(0, middle), point(hull.x[-1], middle), (255, 255, 255), 1, cv2.LINE_AA)
     for x, _ in sections:
         high, low = (float(np.interp(x, hull.x, edge)) for edge in (hull.top, hull.bottom))
         cv2.line(drawn, point(x, high), point(x, low), (255, 160, 0), 1, cv2.LINE_AA)
@@ -293,12 +320,96 @@ def _overlay(cv2, picture, mask, view: View, sections) -> bytes:
     return data.tobytes()
 
 
-def _cv2() -> Any:
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtra("opencv-python-headless", "all", "an outline from a photo") from error
-    return cv2
+# the silhouette: which end is the head, what of the outline is a fin, the few sections that keep its shape
 
 
-__all__ = ["Seen", "read_photo", "size_of"]
+def edges_of(along: np.ndarray, across: np.ndarray) -> Edges:
+    """Edges of the pixels (P,) of a fish, along its axis and across it."""
+    from scipy.ndimage import median_filter
+
+    bins = (along - along.min() + 0.5).astype(int)
+    n = bins.max() + 1
+    top, bottom = np.full(n, -np.inf), np.full(n, np.inf)
+    np.maximum.at(top, bins, across)
+    np.minimum.at(bottom, bins, across)
+    there = np.flatnonzero(np.isfinite(top))
+    size = max(3, n // 200) | 1
+    whole = (np.interp(np.arange(n), there, edge[there]) for edge in (top, bottom))
+    return Edges(np.arange(n) * ((np.ptp(along) + 1) / n), *(median_filter(edge, size=size, mode="nearest") for edge in whole))
+
+
+def head(edges: Edges) -> tuple[bool | None, str]:
+    """Whether the nose is where these edges begin, and what says so; None where both ends look alike."""
+    height = edges.height
+    behind, before = flares(edges.x, height), flares(edges.x, height[::-1])
+    if behind != before:
+        return behind, "the tail fin is at the other end"
+    lean = float(edges.x @ height / height.sum() / edges.x[-1]) - 0.5
+    if abs(lean) < LEANS:
+        return None, "both ends look alike"
+    return lean < 0, "more of the fish lies in that half"
+
+
+def flares(x: np.ndarray, height: np.ndarray) -> bool:
+    """Whether a tail fin stands at the end of heights (n,) over x."""
+    root = root_of_fin(x, height)
+    return root is not None and float(height[x <= root].max()) > 1.5 * float(np.interp(root, x, height))
+
+
+def hull_of(edges: Edges) -> tuple[Edges, list[FinSeen]]:
+    """The edges without the fins in front of the tail fin, and those fins."""
+    root = root_of_fin(edges.x, edges.height)
+    n = len(edges.x) if root is None else int(np.searchsorted(edges.x, root))
+    least = STANDS_OUT * float(edges.height[:n].max())
+    top, above = _without_fins(edges.top, n, least)
+    bottom, below = _without_fins(-edges.bottom, n, least)
+    step = float(edges.x[1])
+    fins = [FinSeen(up, a * step, b * step, reach) for up, found in ((True, above), (False, below)) for a, b, reach in found]
+    return Edges(edges.x, top, -bottom), sorted(fins, key=lambda fin: fin.start)
+
+
+def _without_fins(edge: np.ndarray, n: int, least: float) -> tuple[np.ndarray, list[tuple[int, int, float]]]:
+    """An edge (N,) that counts outwards without what stands out of its first n values by `least`, and (start, end, reach)."""
+    from scipy.ndimage import grey_opening, label
+
+    made, found, total = edge.copy(), [], len(edge)
+    opened = grey_opening(edge[:n], size=max(3, int(LONGEST_FIN * total)), mode="nearest")
+    runs, many = label(edge[:n] - opened > 0.25 * least)
+    foot = max(2, int(FOOT * total))
+    for k in range(1, many + 1):
+        inside = np.flatnonzero(runs == k)
+        a, b = int(inside[0]) - foot, int(inside[-1]) + foot
+        if a < foot or (edge[:n] - opened)[inside].max() < least:
+            continue
+        line = _continued(edge, a, min(b, n - 1), max(3, int(SLOPE * total)))
+        over = edge[a : a + len(line)] - line
+        if over.max() >= least:
+            made[a : a + len(line)] -= np.maximum(over, 0)
+            stands = a + np.flatnonzero(over > 0.25 * least)
+            found.append((int(stands[0]), int(stands[-1]), float(over.max())))
+    return made, found
+
+
+def _continued(edge: np.ndarray, a: int, b: int, over: int) -> np.ndarray:
+    """Values at a..b of the cubic that leaves the edge at both ends with the slope that it has outside."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    before, after = slice(max(0, a - over), a + 1), slice(b, min(len(edge), b + over + 1))
+    ends = [np.polyfit(np.arange(len(edge))[part] - at, edge[part], 1) for part, at in ((before, a), (after, b))]
+    return CubicHermiteSpline([a, b], [edge[a], edge[b]], [slope for slope, _ in ends])(np.arange(a, b + 1))
+
+
+def sections_of(cv2, edges: Edges) -> np.ndarray:
+    """(S, 2) stations and heights, px: the fewest that keep the heights to a pixel, at most 48."""
+    x, height = edges.x, edges.height.copy()
+    last = len(x) - max(2, int(END * len(x)))
+    last += int(np.argmax(height[last:]))
+    height[last:] = height[last]  # the tips of a tilted tail fin reach the end one by one
+    height[0] = height[min(len(x) - 1, max(1, int(FIRST[0] * len(x) / 2)))]  # a small first section, not a point
+    line, within = np.stack([x, height], -1).astype(np.float32), 1.0
+    while len(kept := cv2.approxPolyDP(line[:, None], within, False)[:, 0]) > SECTIONS - len(FIRST):
+        within *= 1.2
+    stations = np.union1d(kept[:, 0].astype(float), np.array(FIRST) * x[-1])
+    stations = stations[np.diff(stations, prepend=-np.inf) > 1e-3 * x[-1]]
+    stations[-1] = x[-1]
+    return np.stack([stations, np.interp(stations, x, height)], -1)

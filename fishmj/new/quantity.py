@@ -56,6 +56,3 @@ def _value(text: str, kind: Quantity) -> float | None:
     if unit in kind.inverse:
         return kind.inverse[unit] / number if number else None
     return number * kind.units[unit] if unit in kind.units else None
-
-
-__all__ = ["KINDS", "quantity"]

@@ -34,7 +34,7 @@ class SwimCheck(NamedTuple):
     advice: str = ""
 
 
-class TestSwim(NamedTuple):
+class StillWaterSwim(NamedTuple):
     """Five seconds of a gait in still water."""
 
     frequency: float  # Hz
@@ -44,7 +44,7 @@ class TestSwim(NamedTuple):
     finite: bool
 
 
-def checks(robot: Robot, swim: TestSwim) -> list[SwimCheck]:
+def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
     """All checks of a description and its swim."""
     g, servo, length = geometry_of(robot), robot.servo, robot.length
     raw = displaced(robot.links, robot.density_water).sum()
@@ -78,7 +78,7 @@ def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") 
     return SwimCheck(what, found, expected, verdict, "" if verdict == OK else advice)
 
 
-def swim_of(robot: Robot) -> TestSwim:
+def swim_of(robot: Robot) -> StillWaterSwim:
     """Build the MuJoCo model and let it swim with a travelling wave in its prior water, at rest."""
     from fishmj.sim import Sim
 
@@ -94,15 +94,12 @@ def swim_of(robot: Robot) -> TestSwim:
             track.append(sim.pose[:3])
             torque = max(torque, float(np.abs(sim.data.actuator_force).max()))
     except SimDiverged:
-        return TestSwim(BEAT, amplitude, float("nan"), torque, False)
+        return StillWaterSwim(BEAT, amplitude, float("nan"), torque, False)
     start, end = track[-1 - round(SETTLED / robot.timing.bus_dt)], track[-1]
     heading = float(np.mean([pose[2] for pose in track[-round(SETTLED / robot.timing.bus_dt) :]]))
     ahead = float((end[:2] - start[:2]) @ [np.cos(heading), np.sin(heading)]) / SETTLED
-    return TestSwim(BEAT, amplitude, ahead, torque, bool(np.isfinite(track).all()))
+    return StillWaterSwim(BEAT, amplitude, ahead, torque, bool(np.isfinite(track).all()))
 
 
 def _graded(value: float, good: tuple[float, float], possible: tuple[float, float] = (-np.inf, np.inf)) -> str:
     return OK if good[0] <= value <= good[1] else LOOK if possible[0] <= value <= possible[1] else FALSE
-
-
-__all__ = ["SwimCheck", "TestSwim", "checks", "swim_of"]

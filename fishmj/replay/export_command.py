@@ -12,7 +12,7 @@ from fishmj.log import export
 from fishmj.log.foxglove import Solid
 from fishmj.log.trial import TABLES, Trial, stacked
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.solids import solids
+from fishmj.mjcf.drawing import solids
 from fishmj.replay.scene import named_robot
 
 EXAMPLES = """examples:

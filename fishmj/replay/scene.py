@@ -13,8 +13,7 @@ from fishmj.calib import shipped
 from fishmj.errors import ConfigError, FishmjError, LogError
 from fishmj.log import Trial, stacked
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.identity import robot_sha256
-from fishmj.mjcf.structure import structure_of
+from fishmj.mjcf.identity import robot_sha256, structure_of
 
 FPS = 50.0
 LONGEST = 3600.0  # s of one log; a page holds 50 frames of each of them

@@ -1,10 +1,8 @@
 """Files that survive a crash: atomic writes, checksums, arrays without pickle, rotating checkpoints. NumPy only."""
 
-from fishmj.store.arrays import read_npz, read_tensors, write_npz, write_tensors
+from fishmj.store.arrays import Checkpoint, Checkpoints, read_npz, read_tensors, write_npz, write_tensors
 from fishmj.store.atomic import plain, put_in_place, read_json, sync_folder, write_bytes, write_json, write_text
-from fishmj.store.checkpoints import Checkpoint, Checkpoints
-from fishmj.store.manifest import Change, Manifest, sha256
-from fishmj.store.package_data import left_out, shipped
+from fishmj.store.manifest import Change, Manifest, left_out, sha256, shipped
 
 __all__ = [
     "Change",

@@ -32,23 +32,19 @@ def write_bytes(path: str | Path, data: bytes) -> Path:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.tmp")
     with interrupt.writing:
-        return _replaced(path, temporary, data)
-
-
-def _replaced(path: Path, temporary: Path, data: bytes) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise _write_error(path, error, len(data)) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+            sync_folder(path.parent)
+        except OSError as error:
+            raise _write_error(path, error, len(data)) from error
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
     return path
 
 

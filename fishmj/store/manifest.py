@@ -1,14 +1,19 @@
-"""`manifest.json`: the sha256 of every file of a folder, so that a changed or missing one is named."""
+"""`manifest.json`: the sha256 of every file of a folder, so that a changed or missing one is named; and what comes with fishmj.
+
+That is `data/` of a checkout, or `_data` of an installed package, which holds what verbs open on their own.
+"""
 
 import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
+from fishmj.calib import OWN, ROOTS
 from fishmj.errors import StoreError
 from fishmj.plain_file import trouble
 from fishmj.store.atomic import read_json, write_json
 
 MANIFEST = "manifest.json"
+SOURCES = "in a checkout or the source distribution (sdist)"
 
 
 def sha256(path: str | Path) -> str:
@@ -85,3 +90,17 @@ class Manifest:
             lines = "\n  ".join(map(str, changes))
             count = f"{len(changes)} of {len(self.files)} files"
             raise StoreError(f"{folder}: {count} missing or changed:\n  {lines}\n  restore them or write them again")
+
+
+def shipped(path: str | Path) -> Path:
+    """A path such as `data/gap/lbm/nulls`: in the working directory, else what came with fishmj, else as it was given."""
+    path = Path(path)
+    below = path.parts[1:] if path.parts[:1] == ("data",) and not path.exists() else ()
+    return next((root.joinpath(*below) for root in ROOTS if below and root.joinpath(*below).exists()), path)
+
+
+def left_out(path: str | Path) -> str:
+    """Where to get what lies below `data/` in the sources alone: words that end an error; "" in a checkout, or of other paths."""
+    if OWN in ROOTS or Path(path).parts[:1] != ("data",):
+        return ""
+    return f"; fishmj's own data/ is whole {SOURCES} only"

@@ -10,7 +10,7 @@ from fishmj import plugins
 from fishmj.engines import in_water, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
-from fishmj.mjcf.structure import observation_of, structure_of
+from fishmj.mjcf.identity import observation_of, structure_of
 from fishmj.policy import Policy
 from fishmj.tasks.station_hold import visible
 from fishmj.train.learner import Learner, PolicyLayers

@@ -70,32 +70,7 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
         if i == 0 and tank.tether != 0.0:
             Fx -= tank.tether * (px - tank.tether_x)
             Fy -= tank.tether * (py - tank.tether_y)
-        # link inertia in the tank frame
-        bxx = along * tx * tx + across * nx * nx
-        bxy = along * tx * ty + across * nx * ny
-        byy = along * ty * ty + across * ny * ny
-        A[0, 0] += bxx
-        A[1, 0] += bxy
-        A[1, 1] += byy
-        qx, qy = cross * nx, cross * ny
-        A[2 + i, 0] += qx
-        A[2 + i, 1] += qy
-        A[2 + i, 2 + i] += spin
-        f[0] += Fx
-        f[1] += Fy
-        f[2 + i] += moment
-        for k in range(i):
-            gx, gy = (g0x, g0y) if k == 0 else (g1x, g1y) if k == 1 else (g2x, g2y)
-            hx, hy = bxx * gx + bxy * gy, bxy * gx + byy * gy
-            A[2 + k, 0] += hx
-            A[2 + k, 1] += hy
-            A[2 + i, 2 + k] += qx * gx + qy * gy
-            f[2 + k] += gx * Fx + gy * Fy
-            A[2 + k, 2] += hx * g0x + hy * g0y
-            if k > 0:
-                A[2 + k, 3] += hx * g1x + hy * g1y
-            if k > 1:
-                A[2 + k, 4] += hx * g2x + hy * g2y
+        _add_link(A, f, i, (along, across, cross, spin), (tx, ty, nx, ny), (Fx, Fy, moment), (g0x, g0y, g1x, g1y, g2x, g2y))
         x = body.hinge[i]
         if i == 0:
             g0x, g0y = x * nx, x * ny
@@ -106,6 +81,40 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
         px, py = px + x * tx, py + x * ty
         ox, oy = ox + w * x * nx, oy + w * x * ny
         bx, by = bx - w * w * x * tx, by - w * w * x * ty
+
+
+@compiled
+def _add_link(A, f, i, inertia, axes, load, arms):
+    """Add link i to A and f, and through the arms x_k n_k (k = 0, 1, 2) to the links before it; inertia and load in its axes."""
+    along, across, cross, spin = inertia
+    tx, ty, nx, ny = axes
+    Fx, Fy, moment = load
+    g0x, g0y, g1x, g1y, g2x, g2y = arms
+    bxx = along * tx * tx + across * nx * nx
+    bxy = along * tx * ty + across * nx * ny
+    byy = along * ty * ty + across * ny * ny
+    A[0, 0] += bxx
+    A[1, 0] += bxy
+    A[1, 1] += byy
+    qx, qy = cross * nx, cross * ny
+    A[2 + i, 0] += qx
+    A[2 + i, 1] += qy
+    A[2 + i, 2 + i] += spin
+    f[0] += Fx
+    f[1] += Fy
+    f[2 + i] += moment
+    for k in range(i):
+        gx, gy = (g0x, g0y) if k == 0 else (g1x, g1y) if k == 1 else (g2x, g2y)
+        hx, hy = bxx * gx + bxy * gy, bxy * gx + byy * gy
+        A[2 + k, 0] += hx
+        A[2 + k, 1] += hy
+        A[2 + i, 2 + k] += qx * gx + qy * gy
+        f[2 + k] += gx * Fx + gy * Fy
+        A[2 + k, 2] += hx * g0x + hy * g0y
+        if k > 0:
+            A[2 + k, 3] += hx * g1x + hy * g1y
+        if k > 1:
+            A[2 + k, 4] += hx * g2x + hy * g2y
 
 
 @compiled

@@ -23,7 +23,7 @@ from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import ConfigError, DescriptionError, FishmjError, StoreError, UnknownName
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.findings import shown
+from fishmj.mjcf.description_schema import shown
 from fishmj.names import checked
 from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
 from fishmj.water import residual_hooks

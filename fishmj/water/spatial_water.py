@@ -27,8 +27,8 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.drawing import fin_plates
 from fishmj.mjcf.geometry import geometry_of
-from fishmj.mjcf.visual_geometry import fin_plates
 from fishmj.units import G
 from fishmj.water import planar_water
 

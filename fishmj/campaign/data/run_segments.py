@@ -26,8 +26,8 @@ from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
-from fishmj.mjcf.centres import link_centres
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.model import reference_qpos
 
 DOUBT = 1.5  # s before water fails that are not kept: a held fish's water left the measured speeds 1.3 s before it failed

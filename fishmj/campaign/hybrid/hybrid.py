@@ -29,8 +29,8 @@ from fishmj.engines.single import SingleFish
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
-from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.servos import arrived, on_the_bus
 from fishmj.water import residual_hooks
 
 

@@ -1,7 +1,7 @@
 """How late is every channel, is the residual locked to the tail beat, and does it grow with the speed of the command?
 
-Lags, behind the model and behind the command, are cross-correlations of rates with their bootstrap intervals (log/timebase.py), over
-all records in which the channel moves, set one after the other with pauses between. Where the command beats,
+Lags, behind the model and behind the command, are cross-correlations of rates with their bootstrap intervals (log/timebase.py),
+over all records in which the channel moves, set one after the other with pauses between. Where the command beats,
 
     r(t) = p0 + p1 t + g c(t) + h H[c](t)     in windows of two beats at least;  H quarter of a beat later (Hilbert transform)
 

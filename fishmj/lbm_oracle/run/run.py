@@ -25,8 +25,8 @@ from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
 from fishmj.log import Trial
 from fishmj.mjcf import load_robot
-from fishmj.mjcf.command_bus import arrived, on_the_bus
 from fishmj.mjcf.model import reference_pose
+from fishmj.mjcf.servos import arrived, on_the_bus
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start

@@ -4,7 +4,7 @@ import numpy as np
 
 from fishmj.errors import LogError
 from fishmj.log import SCHEMA, Trial, numbered
-from fishmj.mjcf.centres import link_centres
+from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
 

@@ -15,8 +15,7 @@ from statistics import median
 from typing import NamedTuple
 
 from fishmj.cores import usable_cores
-from fishmj.doctor.machine import processor
-from fishmj.doctor.packages import version
+from fishmj.doctor import processor, version
 from fishmj.errors import MissingExtra, UnknownName
 
 

@@ -19,7 +19,7 @@ from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.log import Trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json
-from fishmj.store.package_data import SOURCES
+from fishmj.store.manifest import SOURCES
 from fishmj.studies.gap_benchmark.cases import Case
 
 WATER = "swift-base"
