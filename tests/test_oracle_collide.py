@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fishmj.lbm_oracle.fluid import collide
-from fishmj.lbm_oracle.fluid.lattice import CS2, VELOCITIES, WEIGHTS, mirrored, opposite, vec6
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import CS2, VELOCITIES, WEIGHTS, Lattice, mirrored, opposite, vec6
 
 pytestmark = pytest.mark.oracle
 

@@ -11,11 +11,10 @@ from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
-from fishmj.lbm_oracle.cases import validate
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.studies.solver_grid import converge
@@ -101,7 +100,7 @@ def test_known_answers_of_the_fluid(name):
 def test_a_missed_check_exits_with_one(monkeypatch, capsys):
     wrong = cases.Case("wrong", 0, "none", "none", True, lambda device: [cases.below("nan", float("nan"), 1.0)])
     monkeypatch.setattr(cases, "known", lambda: {"wrong": wrong})
-    assert validate.main(["wrong", "--json"]) == console.FAILED_CHECK
+    assert cases.main(["wrong", "--json"]) == console.FAILED_CHECK
     assert '"verdict": "MISS"' in capsys.readouterr().out
 
 
@@ -112,6 +111,6 @@ def test_the_convergence_command_finds_second_order(capsys):
 
 def test_unknown_cases_and_verbs_are_named():
     with pytest.raises(UnknownName, match="poiseuille"):
-        validate.main(["poisseuille"])
+        cases.main(["poisseuille"])
     with pytest.raises(UnknownName, match="cases"):
         verbs.main(["case"])

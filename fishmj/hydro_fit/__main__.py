@@ -104,9 +104,9 @@ def _passed_on(args) -> list[str]:
 
 def collect(argv: list[str]) -> int:
     """Hand over to the campaign."""
-    from fishmj.campaign.data import collect_command
+    from fishmj.campaign.data.collect import main
 
-    return collect_command.main(argv)
+    return main(argv)
 
 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
@@ -282,7 +282,7 @@ WRITTEN = {
 COMMANDS = {
     "all": Command(partial(run, "all"), "collect what is missing, fit, check and report", "fishmj hydro_fit all --fish fish"),
     "collect": Command(
-        "fishmj.campaign.data.collect_command",
+        "fishmj.campaign.data.collect",
         "segments of the flow solver that a water is fitted to",
         "fishmj hydro_fit collect --preview --out runs/preview",
     ),
@@ -315,7 +315,7 @@ COMMANDS = {
         "fishmj hydro_fit hybrid --wrong tail --domain laptop --episodes 1",
     ),
     "correct": Command(
-        "fishmj.campaign.dagger.dagger_command",
+        "fishmj.campaign.dagger.dagger",
         "rounds of a policy's own states, solved and refitted",
         "fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct",
     ),

@@ -8,7 +8,7 @@ main = console.CommandGroup(
     __doc__ or "",
     {
         "cases": Command(
-            "fishmj.lbm_oracle.cases.validate",
+            "fishmj.lbm_oracle.cases",
             "known answers, each beside its reference",
             "fishmj lbm_oracle cases poiseuille cavity",
         ),

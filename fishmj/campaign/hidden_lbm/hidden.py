@@ -19,8 +19,8 @@ from fishmj.campaign.data.run_segments import DOUBT
 from fishmj.campaign.hidden_lbm.hidden_run import CARRY, PASSES, WIDTH, HiddenRun, Job
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.run import ConcurrentRuns
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.source import made_by
 from fishmj.virtual_robot import random_streams, sensors

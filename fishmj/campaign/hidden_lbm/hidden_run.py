@@ -5,16 +5,14 @@ from typing import cast
 
 import numpy as np
 
-from fishmj.campaign.hidden_lbm.electronics import Electronics, Queue
-from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody
+from fishmj.campaign.hidden_lbm.hidden_body import Electronics, HiddenBody, Queue
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 from fishmj.lbm_oracle.run.domain import Domain, preset
-from fishmj.lbm_oracle.run.joint_driver import JointDriver
-from fishmj.lbm_oracle.run.run import LeftDomain, Run
+from fishmj.lbm_oracle.run.run import JointDriver, LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch
 from fishmj.mjcf.model import reference_qpos
 from fishmj.virtual_robot import network, random_streams

@@ -20,9 +20,8 @@ from fishmj.campaign.data.collect import Local, collect
 from fishmj.campaign.data.joint_commands import drive, ticks_of
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.campaign.data.segment import Segment
-from fishmj.campaign.hybrid.correction_segment import Path as Along
-from fishmj.campaign.hybrid.correction_segment import Solver
-from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
+from fishmj.campaign.hybrid.hybrid import Hybrid, Solver, Surrogate
+from fishmj.campaign.hybrid.hybrid import Path as Along
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import open_dataset

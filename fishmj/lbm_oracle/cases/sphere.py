@@ -19,12 +19,21 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 
 STREAM = 0.05  # lattice units
+
+
+def ball(radius: float, lattice: Lattice, *, density: float = 1.0, at=(0.0, 0.0, 0.0)) -> ImmersedBody:
+    """A free, non-rotating sphere of `radius` m and `density` times the water's, at `at` m; no gravity."""
+    mass = lattice.rho * 4 / 3 * pi * radius**3
+    solid, water = ([0.4 * m * radius**2] * 3 for m in (density * mass, mass))
+    body = ImmersedBody.on_slides("xyz", density * mass, solid, mass, water, lattice.dt)
+    body.place(at)
+    return body
 
 
 def drag(

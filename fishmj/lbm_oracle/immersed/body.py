@@ -22,7 +22,7 @@ import numpy as np
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.lbm_oracle.immersed import link_dynamics
 from fishmj.lbm_oracle.immersed.interior import Points
-from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.mjcf import build, geometry_of, load_robot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
@@ -96,6 +96,19 @@ class ImmersedBody:
         """The fish of a description, at rest and straight at the origin."""
         robot = load_robot(robot)
         return cls(build(robot, root, bare=True), DisplacedWater.of(robot), dt)
+
+    @classmethod
+    def on_slides(cls, axes: str, mass: float, inertia, displaced: float, inertia_displaced, dt: float) -> "ImmersedBody":
+        """The smallest body: one link on slides along some of `xyz`, no gravity. Masses kg, moments of inertia (3,) kg m2."""
+        spec = mujoco.MjSpec()
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        spec.option.gravity = [0, 0, 0]
+        link = spec.worldbody.add_body(name="body")
+        link.mass, link.inertia, link.ipos, link.explicitinertial = mass, inertia, [0, 0, 0], True
+        for name in axes:
+            link.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)["xyz".index(name)])
+        inside = np.diag(inertia_displaced)[None]
+        return cls(spec.compile(), DisplacedWater(mass=np.array([displaced]), centre=np.zeros((1, 3)), inertia=inside), dt)
 
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""

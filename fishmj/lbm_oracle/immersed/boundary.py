@@ -18,11 +18,10 @@ import warp as wp
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import C
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import C, Lattice
 from fishmj.lbm_oracle.immersed import fsi_solve, interior, kernels
-from fishmj.lbm_oracle.immersed.delta import check_width
-from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.immersed.kernels import check_width
+from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 GPU_CHUNKS = 16  # partial sums over the markers; one on the CPU

@@ -13,6 +13,15 @@ Departures from the textbook (Wang, Fan, Luo 2008; Kang, Hassan 2011):
     1. the slip target is frozen over the passes, so that the tangential force does not depend on their number;
     2. the spread force is divided by the local density, so that sum(rho G) = sum(V F) to round-off;
     3. no marker is ever looped over in Python, and nothing but v crosses to the host in a step.
+
+d is regularised: the same function interpolates and spreads, so that the two are adjoint. With r in cells:
+
+    3-point (Roma 1999):     phi = (1 + sqrt(1 - 3 r^2)) / 3                         |r| <= 1/2
+                             phi = (5 - 3|r| - sqrt(1 - 3 (1 - |r|)^2)) / 6          |r| <= 3/2
+    4-point (Peskin 2002):   phi = (3 - 2|r| + sqrt(1 + 4|r| - 4 r^2)) / 8           |r| <= 1
+                             phi = (5 - 2|r| - sqrt(-7 + 12|r| - 4 r^2)) / 8         |r| <= 2
+
+Both sum to one and conserve the first moment wherever the marker lies between the cells.
 The kernels below run one marker (and right-hand side, and plane of its cells) a thread, on CPU and GPU alike.
 """
 
@@ -20,11 +29,51 @@ from typing import Any
 
 import warp as wp
 
+from fishmj.errors import UnknownName
 from fishmj.lbm_oracle.fluid.lattice import Q, wrap
 from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, peek, point3
-from fishmj.lbm_oracle.immersed.delta import first, phi, weight
 
 wp.set_module_options({"enable_backward": False, "max_unroll": Q})
+
+WIDTHS = (3, 4)
+
+
+@wp.func
+def phi(r: float, width: int) -> float:
+    """One-dimensional weight at distance r [cells] of the kernel with `width` points."""
+    a = wp.abs(r)
+    if width == 3:
+        if a <= 0.5:
+            return (1.0 + wp.sqrt(wp.max(1.0 - 3.0 * a * a, 0.0))) / 3.0
+        if a <= 1.5:
+            return (5.0 - 3.0 * a - wp.sqrt(wp.max(1.0 - 3.0 * (1.0 - a) * (1.0 - a), 0.0))) / 6.0
+        return 0.0
+    if a <= 1.0:
+        return (3.0 - 2.0 * a + wp.sqrt(wp.max(1.0 + 4.0 * a - 4.0 * a * a, 0.0))) / 8.0
+    if a <= 2.0:
+        return (5.0 - 2.0 * a - wp.sqrt(wp.max(-7.0 + 12.0 * a - 4.0 * a * a, 0.0))) / 8.0
+    return 0.0
+
+
+@wp.func
+def first(x: float, width: int) -> int:
+    """Index of the first of the `width` cells that a marker at x [cells] touches."""
+    if width == 3:
+        return int(wp.floor(x + 0.5)) - 1
+    return int(wp.floor(x)) - 1
+
+
+@wp.func
+def weight(x: wp.vec3, i: int, j: int, k: int, width: int) -> float:
+    """Weight of the cell (i, j, k) for a marker at x; all in the same cell coordinates."""
+    return phi(x[0] - float(i), width) * phi(x[1] - float(j), width) * phi(x[2] - float(k), width)
+
+
+def check_width(width: int) -> int:
+    """`width` if there is such a kernel."""
+    if width not in WIDTHS:
+        raise UnknownName("kernel width", str(width), WIDTHS)
+    return width
 
 
 @wp.struct

@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.units import wrap
 
 TURN = 0.5  # rad/s, greatest rate at which the window's lead follows the heading

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import TICK
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain
 from fishmj.mjcf.description import Robot
 
@@ -83,37 +83,25 @@ def check(
     lat, mach = domain.lattice, domain.lattice.mach(speed)
     if not speed >= 0:
         raise ConfigError(f"guard: speed = {speed} m/s; expected a fastest speed of at least 0")
+
+    def refused(limit: str, why: str) -> OracleUnstable:
+        return OracleUnstable(f"{domain.name}: {why}", limit=limit, figures=table(domain, subgrid=subgrid, spacing=spacing))
+
     if mach > MACH:
         dt = step_for(lat, speed)
-        raise OracleUnstable(
-            f"{domain.name}: Mach {mach:.2f} at {speed:g} m/s with dx = {lat.dx:g} m, dt = {lat.dt:g} s; at most {MACH}. "
-            f"dt = {dt:.4g} s would give {mach * dt / lat.dt:.2f}",
-            limit="mach",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"Mach {mach:.2f} at {speed:g} m/s with dx = {lat.dx:g} m, dt = {lat.dt:g} s; at most {MACH}. "
+        raise refused("mach", f"{why}dt = {dt:.4g} s would give {mach * dt / lat.dt:.2f}")
     if subgrid == "none" and lat.tau < TAU:
         dx = 3 * lat.nu / ((TAU - 0.5) * lat.velocity)
-        raise OracleUnstable(
-            f"{domain.name}: tau = {lat.tau:.5f} with dx = {lat.dx:g} m, dt = {lat.dt:g} s and no subgrid model; at least {TAU}. "
-            f"Take subgrid = 'wale', or dx = {dx:.2g} m with dt = {dx / lat.velocity:.2g} s",
-            limit="tau",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"tau = {lat.tau:.5f} with dx = {lat.dx:g} m, dt = {lat.dt:g} s and no subgrid model; at least {TAU}. "
+        raise refused("tau", f"{why}Take subgrid = 'wale', or dx = {dx:.2g} m with dt = {dx / lat.velocity:.2g} s")
     if spacing is not None and not SPACING[0] * lat.dx <= spacing <= SPACING[1] * lat.dx:
-        raise OracleUnstable(
-            f"{domain.name}: markers {spacing:.3g} m apart, {spacing / lat.dx:.2f} dx; expected {SPACING[0]} to {SPACING[1]} dx. "
-            f"Space them by {lat.dx:g} m",
-            limit="spacing",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"markers {spacing:.3g} m apart, {spacing / lat.dx:.2f} dx; expected {SPACING[0]} to {SPACING[1]} dx. "
+        raise refused("spacing", f"{why}Space them by {lat.dx:g} m")
     if clearance is not None and clearance < CLEARANCE:
         need = (CLEARANCE - clearance) * lat.dx
-        raise OracleUnstable(
-            f"{domain.name}: the fish is {clearance:.1f} cells from a face; at least {CLEARANCE:g}. "
-            f"Start it {need:.3f} m further in, or make the box larger by that much",
-            limit="clearance",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"the fish is {clearance:.1f} cells from a face; at least {CLEARANCE:g}. "
+        raise refused("clearance", f"{why}Start it {need:.3f} m further in, or make the box larger by that much")
     if mach > MACH_WARN:
         return [f"{domain.name}: Mach {mach:.2f} at {speed:g} m/s: compressibility errors of {100 * mach**2:.0f} %"]
     return []

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.lbm_oracle.output import slice_plots, vtk
+from fishmj.lbm_oracle.output.record_fields import slice_of
 from fishmj.lbm_oracle.output.slices import read_slice, write_slice
-from fishmj.lbm_oracle.output.vorticity import slice_of
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf.skin import skin
 from fishmj.studies.force_maps.force_points import Point
