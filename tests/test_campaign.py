@@ -9,9 +9,9 @@ import pytest
 from ray_toys import toy
 
 from fishmj import console
-from fishmj.campaign.data import joint_commands, plan, run_segments
+from fishmj.campaign.data import plan, run_segments
 from fishmj.campaign.data.collect import Collected, collect, main
-from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.segment import Segment, drive
 from fishmj.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.record import HALF, narrow, read_record
@@ -50,10 +50,10 @@ def some(number=6):
 
 def test_a_policy_that_has_changed_since_is_refused():
     segment = next(s for s in FULL.segments if s.drive.get("controller") == "paper")
-    joint_commands.drive(segment, FISH)
+    drive(segment, FISH)
     other = replace(segment, drive=segment.drive | {"sha256": "0" * 64})
     with pytest.raises(ConfigError, match="policy paper: expected sha256 0000"):
-        joint_commands.drive(other, FISH)
+        drive(other, FISH)
 
 
 def test_a_segment_survives_json():

@@ -100,4 +100,4 @@ def test_positions_and_units_go_there_and_back(dx, dt, x):
     lattice = Lattice(dx=dx, dt=dt, corner=(-1.0, 0.5, 0.2))
     assert lattice.to_si(lattice.to_lu(x)) == pytest.approx(np.array(x), abs=1e-9)
     assert lattice.force * lattice.dt == pytest.approx(lattice.mass * lattice.velocity)  # an impulse is a momentum
-    assert lattice.power == pytest.approx(lattice.pressure * dx**2 * lattice.velocity)
+    assert lattice.force == pytest.approx(lattice.pressure * dx**2)

@@ -1,5 +1,6 @@
 """The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/decisions/reliability.md)."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -107,6 +108,44 @@ def test_a_missed_check_exits_with_one(monkeypatch, capsys):
 def test_the_convergence_command_finds_second_order(capsys):
     assert converge.main([]) == console.OK
     assert "ok" in capsys.readouterr().out
+
+
+OWN = """
+from fishmj.lbm_oracle.cases import below, register
+
+kept = register("{name}", rung=99, grid="none", source="rest")
+
+
+def plain(device):
+    yield below("speed, m/s", 0.0, 1e-6)
+
+
+@kept
+def mine(device):
+    {body}
+"""
+
+
+@pytest.mark.parametrize(
+    "name, body, called, said",
+    [
+        ("at_rest", 'yield below("speed, m/s", 0.0, 1e-6)', "mine", None),
+        ("at_rest", 'yield below("speed, m/s", 1.0, 1e-6)', "mine", "0 of 1 checks hold"),
+        ("at_rest", "return []", "plain", "expected a function under @register"),
+        ("at_rest", "yield 1.0", "mine", "expected it to yield checks .* got 1.0"),
+        ("at_rest", "return [1 / 0]", "mine", r"own.py:13: ZeroDivisionError"),
+        ("poiseuille", "return []", "mine", "'poiseuille': registered twice"),
+        ("at_rest", "return []", "min", "did you mean 'mine'"),
+    ],
+)
+def test_a_case_may_be_a_function_of_the_users_own(name, body, called, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cases, "REGISTRY", dict(cases.known()))
+    (tmp_path / "own.py").write_text(OWN.format(name=name, body=body))
+    code = console.run(cases.main, [f"{tmp_path / 'own.py'}:{called}"])
+    out, err = capsys.readouterr()
+    failed = said is not None and "checks hold" in said
+    assert code == (console.OK if said is None else console.FAILED_CHECK if failed else console.BAD_INPUT), err
+    assert re.search(said or "1 of 1 checks hold", out + err) and ("Traceback" not in err)
 
 
 def test_unknown_cases_and_verbs_are_named():

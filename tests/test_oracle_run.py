@@ -13,9 +13,8 @@ from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.lbm_oracle.run.domain import Domain
-from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import checkpoint
 from fishmj.log import read_trial, write_trial
 

@@ -31,10 +31,9 @@ from fishmj import console, controllers, interrupt
 from fishmj.calib import constant
 from fishmj.campaign.data import plan as plans
 from fishmj.campaign.data.collect import ON_GPU, Local, Pool, collect
-from fishmj.campaign.data.joint_commands import drive, ticks_of
 from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Setup
-from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.segment import Segment, drive, ticks_of
 from fishmj.campaign.hybrid.hybrid import Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, DatasetError

@@ -202,13 +202,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `collect`; `--json` is the caller's."""
     add = parser.add_argument
     add("--fish", type=console.text, default="fish", metavar="NAME|FILE", help="description of the robot")
-    add(
-        "--out",
-        "--data",
-        type=console.out_folder,
-        metavar="FOLDER",
-        help="data set to write, or to continue when it is there; data/hydro/<fish>[-...] by default",
-    )
+    place = "data set to write, or to continue when it is there; data/hydro/<fish>[-...] by default"
+    add("--out", "--data", type=console.out_folder, metavar="FOLDER", help=place)
     scale = console.number(0, 100, above=True)
     add("--scale", type=scale, default=1.0, metavar="X", help="as many times the episodes; 1 is the whole campaign")
     parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
@@ -243,29 +238,20 @@ def run(args: argparse.Namespace) -> int:
     if not (args.dry_run or args.ray):
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
-        solver_cost.agree(
-            "hydro_fit collect",
-            args.device,
-            [(domain, water)],
-            instead=less,
-            tanks=args.tanks or 1,
-            flag=GO,
-            asked=args.budget is not None,
-        )
+        told = {"instead": less, "flag": GO, "asked": args.budget is not None}
+        solver_cost.agree("hydro_fit collect", args.device, [(domain, water)], tanks=args.tanks or 1, **told)
     device = args.device if args.ray else str(device_of(args.device))
     setup = Setup(robot=robot, domain=domain, device=device)
-    console.say(
-        f"{plan.label}: {len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}", console.table(plan.rows())
-    )
+    what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"
+    console.say(f"{plan.label}: {what}", console.table(plan.rows()))
     if domain.name in PREVIEWS:
         console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     if not any(segment.block == "policy" for segment in plan.segments):
         console.say(f"no shipped controller is made for {robot.name}: no on-policy episodes; name one with --policy")
     if args.dry_run:
         if args.json:
-            console.emit_json(
-                {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows(), "split_sha256": plan.split_sha256}
-            )
+            told = {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows()}
+            console.emit_json(told | {"split_sha256": plan.split_sha256})
         return console.OK
     more = f"{out} holds every segment that was finished; {interrupt.again()}"
     with interrupt.keeping(lambda: more):
@@ -289,19 +275,15 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
     Raises:
         ConfigError: two kinds of plan at once; a slip ratio that no segment has.
     """
-    plan = _drawn(args, robot)
-    return plan.at(args.slip) if args.slip else plan
-
-
-def _drawn(args: argparse.Namespace, robot: Robot) -> Plan:
-    """The plan at every slip ratio."""
     if args.preview and args.fresh_test is not None:
         raise ConfigError("collect: --preview and --fresh-test are two plans; choose one")
     if args.preview:
-        return plans.preview(robot, seed=args.seed, policies=args.policy)
-    if args.fresh_test is not None:
-        return plans.fresh_test(robot, seed=args.fresh_test, policies=args.policy, scale=args.scale)
-    return plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
+        plan = plans.preview(robot, seed=args.seed, policies=args.policy)
+    elif args.fresh_test is not None:
+        plan = plans.fresh_test(robot, seed=args.fresh_test, policies=args.policy, scale=args.scale)
+    else:
+        plan = plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
+    return plan.at(args.slip) if args.slip else plan
 
 
 def default_folder(plan: Plan) -> Path:

@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import __version__
-from fishmj.campaign.data.joint_commands import Drive, drive, ticks_of
-from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.segment import Drive, Segment, drive, ticks_of
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset

@@ -35,6 +35,7 @@ from fishmj.virtual_robot.water import friction_speed
 
 IMPULSE, SLOPE, END, FASTEST, TORQUE = range(5)  # columns of `law`
 HELD = 1e-8  # rad/s: friction holds
+PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
 
 
 @entry
@@ -139,7 +140,8 @@ class HiddenDifference:
         rigid = HullConstants(mass=made.hull.mass, com=made.hull.com, inertia=made.hull.inertia)
         plain = nominal(made.robot)
         tank = made.tank._replace(**{key: value for key, value in plain.tank._asdict().items() if key not in REAL})
-        kept = {key: getattr(made.water, key) for key in _drawn(made.water)}
+        drawn = [key for key in made.water._fields if key not in made.water._field_defaults]  # that every robot has: no effects
+        kept = {key: getattr(made.water, key) for key in drawn}
         self.pair = (
             (made.body, made.water, made.tank, made.odd, gust),
             (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, Uncatalogued(), STILL),
@@ -157,14 +159,6 @@ class HiddenDifference:
             found.append((f, A + np.tril(A, -1).T))
         (f, A), (f0, A0) = found
         return ABSOLUTE.T @ (f - f0), ABSOLUTE.T @ (A - A0) @ ABSOLUTE
-
-
-def _drawn(water) -> list[str]:
-    """Fields of the water that every robot has, drawn or not: not the effects."""
-    return [key for key in water._fields if key not in water._field_defaults]
-
-
-PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
 
 
 class Queue(NamedTuple):

@@ -9,21 +9,27 @@ trails makes thrust either way, so that swimming forwards proves little.
 grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l of the links; displaced = sum of the h_l of the
 interior water (`immersed/__init__.py`): the grid has it inside the hull, a real fish does not. A coupling that loses I, its
 Coriolis part or a sign drifts by the whole momentum of the fish within a few beats (docs/methods/oracle_coupling.md).
+
+`fish_headings` swims in a window that follows and in a tank that stands, along the grid and across it: velocities are those of
+the world in a window that moves by whole cells, so that nothing may change but what the faces and the grid's axes do.
 """
 
+from math import radians
 from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
 from fishmj.errors import SimDiverged
-from fishmj.lbm_oracle.cases import below, register, reported
+from fishmj.lbm_oracle.cases import about, below, register, reported
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
 from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
+from fishmj.lbm_oracle.run.domain import Domain, preset, tank
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 
 
 class Momentum(NamedTuple):
@@ -68,6 +74,7 @@ def exchange(coupled: FluidStructure) -> tuple[np.ndarray, np.ndarray]:
 
 SHAPE = (56, 32, 20)
 LAG = np.radians(60.0) * np.arange(3)
+HEADINGS = (0.0, 30.0, 90.0)  # deg
 
 
 def pond(
@@ -118,3 +125,26 @@ def coupled_fish(device):
     yield reported("drift without the inside water", drift(beat(without, 3.0)))
     yield reported("max |p_solid|, kg m/s", largest)
     yield reported("speed along x after 3 beats, m/s", float(coupled.body.data.qvel[0]))
+
+
+def cruise(domain: Domain, device: str, *, heading: float = 0.0, seconds: float = 4.0, **options) -> float:
+    """Speed over the last two beats of the calibration swim, m/s."""
+    start = (-0.4 * np.cos(radians(heading)), -0.4 * np.sin(radians(heading)), radians(heading))
+    run, gait = SwimSetup(domain=domain, device=device, pose=start, **options).run(latency=0.0), Gait.of_the_paper()
+    for _ in range(round(seconds / run.robot.timing.bus_dt)):
+        run.tick(gait(run.time))
+    truth = run.trial().table("truth")
+    last = truth["t"] > seconds - 2.0 - 1e-9
+    x, y, t = truth["x"][last], truth["y"][last], truth["t"][last]
+    return float(np.hypot(x[-1] - x[0], y[-1] - y[0]) / (t[-1] - t[0]))
+
+
+@register("fish_headings", rung=15.1, grid="80 x 56 x 30 window, 130 x 130 x 30 tank, dx = 2 cm", source="symmetry")
+def fish_headings(device):
+    """Cruise in a window and in a tank, three headings."""
+    window, still = preset("laptop"), tank("pond", (2.6, 2.6, 0.6), 0.02, 0.004)
+    speeds = {heading: cruise(window, device, heading=heading) for heading in HEADINGS}
+    yield reported("speed in the window, heading 0, m/s", speeds[0.0])
+    for heading in HEADINGS[1:]:
+        yield about(f"speed at heading {heading:g} deg over that at 0", speeds[heading] / speeds[0.0], 1.0, 0.03)
+    yield about("speed in the tank over that in the window", cruise(still, device) / speeds[0.0], 1.0, 0.03)

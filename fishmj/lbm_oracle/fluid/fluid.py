@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey, Surveyor
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Lattice, Q
-from fishmj.lbm_oracle.fluid.step import Params, box_array, stream_collide
+from fishmj.lbm_oracle.fluid.step import Params, stream_collide
 from fishmj.lbm_oracle.fluid.storage import STORAGE
 
 MOST = 16  # cores that one box keeps busy
@@ -124,14 +124,9 @@ class Fluid:
         self.flow = flow or Flow()
         self._kernel = stream_collide(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
         self._keeps = keep_velocity
-        self._options: dict[str, Any] = {
-            "cw": cw,
-            "omega_bulk": omega_bulk,
-            "blend": blend,
-            "body_acceleration": body_acceleration,
-            "dtype": dtype,
-        }
-        self._params = _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend)
+        self._options: dict[str, Any] = {"cw": cw, "omega_bulk": omega_bulk, "blend": blend, "dtype": dtype}
+        self._options["body_acceleration"] = body_acceleration
+        self.params = _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend)
         self.threads = slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
             self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
@@ -153,17 +148,13 @@ class Fluid:
     @property
     def u(self) -> wp.array:
         if not self._keeps:
-            args = [self._params, _flat(self.f), self._u[self.parity]]
+            args = [self.params, _flat(self.f), self._u[self.parity]]
             wp.launch(fields.derive, dim=self.shape, inputs=args, device=self.device)
         return self._u[self.parity]
 
     @property
     def clock(self) -> wp.array:
         return self._clock[self.parity]
-
-    @property
-    def params(self) -> Params:
-        return self._params
 
     @property
     def time(self) -> float:
@@ -185,7 +176,7 @@ class Fluid:
         self._settle(self.origin_lu, self.shape)
 
     def _settle(self, low, size) -> None:
-        inputs = [self._params, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
+        inputs = [self.params, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
         wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
 
     def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
@@ -195,7 +186,7 @@ class Fluid:
         now = self.u
         now.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
         rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
-        wp.launch(fields.impose, dim=self.shape, inputs=[self._params, rho, now, _flat(self.f)], device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self.params, rho, now, _flat(self.f)], device=self.device)
 
     def step(self, box: Box | None = None) -> None:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
@@ -205,7 +196,7 @@ class Fluid:
     def set_box(self, box: Box) -> None:
         """The world nodes where `force` acts, until told otherwise."""
         if box != self._box:
-            self.box.assign(box_array(box))
+            self.box.assign(np.ravel(box).astype(np.int32))
             self._box = box
 
     def stream_collide(self) -> None:
@@ -218,7 +209,7 @@ class Fluid:
     def _recorded(self, parity: int) -> list[Any]:
         """The launches of a step that starts from this parity."""
         a, b = parity, 1 - parity
-        args = [self._params, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
+        args = [self.params, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
         args += [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
         planes, plane = self.shape[0], self.shape[1] * self.shape[2]
         return record(self._kernel, planes, plane, args, self.device, self.threads)
@@ -278,7 +269,7 @@ class Fluid:
     def drho(self) -> wp.array:
         """(nx, ny, nz) density minus one, in memory order."""
         out = wp.empty(self.shape, dtype=float, device=self.device)
-        wp.launch(fields.weigh, dim=self.shape, inputs=[self._params, _flat(self.f), out], device=self.device)
+        wp.launch(fields.weigh, dim=self.shape, inputs=[self.params, _flat(self.f), out], device=self.device)
         return out
 
     def survey(self) -> Survey:
@@ -289,7 +280,7 @@ class Fluid:
 
     def begin_survey(self) -> None:
         """Queue a survey on the present stream; the host goes on."""
-        self._surveyor.start(self._params, _flat(self.f), self.u)
+        self._surveyor.start(self.params, _flat(self.f), self.u)
 
     def surveyed(self) -> Survey:
         """What the last one found; to be asked once the device is through with it."""

@@ -110,11 +110,6 @@ class Lattice:
         return self.rho * self.velocity**2
 
     @property
-    def power(self) -> float:
-        """W."""
-        return self.force * self.velocity
-
-    @property
     def sound(self) -> float:
         """Speed of sound, m/s: far below water's, the price of an explicit scheme."""
         return CS * self.velocity

@@ -151,11 +151,6 @@ def add_interior(e: LinkDynamics):
 
 
 @wp.kernel
-def gain(e: LinkDynamics):
-    add_interior(e)
-
-
-@wp.kernel
 def assemble(e: LinkDynamics):
     """M + dt D and the right-hand side."""
     add_interior(e)

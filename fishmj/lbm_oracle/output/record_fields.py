@@ -1,6 +1,6 @@
 """Fields of a run while it runs: every so often a slice with its picture, and, if asked for, the whole box for ParaView.
 
-    recorder = Recorder("runs/a_fields", run, every=0.1)
+    recorder = FieldRecorder("runs/a_fields", run, every=0.1)
     recorder.look(run)          between two ticks; does something when it is time to
 
     omega_z = dv/dx - du/dy        central differences, one-sided at the faces; times 1 / dt from cells to 1/s

@@ -89,13 +89,8 @@ def draw_fish(axis, one: Slice) -> None:
         axis.fill(link[:, 0], link[:, 1], facecolor=FISH, edgecolor=FISH, lw=0.8, joinstyle="round")
 
 
-def velocity(path: Path, one: Slice, title: str, top: float) -> Path:
-    """Magnitude of the horizontal velocity with the outline of the fish, 0 to `top` m/s."""
-    return panels([("", one)], path, title, top)
-
-
 def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: float) -> Path:
-    """Magnitude of the horizontal velocity of several slices, one panel each, one colour scale from 0 to `top` m/s."""
+    """Magnitude of the horizontal velocity of slices with their fish, one panel each, one colour scale from 0 to `top` m/s."""
     plt = pyplot()
     columns = min(4, len(slices))
     rows, wide = -(-len(slices) // columns), 3.4 if len(slices) > 1 else 8.0

@@ -330,12 +330,6 @@ def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = 
     }
 
 
-def _body_frame(run, rates: np.ndarray) -> list[float]:
-    """Rates of the reference point (3,) in the tank frame as surge, sway [m/s] and yaw rate [rad/s]."""
-    c, s = np.cos(run.first[2]), np.sin(run.first[2])
-    return [float(c * rates[0] + s * rates[1]), float(c * rates[1] - s * rates[0]), float(rates[2])]
-
-
 def flow_at_links(flow: Flow, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Undisturbed flow at the links' centres, (T, N, 2) m/s, for states q (T, 3 + J) at times t (T,) s."""
     points = link_centres(robot, q)
@@ -349,6 +343,7 @@ def _meta(run, tables) -> dict:
     """What a reader must know about the run."""
     fluid, edge = run.coupled.fluid, run.coupled.boundary
     flow, lattice = fluid.flow, fluid.lattice
+    (x, y, turn), c, s = run.pushed, np.cos(run.first[2]), np.sin(run.first[2])
     water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.shape), "slip": run.coupled.slip}
     water |= {"subgrid": fluid.subgrid, "kernel": edge.width, "passes": edge.passes, "markers": edge.count}
     return {
@@ -362,7 +357,7 @@ def _meta(run, tables) -> dict:
         "replicate_of": "",
         "controller": "open loop",
         "start": run.first[:3].tolist(),
-        "push": _body_frame(run, run.pushed),
+        "push": [float(c * x + s * y), float(c * y - s * x), float(turn)],  # surge, sway m/s and yaw rate rad/s
         "latency": {"pose": 0.0, "command": run.delay * run.coupled.body.dt},
         "water": "lbm",
         "oracle": {**water, "device": str(fluid.device), "tethered": run.tethered}

@@ -17,7 +17,6 @@ from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import TICK
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain
-from fishmj.mjcf.description import Robot
 
 MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
 TAU = constant("oracle", "tau_least")
@@ -46,7 +45,7 @@ def memory(cells: int) -> float:
     return cells * BYTES_PER_CELL / 2**20
 
 
-def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None, markers: int = 0) -> list[Line]:
+def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None) -> list[Line]:
     """The numbers of a box; `spacing` of the markers in m."""
     lat, cells = domain.lattice, domain.shape[0] * domain.shape[1] * domain.shape[2]
     lines = [
@@ -62,7 +61,7 @@ def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None
         Line("memory", memory(cells), "MB"),
     ]
     if spacing is not None:
-        lines.append(Line("marker spacing", spacing / lat.dx, "dx", f"{markers} markers" if markers else ""))
+        lines.append(Line("marker spacing", spacing / lat.dx, "dx"))
     if domain.name in PREVIEWS:
         lines.append(Line("use", "preview", "", "too coarse for a judgement"))
     return lines
@@ -113,28 +112,6 @@ def step_for(lattice: Lattice, speed: float) -> float:
     return TICK / ceil(TICK / longest)
 
 
-def resolved(domain: Domain, robot: Robot) -> list[dict]:
-    """What the grid sees of the fish and what it does not, in cells."""
-    from fishmj.mjcf.geometry import geometry_of
-
-    geometry, dx = geometry_of(robot), domain.dx
-    widths = [row[2] * geometry.width_scale for link in robot.links for row in link.sections]
-    layer = 5 * sqrt(domain.lattice.nu * 1.0 / SLOW)  # Blasius: 99 % of the stream after a metre
-    parts = [
-        ("body length", sum(link.length for link in robot.links)),
-        ("greatest height", max(row[1] for link in robot.links for row in link.sections)),
-        ("greatest width", max(widths)),
-        ("tail height", geometry.tail_h),
-        ("least width", min(widths)),
-        ("laminar boundary layer at the tail", layer),
-    ]
-    return [{"part": name, "m": size, "cells": size / dx, "resolved": _verdict(size / dx)} for name, size in parts]
-
-
-def _verdict(cells: float) -> str:
-    return "yes" if cells >= 8 else "coarsely" if cells >= 3 else "no: a sheet" if cells >= 0.5 else "no"
-
-
 @dataclass
 class Watch:
     """Looks at a fluid every `every` steps and stops it before nonsense is written.
@@ -147,7 +124,6 @@ class Watch:
 
     every: int = EVERY
     fastest: float = 0.0  # greatest speed seen, m/s
-    densest: float = 0.0  # greatest |rho - 1| seen
     looks: int = 0
     pending: tuple | None = None  # fluid and step of a look that was begun
 
@@ -182,21 +158,15 @@ class Watch:
         self.looks += 1
         mean = found.mass / fluid.cells
         speed = found.speed * fluid.lattice.velocity
-        limit = (
-            "lost"
-            if found.lost or isnan(found.speed)
-            else "speed"
-            if found.speed > SPEED_LU
-            else "density"
-            if not (found.rho_min > RHO[0] and found.rho_max < RHO[1])
-            else "mass"
-            if abs(mean) > MEAN_DRHO
-            else ""
-        )
-        if limit:
+        broken = {  # in this order
+            "lost": found.lost or isnan(found.speed),
+            "speed": found.speed > SPEED_LU,
+            "density": not (found.rho_min > RHO[0] and found.rho_max < RHO[1]),
+            "mass": abs(mean) > MEAN_DRHO,
+        }
+        if limit := next((name for name, found_so in broken.items() if found_so), ""):
             raise OracleUnstable(_said(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
         self.fastest = max(self.fastest, speed)
-        self.densest = max(self.densest, 1 - found.rho_min, found.rho_max - 1)
         return found
 
 

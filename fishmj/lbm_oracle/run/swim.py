@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from math import degrees, radians
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,9 +25,8 @@ from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
-from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
@@ -174,16 +174,9 @@ def figures(run: Run, frequency: float) -> dict:
 
 
 def _gait(args) -> Gait:
-    joints = load_robot(args.robot).n_joints
     one = lambda values: tuple(radians(v) for v in values) if len(values) > 1 else radians(values[0])
-    return Gait(
-        joints=joints,
-        frequency=args.frequency,
-        amplitude=one(args.amplitude),
-        lag=radians(args.lag),
-        bias=one(args.bias),
-        ramp=args.ramp,
-    )
+    wave: dict[str, Any] = {"amplitude": one(args.amplitude), "lag": radians(args.lag), "bias": one(args.bias), "ramp": args.ramp}
+    return Gait(joints=load_robot(args.robot).n_joints, frequency=args.frequency, **wave)
 
 
 def _stage(args) -> SwimSetup:
@@ -193,25 +186,12 @@ def _stage(args) -> SwimSetup:
     if args.bottom != domain.bottom:
         domain = replace(domain, bottom=args.bottom)
     flow = Flow(
-        speed=args.speed,
-        direction=radians(args.direction),
-        turbulence=args.turbulence,
-        intensity=args.intensity,
-        seed=args.seed,
+        speed=args.speed, direction=radians(args.direction), turbulence=args.turbulence, intensity=args.intensity, seed=args.seed
     )
     x, y, yaw = args.pose
-    return SwimSetup(
-        domain=domain,
-        robot=args.robot,
-        flow=flow,
-        slip=args.slip,
-        root=args.root,
-        pose=(x, y, radians(yaw)),
-        device=args.device,
-        width=args.kernel,
-        passes=args.passes,
-        hydro_offset=args.hydro_offset,
-    )
+    fish: dict[str, Any] = {"robot": args.robot, "root": args.root, "pose": (x, y, radians(yaw)), "slip": args.slip}
+    fish |= {"width": args.kernel, "passes": args.passes, "hydro_offset": args.hydro_offset}
+    return SwimSetup(domain=domain, flow=flow, device=args.device, **fish)
 
 
 def _parser() -> console.Parser:

@@ -21,8 +21,7 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
-from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.store import read_json, write_json
 
