@@ -35,6 +35,12 @@ SWEEP = radians(4)  # rad/s, at which a held fish turns through the angles of at
 SPEEDS = (0.1, 0.2, 0.3)  # m/s
 CELLS = ((1, 1), (0, 0), (2, 0), (0, 1), (2, 1), (1, 0))  # of frequency and amplitude; the middle of the range first
 Made = dict[str, Any]
+DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
+EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
+EVERY_VAL = 8
+# What steers unless others are named; those that are made for the fish.
+POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
+SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
 def within(u: float, low: float, high: float) -> float:
@@ -187,14 +193,6 @@ BLOCKS: dict[str, Callable[..., Made]] = {
     "policy": steered,
     "flapping": flapping,  # draws go by the place in this table: a new block comes last
 }
-
-
-DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
-EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
-EVERY_VAL = 8
-# What steers unless others are named; those that are made for the fish.
-POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
-SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
 class PlanPart(NamedTuple):

@@ -36,6 +36,10 @@ from fishmj.virtual_robot.water import friction_speed
 IMPULSE, SLOPE, END, FASTEST, TORQUE = range(5)  # columns of `law`
 HELD = 1e-8  # rad/s: friction holds
 PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
+ABSOLUTE = np.eye(6)  # T: rates of (x, y, psi, j1, j2, j3) -> (x, y, W1 .. W4)
+ABSOLUTE[3:, 2] = 1.0
+ABSOLUTE[3:, 3:] = np.tril(np.ones((3, 3)))
+REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver's water moves so by itself
 
 
 @entry
@@ -96,12 +100,6 @@ def forces(body, water, tank, odd, gust, s, stream, A, f, h):
     """Mass matrix A (6, 6), lower half, and forces f (6,) of fish and water as the second robot has them, without its joints."""
     blow(gust, tank, s.clock[0], stream)
     assemble(body, water, tank, odd, s, stream, A, f, h)
-
-
-ABSOLUTE = np.eye(6)  # T: rates of (x, y, psi, j1, j2, j3) -> (x, y, W1 .. W4)
-ABSOLUTE[3:, 2] = 1.0
-ABSOLUTE[3:, 3:] = np.tril(np.ones((3, 3)))
-REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver's water moves so by itself
 
 
 class HiddenBody(ImmersedBody):

@@ -31,6 +31,10 @@ from fishmj.lbm_oracle.immersed.markers import fish_markers
 from fishmj.lbm_oracle.run.domain import Domain, preset, tank
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 
+SHAPE = (56, 32, 20)
+LAG = np.radians(60.0) * np.arange(3)
+HEADINGS = (0.0, 30.0, 90.0)  # deg
+
 
 class Momentum(NamedTuple):
     """Linear momentum, (3,) kg m/s each."""
@@ -70,11 +74,6 @@ def exchange(coupled: FluidStructure) -> tuple[np.ndarray, np.ndarray]:
     pushed = field.numpy().astype(float)[nodes]
     given = edge.volume.numpy().astype(float) @ edge.final.numpy().astype(float)
     return np.einsum("xyz,xyza->a", edge.box_rho.numpy().astype(float), pushed), given
-
-
-SHAPE = (56, 32, 20)
-LAG = np.radians(60.0) * np.arange(3)
-HEADINGS = (0.0, 30.0, 90.0)  # deg
 
 
 def pond(

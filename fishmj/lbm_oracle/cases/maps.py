@@ -27,6 +27,12 @@ from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.stability import Watch
 
+SOURCE = "symmetry; Galileo"
+SLIP = 1.0
+AOA, SPEED, SLOW = 30.0, 0.3, 0.2  # deg, m/s
+COARSE = "towed", "step"  # what a hull three cells wide does not pass: the bias of the paper's grid, reported
+TICK = 0.02  # s, over which a force is averaged before it is recorded
+
 
 class Average(NamedTuple):
     """Of one record: mean, its standard error, rms about the mean, all in the record's unit; `samples` is T / 2 T_c."""
@@ -60,13 +66,6 @@ def average(record) -> Average:
     zero = int(np.argmax(correlation < 0)) or n
     steps = max(2 * float(correlation[:zero].sum()) - 1, 1.0)  # 2 T_c in steps
     return Average(mean, rms * np.sqrt(min(steps / n, 1.0)), rms, n / steps)
-
-
-SOURCE = "symmetry; Galileo"
-SLIP = 1.0
-AOA, SPEED, SLOW = 30.0, 0.3, 0.2  # deg, m/s
-COARSE = "towed", "step"  # what a hull three cells wide does not pass: the bias of the paper's grid, reported
-TICK = 0.02  # s, over which a force is averaged before it is recorded
 
 
 class Load(NamedTuple):

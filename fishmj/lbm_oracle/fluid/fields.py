@@ -16,6 +16,8 @@ from fishmj.lbm_oracle.fluid.storage import peek, poke
 
 wp.set_module_options(OPTIONS)
 
+PLANES = 8  # that a thread of an accelerator looks through; all of them on the CPU
+
 
 @wp.func
 def _store(f: wp.array(dtype=Any), q: vec19, s: Params, x: int, y: int, z: int):
@@ -114,9 +116,6 @@ def survey(
     wp.atomic_add(mass, y, total)
     if bad > 0:
         wp.atomic_add(lost, y, bad)
-
-
-PLANES = 8  # that a thread of an accelerator looks through; all of them on the CPU
 
 
 class Survey(NamedTuple):

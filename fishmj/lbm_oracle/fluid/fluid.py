@@ -29,6 +29,13 @@ from fishmj.lbm_oracle.fluid.storage import STORAGE
 MOST = 16  # cores that one box keeps busy
 _POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")
 THINNEST = 4  # planes of x in a slab, at least
+SUBGRID = ("wale", "none")
+CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
+NOWHERE = ((0, 0, 0), (0, 0, 0))
+STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
+BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
+
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
 
 
 def slabs_for(device, planes: int, wanted: int | None = None) -> int:
@@ -56,15 +63,6 @@ def launch(slabs: list[Any]) -> None:
     slabs[0].launch()
     for done in waiting:
         done.result()
-
-
-SUBGRID = ("wale", "none")
-CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
-NOWHERE = ((0, 0, 0), (0, 0, 0))
-STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
-BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
-
-Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
 
 
 class Fluid:

@@ -27,6 +27,9 @@ from fishmj.store import write_json
 
 wp.set_module_options(OPTIONS)
 
+KINDS = {"slices": ".npz", "vorticity": ".png", "volume": ".vti", "fish": ".vtp"}  # folder -> what lies in it
+SERIES = "volume.pvd"
+
 
 @wp.func
 def _at(s: Params, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: int, k: int, share: float):
@@ -85,10 +88,6 @@ def slice_of(run, z: float | None = None) -> Slice:
     x, y = (low[axis] + fluid.lattice.dx * np.arange(fluid.shape[axis]) for axis in range(2))
     at = low[2] + (fluid.shape[2] - 1) / 2 * fluid.lattice.dx if z is None else z
     return Slice(run.time, float(at), x, y, plane[..., 0], plane[..., 1], plane[..., 2], outline(run))
-
-
-KINDS = {"slices": ".npz", "vorticity": ".png", "volume": ".vti", "fish": ".vtp"}  # folder -> what lies in it
-SERIES = "volume.pvd"
 
 
 class FieldRecorder:

@@ -22,6 +22,7 @@ from fishmj.store import read_json, read_npz, write_npz
 
 SCHEMA = "fishmj.fields/1"
 INDEX = "fields.json"
+STRONG = 8.0  # 1/s, ends of the pictures' colour scale: eddies shed at 1 Hz reach it, the swirl beside them does not
 
 
 class Slice(NamedTuple):
@@ -92,9 +93,6 @@ def slices_in(folder: str | Path) -> list[Path]:
     if not found:
         raise ConfigError(f"{folder}: no slices; the run ended before its first one")
     return found
-
-
-STRONG = 8.0  # 1/s, ends of the pictures' colour scale: eddies shed at 1 Hz reach it, the swirl beside them does not
 
 
 def height(text: str) -> float | None:

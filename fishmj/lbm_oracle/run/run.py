@@ -31,6 +31,9 @@ from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
 from fishmj.source import made_by
 
+ALERT = 50  # ticks after one that was done again: the wake is still fast
+CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
+
 
 class JointDriver(Protocol):
     """Who moves the joints through one tick; made anew for each, and for every time that it is done again with finer steps."""
@@ -75,10 +78,6 @@ class Servos:
         """P = sum max(tau (tau - k_b w) / k_b, 0), mean over the steps."""
         torque, rate, kb = np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb
         return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
-
-
-ALERT = 50  # ticks after one that was done again: the wake is still fast
-CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
 
 
 class LeftDomain(FishmjError, RuntimeError):

@@ -18,6 +18,8 @@ from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
 
+LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gait:
@@ -54,9 +56,6 @@ class Gait:
         x = min(t / self.ramp, 1.0) if self.ramp > 0 else 1.0
         wave = np.sin(2 * pi * self.frequency * t - self.lag * np.arange(self.joints))
         return np.broadcast_to(self.bias, self.joints) + x * x * (3 - 2 * x) * np.broadcast_to(self.amplitude, self.joints) * wave
-
-
-LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
 
 
 @dataclass(frozen=True, kw_only=True)
