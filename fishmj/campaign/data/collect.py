@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from fishmj import console, interrupt
 from fishmj.campaign.data import plan as plans
@@ -238,8 +238,8 @@ def run(args: argparse.Namespace) -> int:
     if not (args.dry_run or args.ray):
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
-        told = {"instead": less, "flag": GO, "asked": args.budget is not None}
-        solver_cost.agree("hydro_fit collect", args.device, [(domain, water)], tanks=args.tanks or 1, **told)
+        asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
+        solver_cost.agree("hydro_fit collect", args.device, [(domain, water)], tanks=args.tanks or 1, **asked)
     device = args.device if args.ray else str(device_of(args.device))
     setup = Setup(robot=robot, domain=domain, device=device)
     what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"

@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
     title = f"{len(tracks)} drifts, {args.speed:g} m/s, {args.turbulence}, TI {100 * args.intensity:g} %, {args.water}"
     write_text(out / f"drift_{args.water}.csv", as_csv(tracks))
     write_json(out / f"drift_{args.water}.json", found)
-    drifts(tracks, out / f"drift_{args.water}.png", title)
+    draw_tracks(tracks, out / f"drift_{args.water}.png", title)
     console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
     if args.json:
         console.emit_json(found | {"out": out})
@@ -170,7 +170,7 @@ def _parser() -> console.Parser:
     return p
 
 
-def drifts(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
+def draw_tracks(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
     """Tracks (T, 4) of t s, x m, y m, heading rad: seen from above, and heading against time since release."""
     plt = pyplot()
     figure, (above, turn) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")

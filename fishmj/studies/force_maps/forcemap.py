@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
 
     measure(left, run, plan, tick=tick, tanks=args.tanks, finished=finished, quiet=args.json)
     rows = [table[p] for p in points]
-    pictures = forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
+    pictures = draw_forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
     console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))
     lost = [row for row in rows if row["status"] != OK]
     for row in lost:
@@ -147,7 +147,7 @@ def _parser() -> console.Parser:
 LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("yaw", "yaw moment [N m]", "Nm"))
 
 
-def forces(rows: Sequence[dict], folder: Path) -> list[Path]:
+def draw_forces(rows: Sequence[dict], folder: Path) -> list[Path]:
     """One picture a map: drag, lateral force and yaw moment with standard errors against the angle, a line a speed."""
     plt, drawn = pyplot(), []
     for what, key, label in (("joint", "joint_deg", "joint angle [deg]"), ("aoa", "aoa_deg", "angle of attack [deg]")):

@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
             book.add((frequency, slip, depth), found)
             bar.update(number, speed=found["speed_m_s"] or 0.0)
     rows = [book.rows[key] for key in keys]
-    picture = swims(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
+    picture = draw_speeds(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
     console.say(console.table(rows, COLUMNS), f"wrote {book.path} and {picture}")
     lost = [row for row in rows if row["status"] != "ok"]
     if args.json:
@@ -124,7 +124,7 @@ def _parser() -> console.Parser:
     return p
 
 
-def swims(rows: Sequence[dict], path: Path, title: str) -> Path:
+def draw_speeds(rows: Sequence[dict], path: Path, title: str) -> Path:
     """Speed of free swims against the slip ratio, a line a frequency and depth; the slip axis is stretched towards 1."""
     plt = pyplot()
     figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
