@@ -24,7 +24,7 @@ from typing import Any
 from fishmj.errors import OwnCodeError, UnknownName
 from fishmj.names import is_name, nearest
 
-KINDS = ("controller", "task", "effect", "algorithm", "importer")
+KINDS = ("controller", "task", "effect", "algorithm", "importer", "case")
 _REFERENCE = re.compile(r"(?P<module>[^:]+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):(?P<name>[A-Za-z_]\w*(\.[A-Za-z_]\w*)*)\Z")
 _HOME = Path(__file__).resolve().parent
 _LOADED: dict[str, dict[str, Any]] = {kind: {} for kind in KINDS}

@@ -9,10 +9,9 @@ import pytest
 from ray_toys import toy
 
 from fishmj import console
-from fishmj.campaign.data import collect_command, joint_commands, plan, run_segments
-from fishmj.campaign.data.collect import Collected, collect
-from fishmj.campaign.data.collect_command import main
-from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data import plan, run_segments
+from fishmj.campaign.data.collect import Collected, collect, main
+from fishmj.campaign.data.segment import Segment, drive
 from fishmj.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.record import HALF, narrow, read_record
@@ -51,10 +50,10 @@ def some(number=6):
 
 def test_a_policy_that_has_changed_since_is_refused():
     segment = next(s for s in FULL.segments if s.drive.get("controller") == "paper")
-    joint_commands.drive(segment, FISH)
+    drive(segment, FISH)
     other = replace(segment, drive=segment.drive | {"sha256": "0" * 64})
     with pytest.raises(ConfigError, match="policy paper: expected sha256 0000"):
-        joint_commands.drive(other, FISH)
+        drive(other, FISH)
 
 
 def test_a_segment_survives_json():
@@ -184,14 +183,13 @@ def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
 
 
 def test_hours_on_a_cpu_are_not_begun_unasked(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(collect_command.solver_cost, "accelerator", lambda need: False)
-    monkeypatch.setattr(collect_command, "device_of", lambda name: "cpu")
+    monkeypatch.setattr("fishmj.lbm_oracle.run.solver_cost.accelerator", lambda need: False)
+    monkeypatch.setattr("fishmj.campaign.data.collect.device_of", lambda name: "cpu")
     assert console.run(main, ["--out", str(tmp_path / "no")]) == console.BAD_INPUT
     assert "s of water in boxes of up to 1.97 M cells" in capsys.readouterr().err and not (tmp_path / "no").exists()
     asked = []
-    monkeypatch.setattr(
-        collect_command, "collect", lambda plan, out, setup, **rest: asked.append(rest["budget"]) or collected(out)
-    )
+    noted = lambda plan, out, setup, **rest: asked.append(rest["budget"]) or collected(out)
+    monkeypatch.setattr("fishmj.campaign.data.collect.collect", noted)
     assert console.run(main, ["--out", str(tmp_path / "no"), "--budget", "60"]) == console.OK and asked == [60.0]
 
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fishmj.campaign.data import joint_commands, plan
+from fishmj.campaign.data import plan
+from fishmj.campaign.data.segment import drive, ticks_of
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import BOXES
 from fishmj.hydro_fit.fit import gauss_newton
@@ -50,12 +51,12 @@ def test_the_campaign_is_as_large_as_designed():
 
 def test_a_held_fish_that_flaps_is_judged_by_more_than_one_record():
     """Thrust: at least six held-out episodes at the default slip, repeats of one, and held chirps and gaits to fit."""
-    held = [s for s in FULL.segments if joint_commands.drive(s, FISH).root is not None and s.block in gauss_newton.FLAPPING]
+    held = [s for s in FULL.segments if drive(s, FISH).root is not None and s.block in gauss_newton.FLAPPING]
     count = lambda split: sum(s.split == split and s.slip == plan.DEFAULT_SLIP and not s.replicate_of for s in held)
     assert count("test") >= 6 and count("train") >= 12 and count("val") >= 1
     assert sum(bool(s.replicate_of) for s in held) == plan.SEEDS
     one = next(s for s in held if s.block == "flapping")
-    moved = joint_commands.drive(one, FISH)
+    moved = drive(one, FISH)
     np.testing.assert_array_equal(moved.root(3.0), one.pose)
     rate = (moved.joints(2.31) - moved.joints(2.30)) / 0.01
     assert 0.1 < np.abs(rate).max() <= FISH.servo.speed_no_load
@@ -90,8 +91,8 @@ def test_no_wave_asks_more_of_the_servos_than_they_can_do(robot):
     waves = [s for s in plan.full(robot).segments if s.drive["kind"] in ("gait", "chirp", "manoeuvre")]
     assert {s.drive["kind"] for s in waves} == {"gait", "chirp", "manoeuvre"}
     for segment in waves[::8]:
-        moved = joint_commands.drive(segment, robot)
-        ticks = np.arange(joint_commands.ticks_of(segment, robot)[1])
+        moved = drive(segment, robot)
+        ticks = np.arange(ticks_of(segment, robot)[1])
         at = np.array([moved.joints(t * 0.02) if moved.joints else moved.command(t, None) for t in ticks])
         assert at.shape[1] == robot.n_joints
         assert np.abs(at).max() < robot.servo.range + 1e-9, segment.id

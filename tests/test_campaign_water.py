@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fishmj.campaign.data import plan, run_segments
+from fishmj.campaign.data.run_segments import trial_of
 from fishmj.campaign.data.segment import Segment
-from fishmj.campaign.data.segment_trial import trial_of
 from fishmj.errors import SimDiverged
 from fishmj.flow import Flow
 from fishmj.hydro_fit.record import SegmentRecord

@@ -10,9 +10,8 @@ pytest.importorskip("numba")
 
 from fishmj import excitation
 from fishmj.campaign.hidden_lbm import hidden
-from fishmj.campaign.hidden_lbm.electronics import Electronics, Queue
-from fishmj.campaign.hidden_lbm.hidden_body import HiddenBody, HiddenDifference
-from fishmj.campaign.hidden_lbm.hidden_run import HiddenRun, carriage
+from fishmj.campaign.hidden_lbm.hidden import HiddenRun, carriage
+from fishmj.campaign.hidden_lbm.hidden_body import Electronics, HiddenBody, HiddenDifference, Queue
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup

@@ -9,8 +9,7 @@ from fishmj.campaign.dagger import dagger
 from fishmj.campaign.data import plan
 from fishmj.campaign.data.run_segments import Finished, Setup
 from fishmj.campaign.hybrid import hybrid_trial
-from fishmj.campaign.hybrid.correction_segment import CorrectionSegment, Path
-from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
+from fishmj.campaign.hybrid.hybrid import CorrectionSegment, Hybrid, Path, Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.hydro_fit import online_correction

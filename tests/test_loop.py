@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fishmj import controllers, engines, mjcf
-from fishmj.campaign.data.closed_loop import ClosedLoop
-from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.segment import ClosedLoop, Segment
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines.single import HookedWater, MujocoWater, StripWater
 from fishmj.sim import Sim

@@ -7,19 +7,19 @@ import warp as wp
 
 from fishmj import mjcf
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
+from fishmj.lbm_oracle.cases import coupled_fish
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
-from fishmj.lbm_oracle.cases.sphere import added_mass, virtual_mass
+from fishmj.lbm_oracle.cases.sphere import added_mass, ball, virtual_mass
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.immersed import delta, momentum_budget
+from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import slip_here
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
-from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.setup import Gait
 from fishmj.mjcf.skin import posed, skin
 
 wp.config.quiet = True
@@ -28,13 +28,13 @@ wp.config.quiet = True
 @wp.kernel
 def _weights(x: wp.array(dtype=float), width: int, out: wp.array2d(dtype=float)):
     k = wp.tid()
-    start = delta.first(x[k], width)
+    start = kernels.first(x[k], width)
     for i in range(width):
-        out[k, 2 * i] = delta.phi(x[k] - float(start + i), width)
+        out[k, 2 * i] = kernels.phi(x[k] - float(start + i), width)
         out[k, 2 * i + 1] = float(start + i)
 
 
-@pytest.mark.parametrize("width", delta.WIDTHS)
+@pytest.mark.parametrize("width", kernels.WIDTHS)
 def test_kernels_sum_to_one_and_keep_the_first_moment(width):
     x = np.random.default_rng(1).uniform(-5, 5, 200).astype(np.float32)
     out = wp.zeros((200, 2 * width), dtype=float, device="cpu")
@@ -47,7 +47,7 @@ def test_kernels_sum_to_one_and_keep_the_first_moment(width):
 
 def test_an_unknown_kernel_names_the_known_ones():
     with pytest.raises(UnknownName, match="3, 4"):
-        delta.check_width(5)
+        kernels.check_width(5)
 
 
 # markers ------------------------------------------------------------------------------------------------------------
@@ -92,7 +92,7 @@ def test_the_tail_plate_and_the_side_fins_are_single_sheets():
 
 
 def test_a_sliding_wall_is_drawn_in_less_than_a_sticking_one():
-    for width in delta.WIDTHS:
+    for width in kernels.WIDTHS:
         assert offset_of(width, 0.0) == offset_of(width, 0.95) == HELD[width]
         assert offset_of(width, 1.0) == pytest.approx(SLIDING[width])
         assert offset_of(width, 1.0, 0.2) == 0.2
@@ -190,7 +190,7 @@ def test_slip_means_the_same_friction_on_every_grid():
 
 
 def test_force_on_the_cells_is_the_force_on_the_markers(bent):
-    cells, markers = momentum_budget.exchange(bent[0])
+    cells, markers = coupled_fish.exchange(bent[0])
     np.testing.assert_allclose(cells, markers, atol=2e-6 * np.abs(markers).max())
 
 
@@ -249,8 +249,8 @@ def test_inside_water_is_the_inertia_of_a_twin_with_its_coriolis_part():
     body.place(q - dt * v + 0.5 * dt**2 * a, v - dt * a)
     body.data.qpos[:], body.data.qvel[:] = q, v
     body.forward()
-    impulse = body.interior_impulse()
-    np.testing.assert_allclose(impulse / dt, full @ a + data.qfrc_bias, rtol=2e-3, atol=2e-3)
+    body.equation()
+    np.testing.assert_allclose(body.impulse / dt, full @ a + data.qfrc_bias, rtol=2e-3, atol=2e-3)
 
 
 def test_buoyancy_carries_a_neutral_fish_and_its_ballast_keeps_it_upright():
@@ -273,8 +273,8 @@ def test_explicit_coupling_of_a_neutral_thin_tailed_fish_diverges_and_says_where
 
 
 def test_implicit_coupling_conserves_momentum_and_needs_the_inside_water():
-    good = momentum_budget.drift(beat(pond("cpu"), 1.0))
-    bad = momentum_budget.drift(beat(pond("cpu", interior=False), 1.0))
+    good = coupled_fish.drift(beat(pond("cpu"), 1.0))
+    bad = coupled_fish.drift(beat(pond("cpu", interior=False), 1.0))
     assert good < 0.03
     assert bad > 10 * good
 

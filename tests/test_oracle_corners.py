@@ -5,7 +5,7 @@ import pytest
 
 from fishmj.errors import SimDiverged
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
-from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 
 

@@ -15,10 +15,9 @@ from fishmj import console
 from fishmj.errors import ConfigError, StoreError, UsageError
 from fishmj.lbm_oracle.cases import same_physics
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.output.record_fields import FieldRecorder
+from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.output.record_fields import FieldRecorder, plane_of, slice_of
 from fishmj.lbm_oracle.output.slices import Slice, read_slice, slices_in, write_slice
-from fishmj.lbm_oracle.output.vorticity import plane_of, slice_of
 from fishmj.lbm_oracle.output.vtk import turning, write_box
 from fishmj.lbm_oracle.run import swim
 from fishmj.lbm_oracle.run.domain import Domain

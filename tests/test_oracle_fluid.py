@@ -9,8 +9,7 @@ from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Boundaries, Slip, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
 from fishmj.lbm_oracle.run.domain import Follower, margin, preset
 
 pytestmark = pytest.mark.oracle

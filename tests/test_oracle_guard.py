@@ -1,5 +1,6 @@
 """The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/decisions/reliability.md)."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +12,10 @@ from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
-from fishmj.lbm_oracle.cases import validate
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.studies.solver_grid import converge
@@ -101,7 +101,7 @@ def test_known_answers_of_the_fluid(name):
 def test_a_missed_check_exits_with_one(monkeypatch, capsys):
     wrong = cases.Case("wrong", 0, "none", "none", True, lambda device: [cases.below("nan", float("nan"), 1.0)])
     monkeypatch.setattr(cases, "known", lambda: {"wrong": wrong})
-    assert validate.main(["wrong", "--json"]) == console.FAILED_CHECK
+    assert cases.main(["wrong", "--json"]) == console.FAILED_CHECK
     assert '"verdict": "MISS"' in capsys.readouterr().out
 
 
@@ -110,8 +110,46 @@ def test_the_convergence_command_finds_second_order(capsys):
     assert "ok" in capsys.readouterr().out
 
 
+OWN = """
+from fishmj.lbm_oracle.cases import below, register
+
+kept = register("{name}", rung=99, grid="none", source="rest")
+
+
+def plain(device):
+    yield below("speed, m/s", 0.0, 1e-6)
+
+
+@kept
+def mine(device):
+    {body}
+"""
+
+
+@pytest.mark.parametrize(
+    "name, body, called, said",
+    [
+        ("at_rest", 'yield below("speed, m/s", 0.0, 1e-6)', "mine", None),
+        ("at_rest", 'yield below("speed, m/s", 1.0, 1e-6)', "mine", "0 of 1 checks hold"),
+        ("at_rest", "return []", "plain", "expected a function under @register"),
+        ("at_rest", "yield 1.0", "mine", "expected it to yield checks .* got 1.0"),
+        ("at_rest", "return [1 / 0]", "mine", r"own.py:13: ZeroDivisionError"),
+        ("poiseuille", "return []", "mine", "'poiseuille': registered twice"),
+        ("at_rest", "return []", "min", "did you mean 'mine'"),
+    ],
+)
+def test_a_case_may_be_a_function_of_the_users_own(name, body, called, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cases, "REGISTRY", dict(cases.known()))
+    (tmp_path / "own.py").write_text(OWN.format(name=name, body=body))
+    code = console.run(cases.main, [f"{tmp_path / 'own.py'}:{called}"])
+    out, err = capsys.readouterr()
+    failed = said is not None and "checks hold" in said
+    assert code == (console.OK if said is None else console.FAILED_CHECK if failed else console.BAD_INPUT), err
+    assert re.search(said or "1 of 1 checks hold", out + err) and ("Traceback" not in err)
+
+
 def test_unknown_cases_and_verbs_are_named():
     with pytest.raises(UnknownName, match="poiseuille"):
-        validate.main(["poisseuille"])
+        cases.main(["poisseuille"])
     with pytest.raises(UnknownName, match="cases"):
         verbs.main(["case"])

@@ -8,10 +8,9 @@ import pytest
 from fishmj import console
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle import cases
-from fishmj.lbm_oracle.cases import cylinder, duct, maps, oscillating, settling
-from fishmj.lbm_oracle.cases.cylinder_strip import cylinder as held_cylinder
+from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, maps, oscillating, settling
+from fishmj.lbm_oracle.cases.cylinder import cylinder as held_cylinder
 from fishmj.lbm_oracle.fluid.domain_faces import Boundaries
-from fishmj.lbm_oracle.immersed import momentum_budget
 from fishmj.studies import bench
 from fishmj.studies.bench import oracle as bench_oracle
 from fishmj.studies.solver_grid import converge_fish
@@ -41,7 +40,7 @@ def test_markers_and_water_exchange_the_same_force_in_a_strip():
     for _ in range(5):
         pulled.step(np.ones(2), [0.01, 0.003])
     raw, _ = pulled.take_wrench(5.0)
-    grid = momentum_budget.momentum(pulled).grid
+    grid = coupled_fish.momentum(pulled).grid
     assert grid[:2] == pytest.approx(-5.0 * raw[0, :2], rel=1e-5)
 
 

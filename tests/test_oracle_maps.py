@@ -8,8 +8,8 @@ import pytest
 from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, StoreError, UsageError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.output.block_average import average
+from fishmj.lbm_oracle.cases.maps import average
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.studies.drifters import drift, tracers

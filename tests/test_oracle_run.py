@@ -6,17 +6,15 @@ import warp as wp
 
 from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
+from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
-from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import Domain
-from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, LeftDomain, Run
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import checkpoint
 from fishmj.log import read_trial, write_trial
 

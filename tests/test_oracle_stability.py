@@ -9,8 +9,7 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid import collide
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import BLEND, Fluid
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, WEIGHTS, vec6
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, WEIGHTS, Lattice, vec6
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers

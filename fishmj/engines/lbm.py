@@ -16,9 +16,8 @@ import numpy as np
 from fishmj.engines import FishParams, FishState, Trace, check_commands, ticks_per
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise

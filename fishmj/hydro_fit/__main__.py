@@ -26,11 +26,11 @@ def run(verb: str, argv: list[str]) -> int | None:
     robot = load_robot(args.fish)
     code = console.OK
     if verb == "all":
-        from fishmj.campaign.data import collect_command
+        from fishmj.campaign.data import collect
 
         folder = Path(args.data or DATA / robot.name)
         try:
-            missing = collect_command.main(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
+            missing = collect.main(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
         except TooMuch as error:
             missing = console.FAILED_CHECK
             console.warn(str(error))
@@ -308,7 +308,7 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     # verb, summary, options of the example, module where it is not `run`
     ("all", "collect what is missing, fit, check and report", "--fish fish"),
     ("collect", "segments of the flow solver that a water is fitted to", "--preview --out runs/preview",
-        "fishmj.campaign.data.collect_command"),
+        "fishmj.campaign.data.collect"),
     ("fit", "fit the water to a data set; the model takes its place if it is not worse",
         "--data runs/preview --out runs/water"),
     ("calibrate", "the error bar of a model, by swims that no fit has seen", "--data runs/bar"),
@@ -319,7 +319,7 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     ("hybrid", "a surrogate corrected by the solver while it swims", "--wrong tail --domain laptop --episodes 1",
         "fishmj.campaign.hybrid.hybrid_trial"),
     ("correct", "rounds of a policy's own states, solved and refitted",
-        "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger_command"),
+        "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger"),
     ("rank", "controllers in the solver and in the fitted water, on the same trials",
         "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.studies.rank_waters.command"),
 )  # fmt: skip

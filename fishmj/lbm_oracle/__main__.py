@@ -8,9 +8,7 @@ main = console.CommandGroup(
     __doc__ or "",
     {
         "cases": Command(
-            "fishmj.lbm_oracle.cases.validate",
-            "known answers, each beside its reference",
-            "fishmj lbm_oracle cases poiseuille cavity",
+            "fishmj.lbm_oracle.cases", "known answers, each beside its reference", "fishmj lbm_oracle cases poiseuille cavity"
         ),
         "converge": Command(
             "fishmj.studies.solver_grid.converge",

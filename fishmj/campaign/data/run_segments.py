@@ -19,15 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import __version__
-from fishmj.campaign.data.joint_commands import Drive, drive, ticks_of
-from fishmj.campaign.data.segment import Segment
+from fishmj.campaign.data.segment import Drive, Segment, drive, ticks_of
 from fishmj.campaign.data.solver_hash import solver_sha256
-from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run, flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
+from fishmj.log import SCHEMA, Trial
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.model import reference_qpos
 
 DOUBT = 1.5  # s before water fails that are not kept: a held fish's water left the measured speeds 1.3 s before it failed
@@ -124,7 +123,7 @@ class SegmentRunner:
         planar = [0, 1, 5]
         before = np.concatenate([np.array(self.start["q"])[None], q[:-1]])
         arrays = {"q": q, "v": v, "command": command, "wrench": whole[:, :, planar], "raw": raw[:, :, planar]}
-        arrays["flow"] = flow_at_links(self.segment, self.setup.robot, before, np.array([row[0] for row in rows]))
+        arrays["flow"] = flow_at_links(self.segment.flow, self.setup.robot, before, np.array([row[0] for row in rows]))
         if self.drive.joints is None:
             arrays["power"] = power + self.setup.robot.servo.idle_power
         return Finished(self.segment, meta, arrays)
@@ -193,15 +192,6 @@ def side_by_side(
             return
 
 
-def flow_at_links(segment: Segment, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Undisturbed flow at the links' centres, (T, N, 2) m/s, for states q (T, 3 + J) at times t (T,) s of the run."""
-    points = link_centres(robot, q)
-    if segment.flow.rms == 0.0:
-        return np.broadcast_to(segment.flow.mean[:2], points.shape[:2] + (2,)).copy()
-    deep = np.concatenate([points, np.zeros((*points.shape[:2], 1))], -1)
-    return np.stack([segment.flow.at(where, float(when))[:, :2] for where, when in zip(deep, t, strict=True)])
-
-
 def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
     """Fish and water at the start of a segment."""
     domain, robot = setup.domain, setup.robot
@@ -241,3 +231,38 @@ def _sound(run: Run, first: int) -> list[tuple]:
         if not np.isfinite(numbers).all() or max(np.abs(row[3][3:]).max(), np.abs(row[5]).max()) > SANE:
             return rows[first:n]
     return rows[first:]
+
+
+def trial_of(record: SegmentRecord, robot: Robot) -> Trial:
+    """A record as a trial in the log's own schema, for replay and whatever else reads trials; times from the record's start.
+
+    It has a table `power` where servos drove the joints.
+    """
+    volts, driven = robot.servo.voltage, np.isfinite(record.power).all()
+    power = (volts, record.power / volts) if driven else None
+    moved, pushed = (record.q, record.v), (record.wrench, record.raw)
+    tables = log_tables(record.t - record.tick, record.t, record.command, *moved, record.flow, *pushed, power)
+    return Trial(_trial_meta(record, tables), tables, name=record.id)
+
+
+def _trial_meta(record: SegmentRecord, tables: dict) -> dict:
+    meta = record.meta
+    segment = meta["segment"]
+    return {
+        "schema": SCHEMA,
+        "origin": meta["origin"],
+        "robot": meta["robot"]["name"],
+        "medium": "water",
+        "flow": {**segment["flow"], "known": True},
+        "excitation": segment["drive"]["kind"],
+        "replicate_of": meta["replicate_of"],
+        "controller": segment["drive"].get("controller", ""),
+        "water": "lbm",
+        "oracle": {**meta["grid"], "stopped": meta["stopped"]},
+        "seed": segment["flow"]["seed"],
+        "clock": {name: "simulation" for name in tables},
+        "versions": meta["versions"],
+        "source": "fishmj.campaign",
+        "licence": "Apache-2.0",
+        "notes": f"synthetic: {meta['block']}, split {meta['split']}",
+    }

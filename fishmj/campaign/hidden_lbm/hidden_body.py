@@ -4,23 +4,101 @@
 
 What a hydrodynamic effect adds in the second robot's own water, at the same state, is added to the solver's: force explicitly,
 added mass in the mass matrix. Masses, balance and inertia are the MuJoCo body's own.
+
+    tau_j ~ a_j - D_j w_j      over one step of the water, a_j = P_j / dt + D_j w_j*
+
+The solver finds fish and water together and needs each joint's torque in that form. Firmware, bridge, gears and friction of the
+second robot run 1 ms at a time; they are sent ahead through the step with the second robot's own water as a guess of what the
+joints will do. P_j is the impulse that they gave, friction included, w_j* the rate that they ended with, D_j the mean slope of
+back-EMF and grease. Where the solver's water moves the joint otherwise, the slope answers, implicitly. A joint that friction
+held all the way is not moved at all (`held`): its row of the solve is w_j = 0.
 """
+
+from math import exp
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from fishmj.campaign.hidden_lbm.implicit_servo import forces
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 from fishmj.mjcf import build
+from fishmj.virtual_robot.chain import assemble, factor, push_joint, solve
 from fishmj.virtual_robot.constants import HullConstants, Uncatalogued
+from fishmj.virtual_robot.loop import H, blow, rub, write
+from fishmj.virtual_robot.numba_entry import entry
 from fishmj.virtual_robot.rigid_body import body_of
 from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
-from fishmj.virtual_robot.simulate import STILL, State
+from fishmj.virtual_robot.servo import battery, firmware, friction_bound, motor_torque, spring_torque
+from fishmj.virtual_robot.simulate import LOG, STILL, Recording, State, workspace
+from fishmj.virtual_robot.water import friction_speed
 
+IMPULSE, SLOPE, END, FASTEST, TORQUE = range(5)  # columns of `law`
+HELD = 1e-8  # rad/s: friction holds
+PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
 ABSOLUTE = np.eye(6)  # T: rates of (x, y, psi, j1, j2, j3) -> (x, y, W1 .. W4)
 ABSOLUTE[3:, 2] = 1.0
 ABSOLUTE[3:, 3:] = np.tril(np.ones((3, 3)))
 REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver's water moves so by itself
+
+
+@entry
+def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, record, work, law):
+    """Send the servos len(record) milliseconds ahead; moves `s` on, its places and rates only as a guess.
+
+    Args:
+        as `virtual_robot.loop.advance`; a joint's rotor counts in the guess and belongs into the solver's mass matrix, too.
+        law: (3, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end, greatest rate rad/s, scratch.
+    """
+    A, f, mobility, columns, bound, w, stream, sprung = work
+    fresh = 1.0 - exp(-H / motor.inductive_time)
+    nxt = 0
+    law[:, :] = 0.0
+    for step in range(record.shape[0]):
+        time = s.clock[0]
+        while nxt < arrivals.shape[0] and arrivals[nxt] <= time + 1e-9:
+            for j in range(3):
+                s.goal[j] = commands[nxt, j]
+            nxt += 1
+        blow(gust, tank, time, stream)
+        if time >= s.clock[1] - 1e-9:
+            firmware(motor, odd, zero, s)
+            friction_speed(body, s, stream)
+            s.clock[1] += motor.period
+        assemble(body, water, tank, odd, s, stream, A, f, H)
+        for j in range(3):
+            angle, rate = s.z[3 + j] - s.z[2 + j], s.rate[3 + j] - s.rate[2 + j]
+            torque, damping = motor_torque(motor, s, j, rate, fresh, H)
+            bound[j] = H * friction_bound(motor, rate, torque)
+            slow = motor.viscous + motor.damping
+            sprung[j] = spring_torque(motor, odd, water, zero, s, j, angle, rate, H)
+            push_joint(A, f, j, torque + sprung[j] - slow * rate, motor.armature + H * (damping + slow))
+            law[j, TORQUE] = torque + sprung[j] - slow * rate
+            law[j, END] = H * (damping + slow)
+        battery(motor, s, H)
+        write(record, step, s, zero)
+        factor(A)
+        for a in range(6):
+            f[a] *= H
+        solve(A, f)
+        rub(A, f, s, mobility, columns, bound, w)
+        for j in range(3):
+            change = f[3 + j] - f[2 + j]
+            law[j, IMPULSE] += H * law[j, TORQUE] - law[j, END] * change + s.stuck[j]
+            law[j, SLOPE] += law[j, END]
+            law[j, FASTEST] = max(law[j, FASTEST], abs(s.rate[3 + j] - s.rate[2 + j] + change))
+        for a in range(6):
+            s.rate[a] += f[a]
+            s.z[a] += H * s.rate[a]
+        s.clock[0] = time + H
+    for j in range(3):
+        law[j, END] = s.rate[3 + j] - s.rate[2 + j]
+
+
+@entry
+def forces(body, water, tank, odd, gust, s, stream, A, f, h):
+    """Mass matrix A (6, 6), lower half, and forces f (6,) of fish and water as the second robot has them, without its joints."""
+    blow(gust, tank, s.clock[0], stream)
+    assemble(body, water, tank, odd, s, stream, A, f, h)
 
 
 class HiddenBody(ImmersedBody):
@@ -59,7 +137,8 @@ class HiddenDifference:
         rigid = HullConstants(mass=made.hull.mass, com=made.hull.com, inertia=made.hull.inertia)
         plain = nominal(made.robot)
         tank = made.tank._replace(**{key: value for key, value in plain.tank._asdict().items() if key not in REAL})
-        kept = {key: getattr(made.water, key) for key in _drawn(made.water)}
+        drawn = [key for key in made.water._fields if key not in made.water._field_defaults]  # that every robot has: no effects
+        kept = {key: getattr(made.water, key) for key in drawn}
         self.pair = (
             (made.body, made.water, made.tank, made.odd, gust),
             (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, Uncatalogued(), STILL),
@@ -79,6 +158,86 @@ class HiddenDifference:
         return ABSOLUTE.T @ (f - f0), ABSOLUTE.T @ (A - A0) @ ABSOLUTE
 
 
-def _drawn(water) -> list[str]:
-    """Fields of the water that every robot has, drawn or not: not the effects."""
-    return [key for key in water._fields if key not in water._field_defaults]
+class Queue(NamedTuple):
+    """Commands (K, 3) rad that reach the servos at times (K,) s, rising."""
+
+    times: np.ndarray
+    commands: np.ndarray
+
+
+class Electronics:
+    """One robot's electronics on the joints of the solver's fish: commands arrive, servos push, everything is recorded.
+
+    Per step of the water `actuate` sends the servos ahead and gives the solver their law, `follow` takes the state that it found.
+
+    Args:
+        made: the robot. state: at t = 0. queue: what arrives, and when. gust: weather of the second robot's water (G, 2).
+    """
+
+    def __init__(self, made: RobotConstants, state: State, queue: Queue, gust: np.ndarray):
+        self.made, self.state, self.queue, self.gust = made, state, queue, gust
+        self.difference = HiddenDifference(made, gust)
+        self.law, self.held = np.zeros((3, 5)), np.zeros(3, bool)
+        self.rows: list[np.ndarray] = []  # one array (n, LOG) a step
+        self._work, self._tick, self._next = workspace(), -1, 0.0
+        self._kept: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
+
+    def begin_tick(self, tick: int) -> None:
+        """Called at the start of every attempt at a tick: a second one starts from where the first did."""
+        arrays = (*self.state, *self.difference.wakes)
+        if tick != self._tick:
+            self._tick, self._kept = tick, ([a.copy() for a in arrays], len(self.rows), self._next)
+            return
+        saved, rows, self._next = self._kept
+        for array, old in zip(arrays, saved, strict=True):
+            array[:] = old
+        del self.rows[rows:]
+
+    def actuate(self, body: HiddenBody, time: float) -> None:
+        """Set the joints' law, and what effects add, for the step of the water that begins at `time` s."""
+        extra = np.zeros(3)
+        if self.difference.acts:
+            force, mass = self.difference(self.state, body.dt)
+            body.applied[:3], body.added_mass = force[:3], mass
+            extra = force[3:]
+        if time >= self._next - 1e-9:  # steps finer than the servos' share a law
+            self._send_ahead(max(1, round(body.dt / H)))
+        seconds = max(body.dt, H)
+        slope = self.law[:, SLOPE] / seconds
+        body.set_torque(self.law[:, IMPULSE] / seconds + slope * self.law[:, END] + extra, slope)
+
+    def _send_ahead(self, steps: int) -> None:
+        made, q = self.made, self.queue
+        record = np.empty((steps, LOG))
+        first = int(np.searchsorted(q.times, self.state.clock[0] - H))
+        given = (made.body, made.water, made.motor, made.tank, made.odd, made.zero, self.gust)
+        ahead(*given, q.times[first:], q.commands[first:], self.state, record, self._work, self.law)
+        self.held = self.law[:, FASTEST] < HELD
+        self._next = float(self.state.clock[0])
+        self.rows.append(record)
+
+    def follow(self, body: HiddenBody) -> None:
+        """The state that the solver found in place of the guess; between its steps the recording is a straight line."""
+        self.place(body)
+        record = self.rows[-1]
+        if len(record) > 1:
+            now = places(self.state)
+            share = (np.arange(len(record)) / len(record))[:, None]
+            record[:, :PLACES] = record[0, :PLACES] + share * (now - record[0, :PLACES])
+
+    def place(self, body: HiddenBody) -> None:
+        """Places and rates of the body, links by absolute angle."""
+        q, v = body.data.qpos, body.data.qvel
+        self.state.z[:2], self.state.rate[:2] = q[:2], v[:2]
+        self.state.z[2:], self.state.rate[2:] = np.cumsum(q[2:]), np.cumsum(v[2:])
+
+    def recording(self) -> Recording:
+        """Everything so far, a row a millisecond."""
+        data = np.concatenate(self.rows)
+        return Recording(np.arange(len(data)) * H, data)
+
+
+def places(state: State) -> np.ndarray:
+    """Pose, its rates, joints, their rates (12,)."""
+    z, rate = state.z, state.rate
+    return np.concatenate([z[:3], rate[:3], np.diff(z[2:]), np.diff(rate[2:])])

@@ -17,12 +17,10 @@ import numpy as np
 from fishmj import console
 from fishmj.campaign.data import plan as plans
 from fishmj.campaign.data.collect import Local, collect
-from fishmj.campaign.data.joint_commands import drive, ticks_of
 from fishmj.campaign.data.run_segments import Setup
-from fishmj.campaign.data.segment import Segment
-from fishmj.campaign.hybrid.correction_segment import Path as Along
-from fishmj.campaign.hybrid.correction_segment import Solver
-from fishmj.campaign.hybrid.hybrid import Hybrid, Surrogate
+from fishmj.campaign.data.segment import Segment, drive, ticks_of
+from fishmj.campaign.hybrid.hybrid import Hybrid, Solver, Surrogate
+from fishmj.campaign.hybrid.hybrid import Path as Along
 from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import open_dataset
@@ -107,13 +105,8 @@ def trial(robot: Robot, model: HydroModel, setup: Setup, segments, out: Path, *,
     data, rows = open_dataset(out / "solver", test=True), []
     for segment in segments:
         kept = out / wrong / f"{segment.id}.json"
-        made = {
-            "model": model.base._asdict(),
-            "when": when,
-            "own": own,
-            "solver": data.about[segment.id]["file"]["sha256"],
-            "wrong": wrong,
-        }
+        solved = data.about[segment.id]["file"]["sha256"]
+        made = {"model": model.base._asdict(), "when": when, "own": own, "solver": solved, "wrong": wrong}
         row = read_json(kept) if kept.is_file() else {}
         if row.get("made") != made:
             row = _one(robot, model, setup, segment, data[segment.id], when, wrong, own) | {"made": made}

@@ -10,7 +10,8 @@ A case is one small file in this folder:
 
 `rung` is its number on the validation ladder of docs/methods/oracle.md; `quick` puts it into `cases --quick`, three minutes in
 all on two cores. `cost` is the time expected on two cores; a case marked `gpu` is left out of `--all` on the CPU and runs there
-by name. A check without a reference that was read is `reported`, not gated.
+by name. A check without a reference that was read is `reported`, not gated. Such a function in a file of your own is a case, too:
+`fishmj lbm_oracle cases my_case.py:poiseuille_3d`.
 """
 
 import time
@@ -20,7 +21,9 @@ from math import inf, nan
 from pathlib import Path
 from typing import NamedTuple
 
-from fishmj.errors import UnknownName
+from fishmj import console, plugins
+from fishmj.errors import ConfigError, OwnCodeError
+from fishmj.lbm_oracle.fluid.device import device_of
 
 
 class Check(NamedTuple):
@@ -96,9 +99,15 @@ REGISTRY: dict[str, Case] = {}
 def register(
     name: str, *, rung: float, grid: str, source: str, quick: bool = False, cost: str = "", gpu: bool = False
 ) -> Callable[[Solve], Solve]:
-    """Put `solve(device)` on the ladder."""
+    """Put `solve(device)` on the ladder.
+
+    Raises:
+        ConfigError: another case has this name.
+    """
 
     def keep(solve: Solve) -> Solve:
+        if name in REGISTRY:
+            raise ConfigError(f"case {name!r}: registered twice; give one of them another name")
         REGISTRY[name] = Case(name, rung, grid, source, quick, solve, cost, gpu)
         return solve
 
@@ -115,16 +124,32 @@ def known() -> dict[str, Case]:
 def pick(names: list[str], *, quick: bool = False, everything: bool = False, gpu: bool = True) -> list[Case]:
     """The cases of these names; without names the quick ones, or all, those marked `gpu` only where there is one.
 
+    Args:
+        names: of cases here, or the user's own as `plugins.load` finds them.
     Raises:
-        UnknownName: a case that does not exist.
+        UnknownName: a case that does not exist. OwnCodeError: the user's own fails, or is no case.
     """
     table = known()
-    for name in names:
-        if name not in table:
-            raise UnknownName("case", name, table)
     if names:
-        return [table[name] for name in names]
+        return [table[name] if name in table else _own(name, table) for name in names]
     return [case for case in table.values() if (everything and (gpu or not case.gpu)) or (case.quick and quick)]
+
+
+def _own(text: str, table: dict[str, Case]) -> Case:
+    """A case of the user's own; what its `solve` raises becomes one line with file and line."""
+    what, given = f"case {text}", plugins.load("case", text, table)
+    case = next((case for case in REGISTRY.values() if case.solve is given), None)
+    if case is None:
+        raise OwnCodeError(f"{what}: expected a function under @register(..) of fishmj.lbm_oracle.cases, got {given!r}")
+    plugins.takes(what, given, f"{case.name}(device)", 1)
+
+    def checked(device: str) -> tuple[Check, ...]:
+        found = plugins.call(what, lambda: tuple(given(device)))
+        if strange := [check for check in found if not isinstance(check, Check)]:
+            raise OwnCodeError(f"{what}: expected it to yield checks (about, below, above, reported), got {strange[0]!r}")
+        return found
+
+    return case._replace(solve=checked)
 
 
 def solve(case: Case, device: str) -> CaseResult:
@@ -149,3 +174,46 @@ def rows(outcome: CaseResult) -> list[dict]:
         }
         for check in outcome.checks
     ]
+
+
+def main(argv: list[str]) -> int:
+    """The verb `cases`: the validation table; exit code 1 on a miss."""
+    parser = console.parser("lbm_oracle cases", "Known answers, each beside its reference; exit 1 on a miss.")
+    parser.add_argument(
+        "names", type=console.text, nargs="*", metavar="NAME", help="a case, or module:name; default: the quick ones"
+    )
+    parser.add_argument("--all", action="store_true", help="every case; on the CPU without those marked gpu")
+    parser.add_argument("--quick", action="store_true", help="those that fit three minutes on two cores (the default)")
+    parser.add_argument("--list", action="store_true", help="name the cases and stop")
+    parser.add_argument("--device", type=console.device, default="cpu", help="cpu, cuda or auto")
+    args = parser.parse_args(argv)
+    if args.list:
+        return _list(args.json)
+    pick(args.names, quick=not args.all, everything=args.all, gpu=True)  # a wrong name fails before a device is looked for
+    device = str(device_of(args.device))
+    outcomes, table = [], []
+    for case in pick(args.names, quick=not args.all, everything=args.all, gpu=device.startswith("cuda")):
+        done = solve(case, device)
+        outcomes.append(done)
+        table += rows(done)
+        console.say(console.table(rows(done)), f"{case.name}: {case.grid}, {console.duration(done.seconds)}; {case.source}", "")
+    missed = [row for row in table if row["verdict"] == "MISS"]
+    total = sum(done.seconds for done in outcomes)
+    gated = sum(row["verdict"] != "reported" for row in table)
+    console.say(f"{gated - len(missed)} of {gated} checks hold, {console.duration(total)} on {device}")
+    if args.json:
+        seconds = {done.case.name: done.seconds for done in outcomes}
+        console.emit_json({"cases": table, "seconds": seconds, "device": device, "ok": not missed})
+    return console.FAILED_CHECK if missed else console.OK
+
+
+def _list(as_json: bool) -> int:
+    table = [
+        {"rung": case.rung, "case": case.name, "quick": case.quick, "gpu": case.gpu, "grid": case.grid, "cost": case.cost}
+        | {"what": case.summary}
+        for case in known().values()
+    ]
+    console.say(console.table(table))
+    if as_json:
+        console.emit_json({"cases": table})
+    return console.OK

@@ -10,7 +10,7 @@ import numpy as np
 from fishmj.lbm_oracle.cases import about, register
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 
 LID = 0.1  # lattice units
 EXTREMES = {  # Re: (least u at x = 1/2, greatest v at y = 1/2, least v at y = 1/2)

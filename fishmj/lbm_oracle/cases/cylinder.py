@@ -2,6 +2,10 @@
 
     C_D = 2 F_x / (rho U^2 D),   C_L = 2 F_y / (rho U^2 D),   St = f D / U,   l = from the rear to where u = 0 on the axis
 
+The strip is periodic across its one cell, so that a kernel three cells deep lands on that cell three times. `Strip` folds what
+the direct forcing spreads between its passes back onto it; the force into the water and what the markers read fold by themselves.
+Forces are those of one cell of depth.
+
 The box is 30 D square with free slip at its sides, as wide as that of the reference; it blocks 1/30 of the stream. The street is
 judged in one of 60 x 80 D at half the Mach number: between sides 30 D apart sound at Mach 0.1 has a mode at f D / U = 0.16, next
 to the shedding, which it quickens and strengthens; blockage and an inflow 12 D ahead quicken it by 1 % each.
@@ -14,17 +18,24 @@ Sources: Taira and Colonius 2007, J. Comput. Phys. 225:2118, table 2 (Re 40); Li
 Choi 1998 (Re 100) as tabulated beside its own figures by the validation pages of the solver Mallard, read 2026-11-20.
 """
 
-from math import pi
+from math import ceil, pi
 from typing import NamedTuple
 
 import numpy as np
+import warp as wp
 
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import Check, about, register, reported
-from fishmj.lbm_oracle.cases.cylinder_strip import cylinder
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.immersed import kernels
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
+from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import offset_of
+from fishmj.lbm_oracle.immersed.markers import Markers, offset_of
+
+wp.set_module_options({"enable_backward": False})
 
 STREAM = 0.06  # lattice units: Mach 0.1
 BOX, AT = (30.0, 30.0), (0.4, 0.5)  # diameters; share of the box
@@ -33,6 +44,73 @@ KICK = 4.0  # D / U; a push to the side and back, so that the street need not wa
 
 TAIRA = {"C_D": 1.54, "l / D": 2.30}
 STREET = {"C_D": 1.34, "C_L": 0.335, "St": 0.1645}  # middle of 1.33 and 1.350, 0.33 and 0.339, 0.164 and 0.165
+
+
+@wp.kernel
+def fold(scratch: wp.array4d(dtype=wp.vec3)):
+    """Every cell of a column gets the sum of the column: they are one cell of water."""
+    i, j, r = wp.tid()
+    total = wp.vec3()
+    for k in range(scratch.shape[2]):
+        total += scratch[i, j, k, r]
+    for k in range(scratch.shape[2]):
+        scratch[i, j, k, r] = total
+
+
+class Strip(Boundary):
+    """The immersed boundary of a body in a strip one cell deep."""
+
+    def _launch(self, kernel, dim, inputs, outputs) -> None:
+        super()._launch(kernel, dim, inputs, outputs)
+        if kernel is kernels.spread:
+            super()._launch(fold, (*self.box_shape[:2], self.rhs), [], [self.scratch])
+
+
+def circle_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None) -> Markers:
+    """A circle of `radius` m in the plane z = 0, one cell deep, markers about dx apart."""
+    r = radius - offset_of(width, slip, hydro_offset) * dx
+    n = ceil(2 * pi * r / dx)
+    turn = 2 * pi * np.arange(n) / n
+    unit = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+    return Markers.rigid(r * unit, unit, 2 * pi * r / n * dx)
+
+
+def rod(radius: float, lattice: Lattice, at=(0.0, 0.0)) -> ImmersedBody:
+    """A cylinder of water's density and one cell of depth on slides along x and y, at `at` (2,) m."""
+    mass = lattice.rho * pi * radius**2 * lattice.dx
+    inertia = np.array([0.25, 0.25, 0.5]) * mass * radius**2
+    body = ImmersedBody.on_slides("xy", mass, inertia, mass, inertia, lattice.dt)
+    body.place(at)
+    return body
+
+
+def cylinder(
+    cells: int,
+    speed: float,
+    reynolds: float,
+    box: tuple[float, float],
+    at: tuple[float, float],
+    device: str,
+    *,
+    faces: Boundaries,
+    flow: Flow | None = None,
+    passes: int = 2,
+    **options,
+) -> FluidStructure:
+    """A cylinder of `cells` cells across without slip, in lattice units.
+
+    Args:
+        speed: that the Reynolds number is made with. box: length and breadth in diameters. at: centre as a share of the box;
+            it is put off the nodes, as a fish is. passes: of the direct forcing. options: of the markers.
+    """
+    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=speed * cells / reynolds)
+    shape = (round(box[0] * cells), round(box[1] * cells), 1)
+    water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=flow)
+    centre = np.array(shape[:2]) * at + [0.2, -0.3]
+    markers, body = circle_markers(cells / 2, 1.0, **options), rod(cells / 2, lattice, centre)
+    held = FluidStructure(water, body, markers, slip=0.0, passes=passes)
+    held.boundary = Strip(markers, body, water, slip=0.0, passes=passes)
+    return held
 
 
 class Held(NamedTuple):

@@ -99,18 +99,8 @@ class DuctLinks:
             start = np.where(hit | face, own, _slot(shape, mirror, np.where(face[:, None], near, image)))
             lift = np.where(face, 6 * W[i] * c[2] * STREAM, 0.0)
             weight = np.where(hit, -c[2], 0)
-            rows.append(
-                (
-                    _slot(shape, i, source),
-                    start,
-                    _slot(shape, far, beyond),
-                    _slot(shape, i, near),
-                    (1 - 2 * q) / (1 + 2 * q),
-                    lift,
-                    weight,
-                    hit,
-                )
-            )
+            to, opposite, here = _slot(shape, i, source), _slot(shape, far, beyond), _slot(shape, i, near)
+            rows.append((to, start, opposite, here, (1 - 2 * q) / (1 + 2 * q), lift, weight, hit))
         *columns, hit = (np.concatenate(column) for column in zip(*rows, strict=True))
         first = np.argsort(~hit, kind="stable")
         self.to, self.start, self.far, self.near, self.k, self.lift, self.weight = (column[first] for column in columns)

@@ -15,7 +15,7 @@ from math import pi
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, register, reported
-from fishmj.lbm_oracle.cases.cylinder_strip import cylinder
+from fishmj.lbm_oracle.cases.cylinder import cylinder
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 
 KC, REYNOLDS, SPEED = 5.0, 100.0, 0.06  # greatest speed in lattice units

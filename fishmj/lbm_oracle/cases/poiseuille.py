@@ -11,7 +11,7 @@ import numpy as np
 from fishmj.lbm_oracle.cases import below, register
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 
 NU_LU = (3 / 16) ** 0.5 / 3
 U_MAX = 0.02  # lattice units

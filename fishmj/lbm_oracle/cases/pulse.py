@@ -11,8 +11,7 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import below, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import CS
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import CS, Lattice
 
 SPONGE, HEIGHT = 10, 1e-3
 LATTICE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-3)

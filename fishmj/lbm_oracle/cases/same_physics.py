@@ -19,9 +19,8 @@ from fishmj.errors import ConfigError, StoreError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import Check, below, register, reported
 from fishmj.lbm_oracle.run.domain import Domain
-from fishmj.lbm_oracle.run.gait import Gait
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.store import Manifest, read_tensors, write_tensors
 
 SCHEMA, NAME, STEPS = "fishmj.same-physics/1", "same_physics.safetensors", 200

@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, register, reported
+from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.units import G
 

@@ -19,12 +19,22 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.free_sphere import ball
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 
 STREAM = 0.05  # lattice units
+CLIFT = "Clift et al. 1978, formula"
+
+
+def ball(radius: float, lattice: Lattice, *, density: float = 1.0, at=(0.0, 0.0, 0.0)) -> ImmersedBody:
+    """A free, non-rotating sphere of `radius` m and `density` times the water's, at `at` m; no gravity."""
+    mass = lattice.rho * 4 / 3 * pi * radius**3
+    solid, water = ([0.4 * m * radius**2] * 3 for m in (density * mass, mass))
+    body = ImmersedBody.on_slides("xyz", density * mass, solid, mass, water, lattice.dt)
+    body.place(at)
+    return body
 
 
 def drag(
@@ -108,7 +118,7 @@ def schiller_naumann(reynolds: float) -> float:
     return 24 / reynolds * (1 + 0.15 * reynolds**0.687)
 
 
-@register("sphere_drag", rung=7, quick=True, grid="72 x 56 x 56, D = 8", source="Clift et al. 1978, formula")
+@register("sphere_drag", rung=7, quick=True, grid="72 x 56 x 56, D = 8", source=CLIFT)
 def sphere_drag(device):
     """A held sphere at Re 20."""
     found = drag(20.0, 8, device)
@@ -116,14 +126,7 @@ def sphere_drag(device):
     yield reported("C_D at Re 20 over Schiller and Naumann's", found / schiller_naumann(20.0), 1.0)
 
 
-@register(
-    "sphere_reynolds",
-    rung=7.1,
-    grid="144 x 112 x 112, D = 16",
-    source="Clift et al. 1978, formula",
-    cost="GPU, 25 G updates",
-    gpu=True,
-)
+@register("sphere_reynolds", rung=7.1, grid="144 x 112 x 112, D = 16", source=CLIFT, cost="GPU, 25 G updates", gpu=True)
 def sphere_reynolds(device):
     """A held sphere at Re 20 to 200."""
     for reynolds in (20.0, 50.0, 100.0, 200.0):

@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.lbm_oracle.cases import about, below, register
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 
 SIZES = (16, 32, 64)
 NU_LU = 0.15

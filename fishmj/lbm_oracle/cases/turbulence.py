@@ -15,7 +15,7 @@ from fishmj.flow import LENGTH, Flow
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 
 SPEED = 0.3  # m/s
 SHAPE, DX, DT = (60, 40, 16), 0.04, 0.008

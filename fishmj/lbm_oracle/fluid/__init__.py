@@ -1,1 +1,1 @@
-"""The fluid on its lattice: units, one fused step, collision, faces of the domain, inflow, storage, diagnostics."""
+"""The fluid on its lattice: units, one fused step, collision, faces of the domain, inflow, storage, whole fields."""

@@ -7,8 +7,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.flow import LENGTH, TICK, Flow, solenoidal_box, table_of
-from fishmj.lbm_oracle.fluid.lattice import wrap
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice, wrap
 
 STEADY, FROZEN, GUST = 0, 1, 2
 

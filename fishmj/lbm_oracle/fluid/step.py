@@ -13,7 +13,6 @@ six neighbours come from cache; the same gradient serves the stress); the force 
 
 from functools import cache
 
-import numpy as np
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
@@ -283,8 +282,3 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
             poke3(u_next, here, 0.5 * (u + v))  # u + G / 2, the second-order velocity of the water
 
     return stream_collide
-
-
-def box_array(box) -> np.ndarray:
-    """((lox, loy, loz), (hix, hiy, hiz)) -> (6,) int32."""
-    return np.concatenate([np.asarray(box[0]), np.asarray(box[1])]).astype(np.int32)

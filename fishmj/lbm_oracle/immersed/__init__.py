@@ -9,7 +9,7 @@ not hold, so the links must be given back the momentum that this water gains:
 
 m_l: displaced mass of link l, I_l its moment of inertia, u_l and w_l its velocities, t_l its axis.
 
-    interior.py:measure, mean       s_l: how fast the water moves along each link; across it, it moves with the link
+    kernels.py:measure, mean        s_l: how fast the water moves along each link; across it, it moves with the link
     link_dynamics.py:move           h_l from pose, velocity and s_l
     link_dynamics.py:add_interior   I, called by `assemble`, which writes the right-hand side
     coupling.py:take_wrench         the same gain, added to the force that the markers exchanged

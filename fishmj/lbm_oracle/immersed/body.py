@@ -4,7 +4,7 @@
     I = sum_l J_l^T (h_l^n - h_l^n-1) - dt sum_l J_l^T m_l g,   h_l = (m_l u_l, I_l w_l)      the water inside the hull
 
 D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator takes implicitly. h_l is the momentum that the
-displaced water of link l has when it moves with the link across it, and along it as is measured (interior.py), m_l its mass, u_l
+displaced water of link l has when it moves with the link across it, and along it as is measured (kernels.py), m_l its mass, u_l
 the velocity of its centre: the immersed boundary accelerates that water too, which a real hull does not contain. Taken as a
 difference in the world frame it holds the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that
 momentum is conserved. I lags by one step, along the links by two: the implicit solve stays stable with it down to a density
@@ -21,8 +21,8 @@ import numpy as np
 
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.lbm_oracle.immersed import link_dynamics
-from fishmj.lbm_oracle.immersed.interior import Points
-from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.immersed.kernels import Points
+from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.mjcf import build, geometry_of, load_robot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
@@ -76,26 +76,38 @@ class ImmersedBody:
         self.system, self._right = np.zeros((n, n)), np.zeros(n)
         self.smooth, self.gain = np.zeros(n), np.zeros((count, 6))
         self.interior_speed = np.full(count, np.nan)  # m/s, of the interior water along each link; nan: it moves with the link
-        self._now, self._last, self._weight = (np.zeros((count, 6)) for _ in range(3))
-        self._impulse, self._target, self._dt, self._check = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
+        self._now, self._weight = np.zeros((count, 6)), np.zeros((count, 6))
+        self.momentum = np.zeros((count, 6))  # of the interior water at the end of the step before; written in place
+        self.impulse, self._target, self._dt, self._check = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
         self._moving, self._move = self._follow(water, centre=self.centre, twist=self.twist, now=self._now)
         plain, whole = self._equations(0), self._equations(1)  # without and with the water's gain
-        self._balance, self._gain = [
-            [link_dynamics.Recorded(kernel, e) for e in (plain, whole)] for kernel in (link_dynamics.assemble, link_dynamics.gain)
-        ]
+        self._balance = [link_dynamics.Recorded(link_dynamics.assemble, e) for e in (plain, whole)]
         self._inverse_force, self._compare = (
             link_dynamics.Recorded(kernel, whole) for kernel in (link_dynamics.inverse_force, link_dynamics.compare)
         )
         self._boxes: tuple | None = None
         self.set_step(dt)
         self.forward()
-        self._last[:] = self._now
+        self.momentum[:] = self._now
 
     @classmethod
     def of(cls, robot="fish", root: str = "planar", dt: float = 0.004) -> "ImmersedBody":
         """The fish of a description, at rest and straight at the origin."""
         robot = load_robot(robot)
         return cls(build(robot, root, bare=True), DisplacedWater.of(robot), dt)
+
+    @classmethod
+    def on_slides(cls, axes: str, mass: float, inertia, displaced: float, inertia_displaced, dt: float) -> "ImmersedBody":
+        """The smallest body: one link on slides along some of `xyz`, no gravity. Masses kg, moments of inertia (3,) kg m2."""
+        spec = mujoco.MjSpec()
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        spec.option.gravity = [0, 0, 0]
+        link = spec.worldbody.add_body(name="body")
+        link.mass, link.inertia, link.ipos, link.explicitinertial = mass, inertia, [0, 0, 0], True
+        for name in axes:
+            link.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)["xyz".index(name)])
+        inside = np.diag(inertia_displaced)[None]
+        return cls(spec.compile(), DisplacedWater(mass=np.array([displaced]), centre=np.zeros((1, 3)), inertia=inside), dt)
 
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""
@@ -109,23 +121,14 @@ class ImmersedBody:
         self.interior_speed[:] = interior_speed
         self._weigh()
         self.forward()
-        self._last[:] = self._now
-
-    @property
-    def momentum(self) -> np.ndarray:
-        """(L, 6) of the interior water at the end of the step before; to be set, or read before the next step."""
-        return self._last
-
-    @momentum.setter
-    def momentum(self, value: np.ndarray) -> None:
-        self._last[:] = value
+        self.momentum[:] = self._now
 
     def set_interior_speed(self, speed: np.ndarray) -> None:
         """How fast the interior water moves along the links, (L,) m/s; from the second time on its gain counts."""
         if np.isnan(self.interior_speed[0]):
             # the first figure is a state, not a change: without this the water would seem to have sped up within one step
             axis = self.turn[:, :, 0]
-            self._last[:, :3] += (self.water.mass * speed - np.sum(axis * self._last[:, :3], 1))[:, None] * axis
+            self.momentum[:, :3] += (self.water.mass * speed - np.sum(axis * self.momentum[:, :3], 1))[:, None] * axis
         self.interior_speed[:] = speed
 
     def _weigh(self) -> None:
@@ -144,11 +147,6 @@ class ImmersedBody:
         mujoco.mj_fullM(self.model, self.data, self.system)
         self._balance[interior].launch()
         return self.system, self._right
-
-    def interior_impulse(self, interior: bool = True) -> np.ndarray:
-        """I, (n,): what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
-        self._gain[interior].launch()
-        return self._impulse.copy()
 
     def water_momentum(self) -> np.ndarray:
         """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
@@ -195,7 +193,7 @@ class ImmersedBody:
         e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
         e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)
-        e.weight, e.last, e.gain, e.impulse = (share(a) for a in (self._weight, self._last, self.gain, self._impulse))
+        e.weight, e.last, e.gain, e.impulse = (share(a) for a in (self._weight, self.momentum, self.gain, self.impulse))
         e.smooth, e.system, e.right = share(self.smooth), share(self.system), share(self._right)
         e.target, e.applied_force, e.check = share(self._target), share(d.qfrc_applied), share(self._check)
         return e

@@ -18,11 +18,10 @@ import warp as wp
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import C
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
-from fishmj.lbm_oracle.immersed import fsi_solve, interior, kernels
-from fishmj.lbm_oracle.immersed.delta import check_width
-from fishmj.lbm_oracle.immersed.marker_boxes import Corners
+from fishmj.lbm_oracle.fluid.lattice import C, Lattice
+from fishmj.lbm_oracle.immersed import fsi_solve, kernels
+from fishmj.lbm_oracle.immersed.kernels import check_width
+from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 GPU_CHUNKS = 16  # partial sums over the markers; one on the CPU
@@ -178,9 +177,9 @@ class Boundary:
             return
         args = [self.host, self.layout, *self._points, f, self.directions, self.body_acceleration]
         args += [wp.float64(self.lattice.dx), shape]
-        self._launch(interior.measure, len(self._along), args, [self._along])
+        self._launch(kernels.measure, len(self._along), args, [self._along])
         args = [self._along, self._points[1], self._shares, self.lattice.velocity]
-        self._launch(interior.mean, self.links, args, [self._interior_speed])
+        self._launch(kernels.mean, self.links, args, [self._interior_speed])
 
     def solve(self, implicit: bool = True) -> None:
         """Queue the solve and the wrench on every link, which write into the host's memory, after `set_equation`."""

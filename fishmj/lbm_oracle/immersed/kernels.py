@@ -13,18 +13,77 @@ Departures from the textbook (Wang, Fan, Luo 2008; Kang, Hassan 2011):
     1. the slip target is frozen over the passes, so that the tangential force does not depend on their number;
     2. the spread force is divided by the local density, so that sum(rho G) = sum(V F) to round-off;
     3. no marker is ever looped over in Python, and nothing but v crosses to the host in a step.
+
+d is regularised: the same function interpolates and spreads, so that the two are adjoint. With r in cells:
+
+    3-point (Roma 1999):     phi = (1 + sqrt(1 - 3 r^2)) / 3                         |r| <= 1/2
+                             phi = (5 - 3|r| - sqrt(1 - 3 (1 - |r|)^2)) / 6          |r| <= 3/2
+    4-point (Peskin 2002):   phi = (3 - 2|r| + sqrt(1 + 4|r| - 4 r^2)) / 8           |r| <= 1
+                             phi = (5 - 2|r| - sqrt(-7 + 12|r| - 4 r^2)) / 8         |r| <= 2
+
+Both sum to one and conserve the first moment wherever the marker lies between the cells.
+
+The water inside the hull is measured along each link, since a frictionless hull does not take it along:
+
+    s_l = sum_p w_p t_l . u*(x_p)          x_p: points of link l's own volume, t_l: its axis, sum_p w_p = 1
+
+between the eight nodes round a point. Across the link the wall is impermeable and its water moves with it; along it, only as far
+as friction and the closed ends carry it, which no ratio says beforehand.
+
 The kernels below run one marker (and right-hand side, and plane of its cells) a thread, on CPU and GPU alike.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import warp as wp
 
+from fishmj.errors import UnknownName
 from fishmj.lbm_oracle.fluid.lattice import Q, wrap
 from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, peek, point3
-from fishmj.lbm_oracle.immersed.delta import first, phi, weight
+from fishmj.mjcf.geometry import Geometry
 
 wp.set_module_options({"enable_backward": False, "max_unroll": Q})
+
+WIDTHS = (3, 4)
+
+
+@wp.func
+def phi(r: float, width: int) -> float:
+    """One-dimensional weight at distance r [cells] of the kernel with `width` points."""
+    a = wp.abs(r)
+    if width == 3:
+        if a <= 0.5:
+            return (1.0 + wp.sqrt(wp.max(1.0 - 3.0 * a * a, 0.0))) / 3.0
+        if a <= 1.5:
+            return (5.0 - 3.0 * a - wp.sqrt(wp.max(1.0 - 3.0 * (1.0 - a) * (1.0 - a), 0.0))) / 6.0
+        return 0.0
+    if a <= 1.0:
+        return (3.0 - 2.0 * a + wp.sqrt(wp.max(1.0 + 4.0 * a - 4.0 * a * a, 0.0))) / 8.0
+    if a <= 2.0:
+        return (5.0 - 2.0 * a - wp.sqrt(wp.max(-7.0 + 12.0 * a - 4.0 * a * a, 0.0))) / 8.0
+    return 0.0
+
+
+@wp.func
+def first(x: float, width: int) -> int:
+    """Index of the first of the `width` cells that a marker at x [cells] touches."""
+    if width == 3:
+        return int(wp.floor(x + 0.5)) - 1
+    return int(wp.floor(x)) - 1
+
+
+@wp.func
+def weight(x: wp.vec3, i: int, j: int, k: int, width: int) -> float:
+    """Weight of the cell (i, j, k) for a marker at x; all in the same cell coordinates."""
+    return phi(x[0] - float(i), width) * phi(x[1] - float(j), width) * phi(x[2] - float(k), width)
+
+
+def check_width(width: int) -> int:
+    """`width` if there is such a kernel."""
+    if width not in WIDTHS:
+        raise UnknownName("kernel width", str(width), WIDTHS)
+    return width
 
 
 @wp.struct
@@ -263,5 +322,74 @@ def clear_force(store: wp.array(dtype=wp.vec3i), width: int, shape: wp.vec3i, ac
     acceleration[wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])] = wp.vec3(0.0, 0.0, 0.0)
 
 
-for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
-    wp.overload(read_cells, {"f": wp.array(dtype=_storage)})
+class Points(NamedTuple):
+    """P points in the volumes of the links, in the links' frames."""
+
+    place: np.ndarray  # (P, 3) m
+    link: np.ndarray  # (P,)
+    share: np.ndarray  # (P,) of the link's volume; 1 in all for each link
+
+    @classmethod
+    def of(cls, g: Geometry) -> "Points":
+        """Four a strip, at half the half-axes of its elliptic section: exact for what is quadratic across it."""
+        ds = ((g.span[:, 1] - g.span[:, 0]) / g.strip_x.shape[1])[:, None]
+        width, height = g.strip_w / ds, g.strip_h / ds
+        area = width * height / (width * height).sum(1, keepdims=True)
+        place = [  # two by two, not one on the axis: what turns with the link must not look like what slides along it
+            np.stack([g.strip_x, side * width / 4, up * height / 4], -1).reshape(-1, 3) for side in (-1, 1) for up in (-1, 1)
+        ]
+        link = np.repeat(np.arange(g.n_links), g.strip_x.shape[1])
+        return cls(np.concatenate(place), np.tile(link, 4), np.tile(area.ravel() / 4, 4))
+
+
+@wp.kernel
+def measure(
+    host: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    place: wp.array(dtype=wp.vec3d),
+    link: wp.array(dtype=int),
+    f: wp.array(dtype=Any),
+    directions: wp.array(dtype=wp.vec3i),
+    body_acceleration: wp.vec3,
+    dx: wp.float64,
+    shape: wp.vec3i,
+    along: wp.array(dtype=float),
+):
+    """t . u* at every point, lattice units."""
+    p = wp.tid()
+    frame = at.frame + 12 * link[p]
+    rotation = matrix3(host, frame + 3)
+    x = (point3(host, frame) + rotation * place[p] - point3(host, at.origin)) / dx
+    axis = wp.vec3(float(rotation[0, 0]), float(rotation[1, 0]), float(rotation[2, 0]))
+    low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
+    part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
+    # trilinear: the markers' kernel reaches 1.5 cells, out of a hull that is three cells wide
+    total = wp.float32(0.0)
+    for o in range(8):
+        i, j, k = o // 4, (o // 2) % 2, o % 2
+        weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
+        rho, m = pulled(f, directions, low[0] + i, low[1] + j, low[2] + k, shape)
+        total += weight * wp.dot(axis, m / rho + body_acceleration)
+    along[p] = total
+
+
+@wp.kernel
+def mean(
+    along: wp.array(dtype=float),
+    link: wp.array(dtype=int),
+    share: wp.array(dtype=float),
+    scale: wp.float64,
+    speed: wp.array(dtype=wp.float64),
+):
+    """s_l, m/s."""
+    l = wp.tid()  # one thread a link in a fixed order of points: atomics would cost the repetition to the bit
+    total = wp.float32(0.0)
+    for p in range(along.shape[0]):
+        if link[p] == l:
+            total += share[p] * along[p]
+    speed[l] = scale * wp.float64(total)
+
+
+for _kernel in (read_cells, measure):
+    for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
+        wp.overload(_kernel, {"f": wp.array(dtype=_storage)})

@@ -21,13 +21,9 @@ def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
     body, data = coupled.body, coupled.body.data
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
-    state |= {
-        "momentum": body.momentum.copy(),
-        "slide": body.interior_speed.copy(),
-        "gain": coupled.gain.copy(),
-        "steps": np.array(coupled.steps),
-    }
-    return state | {"applied": body.applied.copy(), "wrench": coupled.boundary.wrench.numpy().copy()}
+    state |= {"momentum": body.momentum.copy(), "slide": body.interior_speed.copy(), "applied": body.applied.copy()}
+    coupling = {"gain": coupled.gain.copy(), "steps": np.array(coupled.steps), "wrench": coupled.boundary.wrench.numpy().copy()}
+    return state | coupling
 
 
 def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
@@ -46,7 +42,7 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
     data.ctrl[:], body.applied[:] = state["ctrl"], state["applied"]
     body.place(state["qpos"], state["qvel"], state["slide"])
     # after `place`, which takes the interior water's momentum from the pose as if nothing had sped up: the gain lags by a step
-    body.momentum = state["momentum"].copy()
+    body.momentum[:] = state["momentum"]
     coupled.gain = state["gain"].copy()
     coupled.steps = int(state["steps"])
     coupled.boundary.wrench.assign(state["wrench"])

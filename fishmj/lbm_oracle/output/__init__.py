@@ -1,1 +1,1 @@
-"""What a swim leaves: slices, vorticity, volumes for ParaView, block averages, pictures."""
+"""What a swim leaves: slices, vorticity, volumes for ParaView, pictures."""

@@ -5,14 +5,42 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from fishmj.lbm_oracle.output.field_options import STRONG
-from fishmj.lbm_oracle.output.map_plots import pyplot
-from fishmj.lbm_oracle.output.slices import Slice
+import numpy as np
+
+from fishmj.lbm_oracle.output.slices import STRONG, Slice
+from fishmj.mjcf.skin import posed, skin
 from fishmj.store import write_bytes
 
-FISH, RIM, INK = "#2B3440", "#FFFFFF", "#3A4350"
+FISH, INK = "#2B3440", "#3A4350"
+COLOURS = ("#0B3C5D", "#328CC1", "#3A9D5D", "#D9902F", "#B3392F", "#7A4B94")  # of lines, in their order
+STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 11}
 
-DPI = 110
+
+def pyplot():
+    """Matplotlib without a window, in the style of the solver's pictures."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams.update(STYLE)
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def save(figure, path: Path, *, dpi: int = 130, close: bool = True) -> Path:
+    """PNG, atomically."""
+    buffer = BytesIO()
+    figure.savefig(buffer, dpi=dpi, format="png")
+    if close:
+        pyplot().close(figure)
+    return write_bytes(path, buffer.getvalue())
+
+
+def outline(run) -> list[np.ndarray]:
+    """The hull seen from above, one closed line (P, 2) m."""
+    hull = skin(run.robot, spacing=0.01, around=4, smooth=True, details=False)
+    rings = posed(hull, np.concatenate([run.pose[:3], run.angles()]))[:-2, :2].reshape(-1, 4, 2)
+    return [np.concatenate([rings[:, 0], rings[::-1, 2]])]
 
 
 class SlicePicture:
@@ -37,7 +65,7 @@ class SlicePicture:
         for old in list(self.axis.patches):
             old.remove()
         draw_fish(self.axis, one)
-        return _save(self.figure, path)
+        return save(self.figure, path, dpi=110, close=False)
 
     def close(self) -> None:
         if self.figure is not None:
@@ -61,13 +89,8 @@ def draw_fish(axis, one: Slice) -> None:
         axis.fill(link[:, 0], link[:, 1], facecolor=FISH, edgecolor=FISH, lw=0.8, joinstyle="round")
 
 
-def velocity(path: Path, one: Slice, title: str, top: float) -> Path:
-    """Magnitude of the horizontal velocity with the outline of the fish, 0 to `top` m/s."""
-    return panels([("", one)], path, title, top)
-
-
 def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: float) -> Path:
-    """Magnitude of the horizontal velocity of several slices, one panel each, one colour scale from 0 to `top` m/s."""
+    """Magnitude of the horizontal velocity of slices with their fish, one panel each, one colour scale from 0 to `top` m/s."""
     plt = pyplot()
     columns = min(4, len(slices))
     rows, wide = -(-len(slices) // columns), 3.4 if len(slices) > 1 else 8.0
@@ -96,13 +119,4 @@ def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: flo
     figure.supylabel("y [m]", fontsize=10)
     figure.suptitle(title, fontsize=11)
     figure.colorbar(image, ax=axes, label="|u| [m/s]", shrink=0.9, pad=0.02, extend="max")
-    return _save(figure, path, close=True)
-
-
-def _save(figure, path: Path, *, close: bool = False) -> Path:
-    """PNG, atomically."""
-    buffer = BytesIO()
-    figure.savefig(buffer, dpi=DPI, format="png")
-    if close:
-        pyplot().close(figure)
-    return write_bytes(path, buffer.getvalue())
+    return save(figure, path, dpi=110)

@@ -10,16 +10,19 @@
 NumPy only: who draws slices does not load the solver.
 """
 
+import argparse
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from fishmj import console
 from fishmj.errors import ConfigError, StoreError
 from fishmj.store import read_json, read_npz, write_npz
 
 SCHEMA = "fishmj.fields/1"
 INDEX = "fields.json"
+STRONG = 8.0  # 1/s, ends of the pictures' colour scale: eddies shed at 1 Hz reach it, the swirl beside them does not
 
 
 class Slice(NamedTuple):
@@ -90,3 +93,26 @@ def slices_in(folder: str | Path) -> list[Path]:
     if not found:
         raise ConfigError(f"{folder}: no slices; the run ended before its first one")
     return found
+
+
+def height(text: str) -> float | None:
+    """`mid` or a height in m.
+
+    Raises:
+        ArgumentTypeError: neither.
+    """
+    if text == "mid":
+        return None
+    try:
+        return console.number(-10, 10)(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}, or mid: a height in m (0 is mid-depth, up positive)") from error
+
+
+def add_fields(parser: argparse.ArgumentParser, *, folder: bool = True) -> None:
+    """The switches that `swim` and `forcemap` share: --fields (with a folder or without), --slice, --volume."""
+    if folder:
+        fields = "vorticity slices (npz, PNG) while it runs, for `fishmj replay`; by default none"
+        parser.add_argument("--fields", type=console.out_folder, metavar="FOLDER", help=fields)
+    parser.add_argument("--slice", type=height, default=None, metavar="mid|Z", help="height of the slice, m (default: mid-depth)")
+    parser.add_argument("--volume", action="store_true", help="with --fields: the whole box, too, as VTK files for ParaView")

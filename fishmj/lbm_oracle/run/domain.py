@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.units import wrap
 
 TURN = 0.5  # rad/s, greatest rate at which the window's lead follows the heading
@@ -105,30 +105,27 @@ def preset(name: str) -> Domain:
 
 
 class Follower:
-    """Decides when a window moves; `shift` returns whole cells, most of the time (0, 0, 0)."""
+    """Decides when a window moves."""
 
     def __init__(self, domain: Domain, heading: float = 0.0):
         self.domain, self.heading = domain, float(heading)
 
-    def shift(self, fluid, position, heading: float) -> tuple[int, int, int]:
-        """Cells to move so that the fish at `position` (3,) m with `heading` rad sits where it should, to within one cell."""
+    def follow(self, fluid, position, heading: float) -> bool:
+        """Move the window by whole cells so that the fish at `position` (3,) m with `heading` rad sits where it should.
+
+        True if it moved, by a quarter of the window at most; most of the time it stays.
+        """
         if not self.domain.follows:
-            return 0, 0, 0
+            return False
         most = TURN * self.domain.dt
         self.heading += float(np.clip(wrap(np, heading - self.heading), -most, most))
         ahead = LEAD * np.array([self.domain.size[0] * cos(self.heading), self.domain.size[1] * sin(self.heading), 0.0])
         middle = fluid.lattice.to_si(fluid.origin_lu + (np.array(fluid.shape) - 1) / 2)
         off = (np.asarray(position, float) + ahead - middle) / self.domain.dx
-        step = np.trunc(off).astype(int)
-        return int(step[0]), int(step[1]), 0
-
-    def follow(self, fluid, position, heading: float) -> bool:
-        """Move the fluid's window if it is time to; True if it moved. Cells are moved at most a quarter of the window at once."""
-        by = self.shift(fluid, position, heading)
-        if not any(by):
+        x, y = np.trunc(off).astype(int)[:2].tolist()
+        if not (x or y):
             return False
-        limit = [n // 4 for n in fluid.shape]
-        fluid.shift(tuple(int(np.clip(b, -m, m)) for b, m in zip(by, limit, strict=True)))
+        fluid.shift(tuple(int(np.clip(b, -(n // 4), n // 4)) for b, n in zip((x, y, 0), fluid.shape, strict=True)))
         return True
 
 

@@ -11,25 +11,73 @@ Driven by the servos, joints lag behind their commands as on the robot. `prescri
 letter, `tethered` holds the root; the torques that this takes are the servo's and the tether's reaction.
 """
 
-from collections.abc import Callable, Generator, Iterator
-from typing import cast
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Protocol, cast
 
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError, FishmjError, OracleUnstable, SimDiverged
+from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
+from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.run import run_log
-from fishmj.lbm_oracle.run.joint_driver import JointDriver, Servos
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
-from fishmj.log import Trial
+from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import link_centres
+from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.source import made_by
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
+
+
+class JointDriver(Protocol):
+    """Who moves the joints through one tick; made anew for each, and for every time that it is done again with finer steps."""
+
+    @property
+    def power(self) -> float:
+        """Mean W that the servos drew."""
+
+    def actuate(self, step: int) -> tuple:
+        """Set the joints' torque in this step of the tick; returns `fixed` and `value` of `FluidStructure.solve`."""
+
+    def record(self) -> None:
+        """The step's equation stands and its launches are under way."""
+
+    def follow(self) -> None:
+        """MuJoCo has taken the step."""
+
+
+class Servos:
+    """The servos of the model, or joints that follow a function of time to the letter."""
+
+    def __init__(self, run: "Run", coupled: FluidStructure, factor: int):
+        self.run, self.body, self.factor = run, coupled.body, factor
+        self.torques: list[np.ndarray] = []
+        self.rates: list[np.ndarray] = []
+
+    def actuate(self, step: int) -> tuple:
+        run = self.run
+        if run.prescribed is None:
+            self.body.data.ctrl[:] = run.servo_target(run.ticks * run.steps + step // self.factor)
+        return run.prescribed_velocity(self.body.dt)
+
+    def record(self) -> None:
+        self.rates.append(self.run.rates())  # and torques, of the step's begin
+        self.torques.append(self.body.data.actuator_force.copy())
+
+    def follow(self) -> None:
+        """Nothing to follow."""
+
+    @property
+    def power(self) -> float:
+        """P = sum max(tau (tau - k_b w) / k_b, 0), mean over the steps."""
+        torque, rate, kb = np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb
+        return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
 
 
 class LeftDomain(FishmjError, RuntimeError):
@@ -117,7 +165,7 @@ class Run:
             pass
 
     def ticking(self, command=None) -> Iterator[None]:
-        """The same, pausing whenever the device has work and the host could look after another tank (`concurrent_runs`)."""
+        """The same, pausing whenever the device has work and the host could look after another tank (`ConcurrentRuns`)."""
         sent = self._send(command)
         began, done = self.time, None
         careful = self.fastest > CAUTION * self.limit or self.ticks < self.alert
@@ -239,9 +287,123 @@ class Run:
         return fixed, value
 
     def trial(self) -> Trial:
-        """Everything so far in the log's schema.
+        """Everything so far in the log's schema: commands at the start of each tick, the rest at its end, wrenches as means.
 
         Raises:
             LogError: nothing was recorded yet.
         """
-        return run_log.trial(self)
+        if not self.rows:
+            raise LogError("oracle run: no tick was finished, nothing to write")
+        began, t, cmd, pose, joint, rate, power, raw, whole = (np.array(column) for column in zip(*self.rows, strict=True))
+        q, v = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
+        before = np.concatenate([self.first[None], q[:-1]])  # at the start of each tick
+        flow = flow_at_links(self.coupled.fluid.flow, self.robot, before, self.start + began)
+        servo, planar = self.robot.servo, [0, 1, 5]
+        # with prescribed joints what the servos would have drawn is not known
+        drawn = None if self.prescribed else (servo.voltage, (power + servo.idle_power) / servo.voltage)
+        tables = log_tables(began, t, cmd, q, v, flow, whole[:, :, planar], raw[:, :, planar], drawn)
+        return Trial(_meta(self, tables), tables)
+
+
+def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = None) -> dict[str, dict[str, np.ndarray]]:
+    """Tables of the log's schema from T ticks of a fish with J joints and L links.
+
+    Args:
+        began, t: s, begin and end of a tick. command: (T, J) rad. q, v: (T, 3 + J) at its end. flow: (T, L, 2) m/s at its start.
+        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water. power: V, and A (T,), where servos drove.
+    """
+    place, joint, rate = dict(zip(("x", "y", "yaw"), q[:, :3].T, strict=True)), q[:, 3:], v[:, 3:]
+    wrench: dict[str, np.ndarray] = {}
+    for names, values in ((("f#x", "f#y", "m#"), whole), (("r#x", "r#y", "n#"), raw)):
+        for name, column in zip(names, np.moveaxis(values, -1, 0), strict=True):
+            wrench |= numbered(name, column)
+    truth = place | dict(zip(("vx", "vy", "wz"), v[:, :3].T, strict=True)) | numbered("j#", joint) | numbered("k#", rate)
+    return {
+        "cmd": {"t": began, **numbered("c#", command)},
+        "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
+        "pose": {"t": t, **place},
+        **({} if power is None else {"power": {"t": t, "V": np.full(len(t), power[0]), "I": power[1]}}),
+        "truth": {"t": t, **truth},
+        "flow": {"t": began, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
+        "wrench": {"t": t, **wrench},
+    }
+
+
+def flow_at_links(flow: Flow, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Undisturbed flow at the links' centres, (T, N, 2) m/s, for states q (T, 3 + J) at times t (T,) s."""
+    points = link_centres(robot, q)
+    if flow.rms == 0.0:
+        return np.broadcast_to(flow.mean[:2], points.shape).copy()
+    deep = np.concatenate([points, np.zeros((*points.shape[:2], 1))], -1)
+    return np.stack([flow.at(where, float(when))[:, :2] for where, when in zip(deep, t, strict=True)])
+
+
+def _meta(run, tables) -> dict:
+    """What a reader must know about the run."""
+    fluid, edge = run.coupled.fluid, run.coupled.boundary
+    flow, lattice = fluid.flow, fluid.lattice
+    (x, y, turn), c, s = run.pushed, np.cos(run.first[2]), np.sin(run.first[2])
+    water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.shape), "slip": run.coupled.slip}
+    water |= {"subgrid": fluid.subgrid, "kernel": edge.width, "passes": edge.passes, "markers": edge.count}
+    return {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        **identity(run.robot),
+        "medium": "water",
+        "flow": {"speed": flow.speed, "direction": flow.direction, "turbulence": flow.turbulence}
+        | {"intensity": flow.intensity, "seed": flow.seed, "known": True},
+        "excitation": "prescribed joints" if run.prescribed else "servos",
+        "replicate_of": "",
+        "controller": "open loop",
+        "start": run.first[:3].tolist(),
+        "push": [float(c * x + s * y), float(c * y - s * x), float(turn)],  # surge, sway m/s and yaw rate rad/s
+        "latency": {"pose": 0.0, "command": run.delay * run.coupled.body.dt},
+        "water": "lbm",
+        "oracle": {**water, "device": str(fluid.device), "tethered": run.tethered}
+        | {"refined_ticks": run.refined, "stopped": run.stopped},
+        "seed": flow.seed,
+        "clock": {name: "simulation" for name in tables},
+        **made_by("mujoco", "numpy", "warp-lang"),
+        "source": "fishmj.lbm_oracle",
+        "licence": "Apache-2.0",
+        "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r"
+        " and n are the raw exchange",
+    }
+
+
+class ConcurrentRuns:
+    """Runs that tick together in one process; one that stops (see `Run.stopped`) is left as it is, the others go on.
+
+    The host looks after one tank while the device works on another's water: every tank has its own stream, `tick` goes round and
+    finishes one step of each and begins its next. Tanks share nothing, so that results do not depend on their number or order.
+    """
+
+    def __init__(self, runs: Sequence[Run]):
+        if not runs:
+            raise ConfigError("tanks: no runs")
+        self.runs = list(runs)
+
+    @property
+    def swimming(self) -> list[int]:
+        """Numbers of the runs that have not stopped."""
+        return [i for i, run in enumerate(self.runs) if not run.stopped]
+
+    def tick(self, commands=None) -> list[int]:
+        """One bus tick of all; commands (B, J) rad, or None for prescribed joints. Returns the numbers still swimming.
+
+        Raises:
+            ConfigError: not one command for every tank.
+        """
+        if commands is not None and len(commands) != len(self.runs):
+            raise ConfigError(f"tanks: {len(commands)} commands for {len(self.runs)} tanks; stopped ones count")
+        going = {i: self.runs[i].ticking(None if commands is None else commands[i]) for i in self.swimming}
+        while going:
+            for i in list(going):
+                try:
+                    next(going[i])
+                except StopIteration:
+                    del going[i]
+                except (LeftDomain, SimDiverged, OracleUnstable) as error:
+                    self.runs[i].stopped = str(error)
+                    del going[i]
+        return self.swimming

@@ -1,9 +1,11 @@
-"""A fish in a box of water, put together: domain, flow, markers, coupling and what happens at the edge."""
+"""A fish in a box of water, put together: movement, domain, flow, markers, coupling and what happens at the edge."""
 
 from dataclasses import dataclass, field, replace
+from math import pi, radians
 
 import numpy as np
 
+from fishmj.calib import constant
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -17,6 +19,43 @@ from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
 
 LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gait:
+    """Prescribed joint angles, j_i(t) = bias_i + r(t) A_i sin(2 pi f t - i lag), r = (3 - 2 x) x^2, x = min(t / ramp, 1).
+
+    A travelling wave over J joints: frequency Hz, amplitude, lag from joint to joint and bias in rad, ramp s.
+
+    amplitude and bias are one number or one a joint.
+    """
+
+    joints: int = 3
+    frequency: float = 1.0
+    amplitude: float | tuple[float, ...] = radians(30.0)
+    lag: float = radians(60.0)
+    bias: float | tuple[float, ...] = 0.0
+    ramp: float = 1.0
+
+    def __post_init__(self):
+        for name in ("amplitude", "bias"):
+            if np.size(getattr(self, name)) not in (1, self.joints):
+                raise ConfigError(f"gait: {name} has {np.size(getattr(self, name))} values; expected 1 or {self.joints}")
+        if not (self.frequency > 0 and self.ramp >= 0):
+            raise ConfigError(f"gait: frequency = {self.frequency} Hz must be positive, ramp = {self.ramp} s not negative")
+
+    @classmethod
+    def of_the_paper(cls, second: bool = True) -> "Gait":
+        """The calibration swim: 1 Hz, 30 deg on all joints; `second` with 60 deg lag, otherwise in phase."""
+        lag = constant("calibration", "phase_lag_second_deg" if second else "phase_lag_deg")[0]
+        amplitude = radians(constant("calibration", "amplitude_deg"))
+        return cls(frequency=constant("calibration", "frequency"), amplitude=amplitude, lag=radians(lag))
+
+    def __call__(self, t: float) -> np.ndarray:
+        """Joint angles (J,) at time t, rad."""
+        x = min(t / self.ramp, 1.0) if self.ramp > 0 else 1.0
+        wave = np.sin(2 * pi * self.frequency * t - self.lag * np.arange(self.joints))
+        return np.broadcast_to(self.bias, self.joints) + x * x * (3 - 2 * x) * np.broadcast_to(self.amplitude, self.joints) * wave
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,30 +78,31 @@ class SwimSetup:
     passes: int = 2
     hydro_offset: float | None = None
     spacing: float = 1.0
-    threads: int | None = None
 
-    def coupled(self) -> FluidStructure:
-        """Fish and water at t = 0: the undisturbed flow, the fish at rest over ground.
-
-        Raises:
-            OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
-        """
-        robot, domain = load_robot(self.robot), self.domain
-        fluid = Fluid(
-            domain.lattice, domain.shape, self.device, boundaries=domain.boundaries, flow=self.flow, threads=self.threads
-        )
-        body = ImmersedBody.of(robot, self.root, domain.dt)
+    def assembled(self, body: ImmersedBody) -> FluidStructure:
+        """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""
+        robot, domain, slip, width = load_robot(self.robot), self.domain, self.slip, self.width
+        fluid = Fluid(domain.lattice, domain.shape, self.device, boundaries=domain.boundaries, flow=self.flow)
         joints = np.asarray(self.joints or np.zeros(robot.n_joints), float)
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
         body.place(reference_qpos(body.model, self.pose, joints))
-        slip, width = self.slip, self.width
         markers = fish_markers(robot, domain.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
         made = FluidStructure(fluid, body, markers, slip=slip, width=width, passes=self.passes)
         edge = DomainWatch(domain, self.pose[2])
         while edge.follow(made):  # a window starts round its fish
             pass
-        room = margin(fluid, *body.bounds(made.boundary.corners))
+        return made
+
+    def coupled(self) -> FluidStructure:
+        """The same with the fish of the description.
+
+        Raises:
+            OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
+        """
+        domain = self.domain
+        made = self.assembled(ImmersedBody.of(self.robot, self.root, domain.dt))
+        room = margin(made.fluid, *made.body.bounds(made.boundary.corners))
         stability.check(domain, speed=max(self.flow.speed, stability.SLOW), spacing=self.spacing * domain.dx, clearance=room)
         return made
 

@@ -6,7 +6,7 @@ from math import prod
 from fishmj import cost
 from fishmj.cores import usable_cores
 from fishmj.lbm_oracle.fluid.device import accelerator
-from fishmj.lbm_oracle.fluid.thread_slabs import MOST
+from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL, MOST
 from fishmj.lbm_oracle.run.domain import Domain
 
 RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/methods/oracle.md, Speed)
@@ -31,8 +31,6 @@ def agree(
     Raises:
         TooMuch: nobody agreed.
     """
-    from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL
-
     work = list(work)
     if device.startswith("cuda") or not work:
         return

@@ -15,9 +15,8 @@ from typing import NamedTuple
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import TICK
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain
-from fishmj.mjcf.description import Robot
 
 MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
 TAU = constant("oracle", "tau_least")
@@ -46,7 +45,7 @@ def memory(cells: int) -> float:
     return cells * BYTES_PER_CELL / 2**20
 
 
-def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None, markers: int = 0) -> list[Line]:
+def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None) -> list[Line]:
     """The numbers of a box; `spacing` of the markers in m."""
     lat, cells = domain.lattice, domain.shape[0] * domain.shape[1] * domain.shape[2]
     lines = [
@@ -62,7 +61,7 @@ def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None
         Line("memory", memory(cells), "MB"),
     ]
     if spacing is not None:
-        lines.append(Line("marker spacing", spacing / lat.dx, "dx", f"{markers} markers" if markers else ""))
+        lines.append(Line("marker spacing", spacing / lat.dx, "dx"))
     if domain.name in PREVIEWS:
         lines.append(Line("use", "preview", "", "too coarse for a judgement"))
     return lines
@@ -83,37 +82,25 @@ def check(
     lat, mach = domain.lattice, domain.lattice.mach(speed)
     if not speed >= 0:
         raise ConfigError(f"guard: speed = {speed} m/s; expected a fastest speed of at least 0")
+
+    def refused(limit: str, why: str) -> OracleUnstable:
+        return OracleUnstable(f"{domain.name}: {why}", limit=limit, figures=table(domain, subgrid=subgrid, spacing=spacing))
+
     if mach > MACH:
         dt = step_for(lat, speed)
-        raise OracleUnstable(
-            f"{domain.name}: Mach {mach:.2f} at {speed:g} m/s with dx = {lat.dx:g} m, dt = {lat.dt:g} s; at most {MACH}. "
-            f"dt = {dt:.4g} s would give {mach * dt / lat.dt:.2f}",
-            limit="mach",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"Mach {mach:.2f} at {speed:g} m/s with dx = {lat.dx:g} m, dt = {lat.dt:g} s; at most {MACH}. "
+        raise refused("mach", f"{why}dt = {dt:.4g} s would give {mach * dt / lat.dt:.2f}")
     if subgrid == "none" and lat.tau < TAU:
         dx = 3 * lat.nu / ((TAU - 0.5) * lat.velocity)
-        raise OracleUnstable(
-            f"{domain.name}: tau = {lat.tau:.5f} with dx = {lat.dx:g} m, dt = {lat.dt:g} s and no subgrid model; at least {TAU}. "
-            f"Take subgrid = 'wale', or dx = {dx:.2g} m with dt = {dx / lat.velocity:.2g} s",
-            limit="tau",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"tau = {lat.tau:.5f} with dx = {lat.dx:g} m, dt = {lat.dt:g} s and no subgrid model; at least {TAU}. "
+        raise refused("tau", f"{why}Take subgrid = 'wale', or dx = {dx:.2g} m with dt = {dx / lat.velocity:.2g} s")
     if spacing is not None and not SPACING[0] * lat.dx <= spacing <= SPACING[1] * lat.dx:
-        raise OracleUnstable(
-            f"{domain.name}: markers {spacing:.3g} m apart, {spacing / lat.dx:.2f} dx; expected {SPACING[0]} to {SPACING[1]} dx. "
-            f"Space them by {lat.dx:g} m",
-            limit="spacing",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"markers {spacing:.3g} m apart, {spacing / lat.dx:.2f} dx; expected {SPACING[0]} to {SPACING[1]} dx. "
+        raise refused("spacing", f"{why}Space them by {lat.dx:g} m")
     if clearance is not None and clearance < CLEARANCE:
         need = (CLEARANCE - clearance) * lat.dx
-        raise OracleUnstable(
-            f"{domain.name}: the fish is {clearance:.1f} cells from a face; at least {CLEARANCE:g}. "
-            f"Start it {need:.3f} m further in, or make the box larger by that much",
-            limit="clearance",
-            figures=table(domain, subgrid=subgrid, spacing=spacing),
-        )
+        why = f"the fish is {clearance:.1f} cells from a face; at least {CLEARANCE:g}. "
+        raise refused("clearance", f"{why}Start it {need:.3f} m further in, or make the box larger by that much")
     if mach > MACH_WARN:
         return [f"{domain.name}: Mach {mach:.2f} at {speed:g} m/s: compressibility errors of {100 * mach**2:.0f} %"]
     return []
@@ -123,28 +110,6 @@ def step_for(lattice: Lattice, speed: float) -> float:
     """The longest time step [s] that keeps `speed` within the Mach limit and divides a bus tick."""
     longest = MACH * lattice.dx / (speed * sqrt(3))
     return TICK / ceil(TICK / longest)
-
-
-def resolved(domain: Domain, robot: Robot) -> list[dict]:
-    """What the grid sees of the fish and what it does not, in cells."""
-    from fishmj.mjcf.geometry import geometry_of
-
-    geometry, dx = geometry_of(robot), domain.dx
-    widths = [row[2] * geometry.width_scale for link in robot.links for row in link.sections]
-    layer = 5 * sqrt(domain.lattice.nu * 1.0 / SLOW)  # Blasius: 99 % of the stream after a metre
-    parts = [
-        ("body length", sum(link.length for link in robot.links)),
-        ("greatest height", max(row[1] for link in robot.links for row in link.sections)),
-        ("greatest width", max(widths)),
-        ("tail height", geometry.tail_h),
-        ("least width", min(widths)),
-        ("laminar boundary layer at the tail", layer),
-    ]
-    return [{"part": name, "m": size, "cells": size / dx, "resolved": _verdict(size / dx)} for name, size in parts]
-
-
-def _verdict(cells: float) -> str:
-    return "yes" if cells >= 8 else "coarsely" if cells >= 3 else "no: a sheet" if cells >= 0.5 else "no"
 
 
 @dataclass
@@ -159,7 +124,6 @@ class Watch:
 
     every: int = EVERY
     fastest: float = 0.0  # greatest speed seen, m/s
-    densest: float = 0.0  # greatest |rho - 1| seen
     looks: int = 0
     pending: tuple | None = None  # fluid and step of a look that was begun
 
@@ -194,21 +158,15 @@ class Watch:
         self.looks += 1
         mean = found.mass / fluid.cells
         speed = found.speed * fluid.lattice.velocity
-        limit = (
-            "lost"
-            if found.lost or isnan(found.speed)
-            else "speed"
-            if found.speed > SPEED_LU
-            else "density"
-            if not (found.rho_min > RHO[0] and found.rho_max < RHO[1])
-            else "mass"
-            if abs(mean) > MEAN_DRHO
-            else ""
-        )
-        if limit:
+        broken = {  # in this order
+            "lost": found.lost or isnan(found.speed),
+            "speed": found.speed > SPEED_LU,
+            "density": not (found.rho_min > RHO[0] and found.rho_max < RHO[1]),
+            "mass": abs(mean) > MEAN_DRHO,
+        }
+        if limit := next((name for name, found_so in broken.items() if found_so), ""):
             raise OracleUnstable(_said(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
         self.fastest = max(self.fastest, speed)
-        self.densest = max(self.densest, 1 - found.rho_min, found.rho_max - 1)
         return found
 
 

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from math import degrees, radians
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +22,12 @@ from fishmj import console, interrupt
 from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle.immersed import snapshot
-from fishmj.lbm_oracle.output.field_options import STRONG, add_fields
+from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
-from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.last_good_state import LastGood
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
 
@@ -173,16 +174,9 @@ def figures(run: Run, frequency: float) -> dict:
 
 
 def _gait(args) -> Gait:
-    joints = load_robot(args.robot).n_joints
     one = lambda values: tuple(radians(v) for v in values) if len(values) > 1 else radians(values[0])
-    return Gait(
-        joints=joints,
-        frequency=args.frequency,
-        amplitude=one(args.amplitude),
-        lag=radians(args.lag),
-        bias=one(args.bias),
-        ramp=args.ramp,
-    )
+    wave: dict[str, Any] = {"amplitude": one(args.amplitude), "lag": radians(args.lag), "bias": one(args.bias), "ramp": args.ramp}
+    return Gait(joints=load_robot(args.robot).n_joints, frequency=args.frequency, **wave)
 
 
 def _stage(args) -> SwimSetup:
@@ -192,25 +186,12 @@ def _stage(args) -> SwimSetup:
     if args.bottom != domain.bottom:
         domain = replace(domain, bottom=args.bottom)
     flow = Flow(
-        speed=args.speed,
-        direction=radians(args.direction),
-        turbulence=args.turbulence,
-        intensity=args.intensity,
-        seed=args.seed,
+        speed=args.speed, direction=radians(args.direction), turbulence=args.turbulence, intensity=args.intensity, seed=args.seed
     )
     x, y, yaw = args.pose
-    return SwimSetup(
-        domain=domain,
-        robot=args.robot,
-        flow=flow,
-        slip=args.slip,
-        root=args.root,
-        pose=(x, y, radians(yaw)),
-        device=args.device,
-        width=args.kernel,
-        passes=args.passes,
-        hydro_offset=args.hydro_offset,
-    )
+    fish: dict[str, Any] = {"robot": args.robot, "root": args.root, "pose": (x, y, radians(yaw)), "slip": args.slip}
+    fish |= {"width": args.kernel, "passes": args.passes, "hydro_offset": args.hydro_offset}
+    return SwimSetup(domain=domain, flow=flow, device=args.device, **fish)
 
 
 def _parser() -> console.Parser:
@@ -260,3 +241,32 @@ def _parser() -> console.Parser:
     strong = "vorticity at the ends of the colour scale"
     add("--strong", type=console.number(0, 1e6, above=True), default=STRONG, metavar="1/S", help=strong)
     return p
+
+
+class LastGood:
+    """The last state of a run that was certainly sound, at most two looks of the watch old: a blow-up can be looked at, or
+    started again with a smaller step.
+
+    A state is sound when the watch has found the water well *after* it. The newest one that was seen only before a look is a
+    candidate; the look that comes next makes it the last good one. Both stay on the device until they are needed:
+    176 bytes a cell.
+    """
+
+    def __init__(self) -> None:
+        self.good: TickState | None = None
+        self.candidate: TickState | None = None
+        self.looks = 0
+
+    def look(self, run: Run) -> None:
+        """To be called after every tick."""
+        if run.watch.looks > self.looks or self.candidate is None:
+            self.looks, self.good = run.watch.looks, self.candidate
+            self.candidate = checkpoint(run.coupled)
+
+    def save(self, path: str | Path, run: Run) -> str:
+        """Put the run back to its last good state and write it; "" where there was none: the water failed at once."""
+        if self.good is None:
+            return ""
+        restore(run.coupled, self.good)
+        notes = {"robot": run.robot.name, "stopped": run.stopped, "last_good": True}
+        return str(snapshot.save(path, run.coupled, **notes))

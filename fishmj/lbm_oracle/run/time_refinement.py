@@ -89,7 +89,7 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
         _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
     qpos, qvel, data.ctrl[:], data.time, momentum_before, slide = kept.body
     body.place(qpos, qvel, slide)
-    body.momentum, coupled.gain, coupled.steps = momentum_before.copy(), kept.gain.copy(), kept.done
+    body.momentum[:], coupled.gain, coupled.steps = momentum_before, kept.gain.copy(), kept.done
 
 
 class Refinement:
@@ -147,7 +147,7 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
         wp.synchronize_device(a.device)
     body = taker.body
     now = body.water_momentum()
-    body.momentum = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
+    body.momentum[:] = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
     body.set_step(b.lattice.dt)
 
 

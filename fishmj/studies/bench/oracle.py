@@ -47,7 +47,7 @@ def _updates(quick: bool, **options) -> Work:
     import warp as wp
 
     from fishmj.lbm_oracle.fluid.fluid import Fluid
-    from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+    from fishmj.lbm_oracle.fluid.lattice import Lattice
 
     device, shape = _paper(quick)
     water = Fluid(Lattice(dx=0.02, dt=0.004), shape, device, **options)
@@ -124,7 +124,7 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
     import warp as wp
 
     from fishmj.errors import SimDiverged
-    from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
+    from fishmj.lbm_oracle.run.run import ConcurrentRuns
     from fishmj.lbm_oracle.run.setup import SwimSetup
 
     stage = SwimSetup(domain=domain, device=str(device))
@@ -251,7 +251,7 @@ def oracle_peer_cpu(quick: bool) -> Work:
     import warp as wp
 
     from fishmj.lbm_oracle.fluid.fluid import Fluid
-    from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+    from fishmj.lbm_oracle.fluid.lattice import Lattice
 
     water = Fluid(Lattice(dx=0.02, dt=0.004), PEER_SHAPE, "cpu", subgrid="none", keep_velocity=False)
     steps = PEER_QUICK if quick else PEER_STEPS

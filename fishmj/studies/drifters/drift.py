@@ -8,7 +8,7 @@ eddies as in repeated drifts of one marker. `--water lbm` carries them in the so
 prescribed flow itself. The water moves to +x; the markers stay at mid-depth, the plane of the planar waters.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import LENGTH, PRESETS, Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.output import map_plots
+from fishmj.lbm_oracle.output.slice_plots import pyplot, save
 from fishmj.lbm_oracle.run import solver_cost, stability
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.store import write_json, write_text
@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
     title = f"{len(tracks)} drifts, {args.speed:g} m/s, {args.turbulence}, TI {100 * args.intensity:g} %, {args.water}"
     write_text(out / f"drift_{args.water}.csv", as_csv(tracks))
     write_json(out / f"drift_{args.water}.json", found)
-    map_plots.drifts(tracks, out / f"drift_{args.water}.png", title)
+    draw_tracks(tracks, out / f"drift_{args.water}.png", title)
     console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
     if args.json:
         console.emit_json(found | {"out": out})
@@ -168,3 +168,19 @@ def _parser() -> console.Parser:
     out = "CSV, JSON and picture; those that are there are replaced"
     add("--out", type=console.out_folder, default="runs/drift", metavar="FOLDER", help=out)
     return p
+
+
+def draw_tracks(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
+    """Tracks (T, 4) of t s, x m, y m, heading rad: seen from above, and heading against time since release."""
+    plt = pyplot()
+    figure, (above, turn) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    for i, track in enumerate(tracks):
+        colour = plt.get_cmap("viridis")(i / max(len(tracks) - 1, 1))
+        above.plot(track[:, 1], track[:, 2], color=colour, lw=1)
+        turn.plot(track[:, 0] - track[0, 0], np.degrees(track[:, 3]), color=colour, lw=1)
+    above.set(xlabel="x [m]", ylabel="y [m]", title=title)
+    above.set_aspect("equal", adjustable="datalim")
+    for limit in (-360.0, 360.0):
+        turn.axhline(limit, color="#B3392F", lw=0.8, ls="--")
+    turn.set(xlabel="time since release [s]", ylabel="heading [deg]", title="dashed: one full turn")
+    return save(figure, path)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid.lattice_units import Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 
 Sampler = Callable[[np.ndarray], np.ndarray]  # points (P, 3) m -> velocities (P, 3) m/s
 

@@ -14,9 +14,8 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import ConfigError, StoreError
-from fishmj.lbm_oracle.output.block_average import average
-from fishmj.lbm_oracle.run.concurrent_runs import ConcurrentRuns
-from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.cases.maps import average
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.store import write_json, write_text
 
 OK = "ok"

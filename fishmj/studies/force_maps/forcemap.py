@@ -13,15 +13,18 @@ Each finished point is a row of `forcemap.csv`; a run into the same folder does 
 the end of the points at 0.2 m/s: slices, a picture each of speed and vorticity, and one of all of them side by side.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import pi, radians
 from pathlib import Path
 
+import numpy as np
+
 from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.output import map_plots
-from fishmj.lbm_oracle.output.field_options import add_fields
+from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
+from fishmj.lbm_oracle.output.slices import add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
@@ -69,7 +72,7 @@ def main(argv: list[str]) -> int:
 
     measure(left, run, plan, tick=tick, tanks=args.tanks, finished=finished, quiet=args.json)
     rows = [table[p] for p in points]
-    pictures = map_plots.forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
+    pictures = draw_forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
     console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))
     lost = [row for row in rows if row["status"] != OK]
     for row in lost:
@@ -139,3 +142,33 @@ def _parser() -> console.Parser:
     out = "CSV and pictures; continues what is there"
     add("--out", type=console.out_folder, default="runs/forcemap", metavar="FOLDER", help=out)
     return p
+
+
+LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("yaw", "yaw moment [N m]", "Nm"))
+
+
+def draw_forces(rows: Sequence[dict], folder: Path) -> list[Path]:
+    """One picture a map: drag, lateral force and yaw moment with standard errors against the angle, a line a speed."""
+    plt, drawn = pyplot(), []
+    for what, key, label in (("joint", "joint_deg", "joint angle [deg]"), ("aoa", "aoa_deg", "angle of attack [deg]")):
+        here = sorted((row for row in rows if row["what"] == what), key=lambda row: row[key])
+        if not here:
+            continue
+        figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
+        for i, speed in enumerate(sorted({row["speed"] for row in here})):
+            line = [row for row in here if row["speed"] == speed]
+            for axis, (name, title, unit) in zip(axes, LABELS, strict=True):
+                x, y = [row[key] for row in line], [row[f"{name}_{unit}"] for row in line]
+                error = np.nan_to_num([row[f"{name}_sem_{unit}"] for row in line])
+                colour = COLOURS[i % len(COLOURS)]
+                axis.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.4, capsize=2, label=f"{speed:g} m/s")
+                early = [row["status"] != "ok" for row in line]  # crossed: the run stopped before its time
+                axis.plot(np.array(x)[early], np.array(y)[early], "x", color="#222222", ms=8)
+                axis.set(xlabel=label, ylabel=title)
+        for axis in axes:
+            axis.axhline(0, color="#C9CED6", lw=0.8, zorder=0)
+        held = "AoA 0 deg" if what == "joint" else f"joints {here[0]['joint_deg']:g} deg"
+        axes[0].set_title(held, loc="left")
+        axes[0].legend(frameon=False, fontsize=8)
+        drawn.append(save(figure, folder / f"forces_{what}.png"))
+    return drawn

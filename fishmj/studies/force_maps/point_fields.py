@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.lbm_oracle.output import slice_plots, vtk
+from fishmj.lbm_oracle.output.record_fields import slice_of
 from fishmj.lbm_oracle.output.slices import read_slice, write_slice
-from fishmj.lbm_oracle.output.vorticity import slice_of
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf.skin import skin
 from fishmj.studies.force_maps.force_points import Point
@@ -29,7 +29,7 @@ def keep(run: Run, out: Path, point: Point, *, z: float | None = None, whole: bo
     """Write slice and pictures of a point that is done, the slice last: where it is, the others are, too."""
     one, path = slice_of(run, z), slice_path(out, point)
     title = f"{point.title}, {point.speed:g} m/s, the water moves to the left{', stopped early' if run.stopped else ''}"
-    slice_plots.velocity(path.with_suffix(".png"), one, title, TOP * point.speed)
+    slice_plots.panels([("", one)], path.with_suffix(".png"), title, TOP * point.speed)
     picture = slice_plots.SlicePicture()
     picture.write(path.with_name(f"{path.stem}_vorticity.png"), one, f"{title}, ")
     picture.close()

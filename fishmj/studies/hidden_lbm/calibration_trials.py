@@ -134,9 +134,8 @@ def second_swims(seed: int, repeats: int = REPEATS, seconds: float | None = None
 
 def solver_trials(seed: int, args) -> dict[str, Trial]:
     """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed; with `--water lbm` the bench, too."""
-    from fishmj.campaign.hidden_lbm.hidden import swum
+    from fishmj.campaign.hidden_lbm.hidden import Job, swum
     from fishmj.campaign.hidden_lbm.hidden import trial_of as seen
-    from fishmj.campaign.hidden_lbm.hidden_run import Job
     from fishmj.lbm_oracle.run.domain import preset
 
     made, slip, box = hidden(seed), slip_of(seed), preset(args.domain)

@@ -12,8 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console, excitation
-from fishmj.campaign.hidden_lbm.hidden import jobs, swum, trial_of
-from fishmj.campaign.hidden_lbm.hidden_run import Job
+from fishmj.campaign.hidden_lbm.hidden import Job, jobs, swum, trial_of
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.fluid.device import device_of

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console, controllers, engines, interrupt
-from fishmj.campaign.data.collect_command import GO, ON_GPU
+from fishmj.campaign.data.collect import GO, ON_GPU
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import lbm_trials, protocol

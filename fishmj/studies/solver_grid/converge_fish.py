@@ -27,8 +27,7 @@ from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
-from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
 from fishmj.store import read_json, write_json, write_text

@@ -18,11 +18,10 @@ from typing import Any
 from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.output import map_plots
+from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
-from fishmj.lbm_oracle.run.gait import Gait
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.store import read_json, write_json
 
@@ -99,7 +98,7 @@ def main(argv: list[str]) -> int:
             book.add((frequency, slip, depth), found)
             bar.update(number, speed=found["speed_m_s"] or 0.0)
     rows = [book.rows[key] for key in keys]
-    picture = map_plots.swims(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
+    picture = draw_speeds(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
     console.say(console.table(rows, COLUMNS), f"wrote {book.path} and {picture}")
     lost = [row for row in rows if row["status"] != "ok"]
     if args.json:
@@ -123,3 +122,21 @@ def _parser() -> console.Parser:
     out = "speeds.json and speeds.png; continues what is there"
     add("--out", type=console.out_folder, default="runs/speeds", metavar="FOLDER", help=out)
     return p
+
+
+def draw_speeds(rows: Sequence[dict], path: Path, title: str) -> Path:
+    """Speed of free swims against the slip ratio, a line a frequency and depth; the slip axis is stretched towards 1."""
+    plt = pyplot()
+    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    lines = sorted({(row["frequency"], row["depth"]) for row in rows})
+    slips = sorted({row["slip"] for row in rows})
+    for i, line in enumerate(lines):
+        here = sorted((row for row in rows if (row["frequency"], row["depth"]) == line), key=lambda row: row["slip"])
+        label = f"{line[0]:g} Hz" + (f", {line[1]:g} m deep" if len({depth for _, depth in lines}) > 1 else "")
+        places, speeds = [slips.index(row["slip"]) for row in here], [row["speed_m_s"] for row in here]
+        axis.plot(places, speeds, marker="o", ms=4, lw=1.4, color=COLOURS[i % len(COLOURS)], label=label)
+    axis.set_xticks(range(len(slips)), [f"{slip:g}" for slip in slips])
+    axis.set(xlabel="slip ratio, at the paper's grid", ylabel="speed [m/s]", ylim=(0, None))
+    axis.set_title(title, loc="left")
+    axis.legend(frameon=False, fontsize=8)
+    return save(figure, path)
