@@ -23,7 +23,7 @@ from fishmj.mjcf.identity import robot_sha256
 from fishmj.play import LiveSession
 from fishmj.play import __main__ as play
 from fishmj.sim import Sim
-from fishmj.tasks.recorded_sensors import sensed, sigmas
+from fishmj.tasks.sensing import sensed, sigmas
 
 ROBOT = load_robot("fish")
 TABLES = {"cmd", "joint", "pose", "power", "truth", "flow", "target", "obs"}

@@ -7,7 +7,7 @@ from fishmj import engines, evaluate
 from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.evaluate import metrics, statistics
-from fishmj.evaluate.result import Result
+from fishmj.evaluate.metrics import Result
 from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")

@@ -9,7 +9,7 @@ import pytest
 from training import StopAt, figures_of
 
 from fishmj import console
-from fishmj.gym.fish_vector_env import FishVectorEnv
+from fishmj.gym.fish_env import FishVectorEnv
 from fishmj.policy import Policy
 from fishmj.store import read_tensors
 from fishmj.train.__main__ import main

@@ -6,9 +6,8 @@
 The protocol is in `protocol`, the loop in `driver`, the definitions in `metrics`, the intervals in `statistics`.
 """
 
-from fishmj.evaluate.metrics import UNITS, figures
+from fishmj.evaluate.metrics import UNITS, Result, figures
 from fishmj.evaluate.protocol import Trials, trials
-from fishmj.evaluate.result import Result
 from fishmj.evaluate.run_trials import run
 from fishmj.evaluate.statistics import IntervalEstimate, PairedDifference, compare, summary
 

@@ -8,11 +8,10 @@ from pathlib import Path
 from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
-from fishmj.evaluate import protocol, tables
-from fishmj.evaluate.finished_trials import FinishedTrials
-from fishmj.evaluate.report import save, write
-from fishmj.evaluate.result import Result
-from fishmj.evaluate.run_trials import run
+from fishmj.evaluate import protocol
+from fishmj.evaluate.metrics import Result
+from fishmj.evaluate.report import REST, STARRED, by_condition, condition, overall, paired, save, unbounded, write
+from fishmj.evaluate.run_trials import FinishedTrials, run
 from fishmj.evaluate.statistics import compare, summary
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
@@ -54,41 +53,14 @@ def options() -> console.Parser:
     angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315"
     add("--los", type=los, metavar="DEG,..", help=angle)
     add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
-    add(
-        "--heading",
-        choices=protocol.HEADINGS,
-        default="upstream",
-        help="of the fish at the start; uniform: drawn",
-    )
-    add(
-        "--engine",
-        choices=engines.NAMES,
-        default="batch",
-        help="what moves the fish; batch (MuJoCo in C) judges",
-    )
-    add(
-        "--duration",
-        type=console.number(1, 600),
-        metavar="S",
-        help="of a trial; default 60",
-    )
+    add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start; uniform: drawn")
+    add("--engine", choices=engines.NAMES, default="batch", help="what moves the fish; batch (MuJoCo in C) judges")
+    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
     add("--seed", type=console.SEED, default=0, help="of all draws")
-    add(
-        "--seeds",
-        choices=protocol.SETS,
-        default="judge",
-        help="which draws; tune is for choosing gains and checkpoints",
-    )
-    add(
-        "--command-path",
-        choices=COMMAND_PATHS,
-        help="servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too",
-    )
-    add(
-        "--any-command-path",
-        action="store_true",
-        help="policies steer on the robot's command path, not on theirs",
-    )
+    add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
+    path = "servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too"
+    add("--command-path", choices=COMMAND_PATHS, help=path)
+    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, not on theirs")
     own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
@@ -231,7 +203,7 @@ def findings(results: list[Result]) -> dict:
     """What results.json holds."""
     a = results[0]
     return {
-        "condition": tables.condition(a),
+        "condition": condition(a),
         "results": [summary(r) for r in results],
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
@@ -243,16 +215,16 @@ def report(results: list[Result], args) -> int:
     summaries = found["results"]
     if args.out is not None:
         save(args.out, results, found)
-    console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
-    console.say(console.table(tables.overall(summaries)), "")
-    console.say(console.table(tables.overall(summaries, ("arrival", *tables.REST))), *tables.unbounded(summaries))
+    console.say("", condition(results[0]), "value (95 % bootstrap interval over trials)", "")
+    console.say(console.table(overall(summaries)), "")
+    console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))
     for s in summaries:
-        console.say("", f"{s['controller']} by flow speed", console.table(tables.by_condition(s, "by_speed")))
+        console.say("", f"{s['controller']} by flow speed", console.table(by_condition(s, "by_speed")))
         what = "by direction (0 = target straight upstream)"
-        console.say("", f"{s['controller']} {what}", console.table(tables.by_condition(s, "by_los")))
+        console.say("", f"{s['controller']} {what}", console.table(by_condition(s, "by_los")))
     for other in results[1:]:
         what = f"{other.controller} minus {results[0].controller}"
-        console.say("", f"paired over the same trials: {what}; {tables.STARRED}", console.table(tables.paired(results[0], other)))
+        console.say("", f"paired over the same trials: {what}; {STARRED}", console.table(paired(results[0], other)))
     if args.out is not None:
         console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log, again=args.again)}")
     if args.json:

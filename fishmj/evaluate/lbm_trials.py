@@ -15,8 +15,8 @@ import numpy as np
 
 from fishmj import console, store
 from fishmj.calib import calib_folder
+from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
-from fishmj.evaluate.result import Result
 from fishmj.evaluate.run_trials import run
 from fishmj.mjcf.description import Robot
 

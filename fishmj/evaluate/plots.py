@@ -12,8 +12,7 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.errors import MissingExtra
-from fishmj.evaluate.metrics import beat_mean, figures
-from fishmj.evaluate.result import Result
+from fishmj.evaluate.metrics import Result, beat_mean, figures
 from fishmj.pages import drawn
 from fishmj.units import wrap
 

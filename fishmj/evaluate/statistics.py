@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.errors import ConfigError
-from fishmj.evaluate.metrics import UNITS, figures
-from fishmj.evaluate.result import Result
+from fishmj.evaluate.metrics import UNITS, Result, figures
 
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
 ENOUGH, APART = 5, 6  # trials

@@ -8,13 +8,13 @@ import numpy as np
 
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
-from fishmj.evaluate.result import Result
+from fishmj.evaluate.metrics import Result
 from fishmj.flow import sample, stack
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
 from fishmj.store import Manifest
-from fishmj.tasks.recorded_sensors import NOTE, clocks, sensed, sigmas
+from fishmj.tasks.sensing import NOTE, logged, logged_meta
 
 BLOCK = 200  # ticks whose flow is looked up at once
 
@@ -22,37 +22,18 @@ BLOCK = 200  # ticks whose flow is looked up at once
 def trial_of(r: Result, i: int) -> Trial:
     """Trial i of a result in the log's schema, origin "synthetic".
 
-    `joint` and `pose` are what encoders and tracker report (`tasks.recorded_sensors`), `truth` is the exact state. A fish whose
+    `joint` and `pose` are what encoders and tracker report (`tasks.sensing`), `truth` is the exact state. A fish whose
     tank stopped is logged up to there.
     """
     ticks = ended(r, i)
     t, start, step = r.t[1 : ticks + 1], r.t[:ticks], r.robot.timing.control_dt
-    servo, item, flow = r.robot.servo, r.trials.items[i], r.trials.flows()[i]
+    item, flow = r.trials.items[i], r.trials.flows()[i]
     decisions = np.arange(ceil(ticks / round(step / r.robot.timing.bus_dt))) * step
     pose, velocity, joint, rate = (x[i, 1 : ticks + 1] for x in (r.pose, r.velocity, r.joint, r.rate))
     params, camera = replace(r.trials, items=(item,)).fish(r.robot)
-    names = ("x", "y", "yaw", "vx", "vy", "wz")
+    swum = (start, t, r.command[i, :ticks], pose, velocity, joint, rate, r.power[i, :ticks])
     tables = {
-        "cmd": {"t": start, **numbered("c#", r.command[i, :ticks])},
-        **sensed(
-            r.robot,
-            t,
-            pose,
-            joint,
-            rate,
-            start=r.pose[i, 0],
-            camera=int(camera[0]),
-            effects=np.asarray(params.effects[0], float),
-            random=item.draw(4),
-            strength=r.trials.noise,
-        ),
-        "power": {"t": t, "V": np.full(len(t), servo.voltage), "I": r.power[i, :ticks] / servo.voltage},
-        "truth": {
-            "t": t,
-            **dict(zip(names, [*pose.T, *velocity.T], strict=True)),
-            **numbered("j#", joint),
-            **numbered("k#", rate),
-        },
+        **logged(r.robot, *swum, params, camera, start=r.pose[i, 0], random=item.draw(4), strength=r.trials.noise),
         "obs": {"t": decisions, **numbered("o#", r.obs[i, : len(decisions)])},
         "target": {"t": np.zeros(1), "x": r.target[i, :1], "y": r.target[i, 1:]},
         "flow": {"t": start, **_flow_at_links(r, i, ticks)},
@@ -75,15 +56,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
         "randomisation": r.trials.randomisation,
         "excitation": "station holding",
-        "replicate_of": "",
-        "start": r.pose[i, 0].tolist(),
-        "push": [0.0, 0.0, 0.0],
-        "sigma": sigmas(r.robot.n_joints, r.trials.noise),
-        "clock": clocks(tables),
-        "latency": {
-            "pose": float(camera[0]) * r.robot.timing.bus_dt,
-            "command": float(np.asarray(params.delay)[0]) * r.robot.timing.physics_dt,
-        },
+        **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
         **made_by("numpy", "mujoco"),
         "source": "fishmj.evaluate",
         "licence": "Apache-2.0",

@@ -18,8 +18,7 @@ from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.play.keyboard import Keyboard, press
-from fishmj.play.live_session import LiveSession
+from fishmj.play.live_session import Keyboard, LiveSession, press
 from fishmj.replay.live_view import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures

@@ -25,8 +25,7 @@ from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import EpisodeDraw, TaskOptions, TaskSpec
 from fishmj.tasks.loop import SensorWindow
-from fishmj.tasks.own_task import options_of
-from fishmj.tasks.reference import StepTruth
+from fishmj.tasks.reference import StepTruth, options_of
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
@@ -52,7 +51,7 @@ def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=N
 
 
 def own(task_class, random=None, environment_kwargs=None, root="planar", **setting):
-    """A task of one's own (tasks.own_task). Options: its own, and `TaskOptions`."""
+    """A task of one's own (tasks.reference). Options: its own, and `TaskOptions`."""
     mine = options_of(task_class)
     course = {name: value for name, value in setting.items() if name in mine}
     rest = {name: value for name, value in setting.items() if name not in mine}

@@ -21,8 +21,7 @@ from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.loop import slide
-from fishmj.tasks.own_task import course_of
-from fishmj.tasks.reference import StepTruth
+from fishmj.tasks.reference import StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
 
 

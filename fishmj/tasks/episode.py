@@ -20,8 +20,7 @@ from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.loop import ControlLoop
-from fishmj.tasks.own_task import course_of
-from fishmj.tasks.reference import EpisodeStart, StepTruth
+from fishmj.tasks.reference import EpisodeStart, StepTruth, course_of
 from fishmj.tasks.sensing import Sensors
 
 WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward

@@ -117,7 +117,7 @@ def settings_from(args, run=None):
     """
     from fishmj import plugins
     from fishmj.engines import own_effects
-    from fishmj.tasks.own_task import named
+    from fishmj.tasks.reference import named
     from fishmj.train.settings import ALGORITHMS, change, own_code, preset
 
     own_effects.join(args.effects)

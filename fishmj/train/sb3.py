@@ -33,8 +33,7 @@ try:
 except ImportError as error:
     raise MissingExtra("stable-baselines3", "sb3", "--algo sb3-sac") from error
 
-from fishmj.gym.fish_vector_env import FishVectorEnv
-from fishmj.gym.spaces import observation_space
+from fishmj.gym.fish_env import FishVectorEnv, observation_space
 
 UPDATES = 256  # gradient steps between two reports, about
 

@@ -133,13 +133,12 @@ def stop_on_signal(words: interrupt.Words = str):
             signal.signal(number, handler)
 
 
-def when_there_is_room(write: Callable[[], object], asked: list, pause: float | None = None) -> bool:
+def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
     """Call `write()`; on a full disk say what it needs, wait and try again.
 
     Returns:
         True when it is written; False when a stop was asked for while there was no room. Any other failure is raised.
     """
-    pause = PAUSE if pause is None else pause
     waiting = False
     while True:
         try:
@@ -151,15 +150,15 @@ def when_there_is_room(write: Callable[[], object], asked: list, pause: float | 
                 console.warn(f"not saved: {error}")
                 return False
             if not waiting:
-                console.warn(f"paused: {error}; looking again every {pause:g} s, Ctrl-C stops without this save")
+                console.warn(f"paused: {error}; looking again every {PAUSE:g} s, Ctrl-C stops without this save")
             waiting = True
         else:
             if waiting:
                 console.warn("there is room again: saved, going on")
             return True
-        until = time.monotonic() + pause
+        until = time.monotonic() + PAUSE
         while time.monotonic() < until and not asked:
-            time.sleep(min(0.1, pause))
+            time.sleep(min(0.1, PAUSE))
 
 
 class MetricsLog:

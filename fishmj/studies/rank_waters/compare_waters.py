@@ -21,8 +21,8 @@ from fishmj import engines
 from fishmj.calib import constant
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.evaluate import lbm_trials, metrics
+from fishmj.evaluate.metrics import Result, arrival_tick
 from fishmj.evaluate.protocol import Trials
-from fishmj.evaluate.result import Result, arrival_tick
 from fishmj.evaluate.run_trials import run
 from fishmj.mjcf.description import Robot
 
