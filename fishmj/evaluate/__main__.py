@@ -156,11 +156,7 @@ def tanks_words(folder: Path | None) -> str:
 
 
 def affordable(robot, trials, brains: int) -> None:
-    """Refuse what this machine cannot hold.
-
-    Raises:
-        TooMuch: with the estimate.
-    """
+    """Refuse what this machine cannot hold. Raises TooMuch: with the estimate."""
     ticks = trials.duration / robot.timing.bus_dt * len(trials)
     need = ticks * (brains * HELD + WORK) * (robot.n_joints + 3)
     what, less = f"{len(trials)} trials of {trials.duration:g} s by {brains} controllers", "take fewer --repeats, or a part by"

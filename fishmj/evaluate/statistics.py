@@ -126,11 +126,7 @@ def gather(found: dict, rows=slice(None)) -> dict:
 
 
 def compare(first: Result, second: Result) -> list[PairedDifference]:
-    """second minus first for every key, over the same trials.
-
-    Raises:
-        ConfigError: the two were not judged on the same trials.
-    """
+    """second minus first for every key, over the same trials. Raises ConfigError: the two were not judged on the same trials."""
     if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
         raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
     a, b = figures(first), figures(second)

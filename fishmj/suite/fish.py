@@ -59,11 +59,7 @@ def own(task_class, random=None, environment_kwargs=None, root="planar", **setti
 
 
 def environment(name: Any, course: dict, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
-    """One dm_control environment.
-
-    Raises:
-        ConfigError, UnknownName: an option that does not exist or cannot be.
-    """
+    """One dm_control environment. Raises ConfigError, UnknownName: an option that does not exist or cannot be."""
     rules = TaskSpec(name, chosen(setting), **course)
     options = dict(environment_kwargs or {})
     for key in ("time_limit", "control_timestep", "n_sub_steps"):

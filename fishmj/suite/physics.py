@@ -117,11 +117,7 @@ class Physics(dm_mujoco.Physics):
 
     @classmethod
     def of(cls, robot: Robot, root: str = "planar") -> "Physics":
-        """A straight fish at rest in still water.
-
-        Raises:
-            UnknownName: a root that does not exist.
-        """
+        """A straight fish at rest in still water. Raises UnknownName: a root that does not exist."""
         physics = cls.from_model(wrapper.MjModel(build_scene(robot, root).compile()))
         ch = chain.chain_of(robot)
         free = root == "free"

@@ -189,11 +189,7 @@ class Episodes(ControlLoop):
             self.scenario, self.fish, self.window, self.command, self.count = merged
 
     def step(self, action) -> StepResult:
-        """One control step with action (n, J) in [-1, 1].
-
-        Raises:
-            ConfigError: the action has the wrong shape or is not finite.
-        """
+        """One control step with action (n, J) in [-1, 1]. Raises ConfigError: the action has the wrong shape or is not finite."""
         rules = self.rules
         action = np.asarray(action, float)
         if action.shape != (self.n, rules.n_act) or not np.isfinite(action).all():

@@ -96,11 +96,7 @@ def options() -> console.Parser:
 
 
 def weight(text: str) -> tuple[str, float]:
-    """`wG=0.5` -> ("wG", 0.5).
-
-    Raises:
-        ArgumentTypeError: no such weight, or no finite number.
-    """
+    """`wG=0.5` -> ("wG", 0.5). Raises ArgumentTypeError: no such weight, or no finite number."""
     from fishmj.train.settings import REWARD
 
     key, equals, value = text.partition("=")
