@@ -9,9 +9,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fishmj.controllers import gait_of
 from fishmj.controllers.cpg import Cpg, cpg_of
 from fishmj.controllers.estimator import StateEstimate, StateEstimator
-from fishmj.controllers.gains import gait_of
 from fishmj.controllers.gait_table import throttle_of
 from fishmj.mjcf.description import Robot
 from fishmj.units import wrap

@@ -9,10 +9,9 @@ from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
 from fishmj.evaluate import protocol
-from fishmj.evaluate.metrics import Result
+from fishmj.evaluate.metrics import Result, compare, summary
 from fishmj.evaluate.report import REST, STARRED, by_condition, condition, overall, paired, save, unbounded, write
-from fishmj.evaluate.run_trials import FinishedTrials, run
-from fishmj.evaluate.statistics import compare, summary
+from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
@@ -152,7 +151,7 @@ def tanks_words(folder: Path | None) -> str:
     """What an interrupted judgement in the flow solver says."""
     if folder is None:
         return "nothing was kept: with --out DIR every finished trial is"
-    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; {interrupt.again()}"
+    return f"{folder / KEPT} holds {len(list((folder / KEPT).glob('*.npz')))} trials; {interrupt.again()}"
 
 
 def affordable(robot, trials, brains: int) -> None:
@@ -186,13 +185,12 @@ def judge(brain, robot, trials, engine) -> Result:
 
 def judge_in_tanks(brain, robot, trials, args) -> Result:
     """One controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
-    from fishmj.evaluate import lbm_trials
 
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
         options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
         seen = lambda k: bar.update(k * robot.timing.control_dt)
-        return lbm_trials.judge(brain, robot, trials, args.out, progress=seen, **options)
+        return judge_in_solver(brain, robot, trials, args.out, progress=seen, **options)
 
 
 def findings(results: list[Result]) -> dict:

@@ -16,9 +16,7 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import FishmjError, StoreError
-from fishmj.evaluate import metrics
-from fishmj.evaluate.metrics import Result
-from fishmj.evaluate.statistics import APART, compare
+from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
 from fishmj.evaluate.trial_logs import name_of, trial_of, write_logs
 from fishmj.pages import Section, figure, part, report, table
 from fishmj.store import write_text
@@ -168,21 +166,21 @@ def trials_csv(results: list[Result]) -> str:
     """One row a trial and controller: condition, seed, every figure."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
-    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *metrics.UNITS])
+    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *UNITS])
     for r in results:
-        found, seeds = metrics.figures(r), [f.seed for f in r.trials.flows()]
+        found, seeds = figures(r), [f.seed for f in r.trials.flows()]
         for i, t in enumerate(r.trials.items):
             left = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
             name = f"'{r.controller}" if r.controller[:1] in FORMULA else r.controller  # as spreadsheets mark text
             row = [name, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left]
-            out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in metrics.UNITS)])
+            out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in UNITS)])
     return text.getvalue()
 
 
 def worst(r: Result) -> int:
     """Trial with the largest RMS distance after arrival; of a judgement too short for that, over all of it."""
-    after = metrics.figures(r)["rmse_after_arrival"]
-    return int(np.argmax(after if np.isfinite(after).all() else metrics.rms(r, 0.0, float(r.t[-1]))))
+    after = figures(r)["rmse_after_arrival"]
+    return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
 def replay_of_worst(r: Result, out: Path) -> Path:
@@ -196,7 +194,7 @@ def replay_of_worst(r: Result, out: Path) -> Path:
 def headline(results: list[Result]) -> str:
     """The result in one sentence: how many trials the first controller holds, how closely, and against the `baseline`."""
     first, radius = results[0], constant("protocol", "arrival_radius")
-    found = metrics.figures(first)
+    found = figures(first)
     after, n = found["rmse_after_arrival"], len(first.trials)
     words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
     if not np.isfinite(after).all():
@@ -218,7 +216,7 @@ def against(first: Result, other: Result) -> str:
     if not d.apart:
         return f"these trials do not tell it from {other.controller}"
     side = "nearer to the target than" if d.value > 0 else "farther from the target than"
-    mean = metrics.figures(other)["rmse_after_arrival"].mean()
+    mean = figures(other)["rmse_after_arrival"].mean()
     without = "no control, " if other.controller == BASELINE else ""
     return f"{abs(d.value):.3f} m {side} {other.controller} ({without}{mean:.3f} m)"
 
@@ -230,7 +228,7 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], repl
     notes = [found["condition"]]
     if told is None:
         notes.append(f"Judged alone. Name {BASELINE} (no control) or another controller behind it, and it is compared with that.")
-    elif np.isfinite(metrics.figures(first)["rmse_after_arrival"]).all():
+    elif np.isfinite(figures(first)["rmse_after_arrival"]).all():
         notes += [f"Against {other.controller}: {against(first, other)}." for other in results[1:] if other is not told]
     worst_name = name_of(first, worst(first))
     if replay:

@@ -18,7 +18,7 @@ from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
-from fishmj.tasks.loop import ControlLoop, Scenario
+from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.units import wrap
 

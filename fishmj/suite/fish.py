@@ -23,8 +23,7 @@ from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.suite.physics import Physics
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.episode import EpisodeDraw, TaskOptions, TaskSpec
-from fishmj.tasks.loop import SensorWindow
+from fishmj.tasks.episode import EpisodeDraw, SensorWindow, TaskOptions, TaskSpec
 from fishmj.tasks.reference import StepTruth, options_of
 
 SUITE = containers.TaggedTasks()
@@ -131,7 +130,7 @@ class FishTask(base.Task):
         rules = self.rules
         senses = (self.window.pose, self.scenario.camera, self.window.joint)
         target = self._target()[None]
-        noise = rules.noise(self.normals)
+        noise = rules.setting.noise * self.normals
         obs = task.observe_with_sensors(np, rules.robot, rules.sensors, self.scenario.params, *senses, target, noise)[0]
         widths = spans(rules.n_act)
         parts = np.split(obs, np.cumsum([*widths.values()])[:-1])

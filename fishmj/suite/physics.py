@@ -266,14 +266,10 @@ class Physics(dm_mujoco.Physics):
         own = {name: getattr(params, name)[0] for name in ("kp", "kv", "kb", "zero")}
         personalise(model, mass=[*params.mass[0], *[1.0] * others], **own)
         if self.free_water is not None:
-            one = engines.swimmer(FishParams(*(a[0] for a in params)))
-            geometry = self._trimmed_geometry(params)
-            self.free_water.swimmer, self.free_water.geometry = one, geometry
-
-    def _trimmed_geometry(self, params: FishParams):
-        """A robot is trimmed after it is built: buoyancy follows each link's own weight."""
-        nominal = FreeWater(self.swim.robot).geometry
-        return replace(nominal, mass=nominal.mass * params.mass[0])
+            self.free_water.swimmer = engines.swimmer(FishParams(*(a[0] for a in params)))
+            nominal = FreeWater(self.swim.robot).geometry
+            # a robot is trimmed after it is built: buoyancy follows each link's own weight
+            self.free_water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
 
     def copy(self, share_model: bool = False) -> "Physics":
         """A copy that swims on by itself."""

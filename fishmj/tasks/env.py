@@ -20,7 +20,7 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.loop import slide
+from fishmj.tasks.episode import slide
 from fishmj.tasks.reference import StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
 

@@ -15,8 +15,7 @@ from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.errors import UnknownName
 from fishmj.mjcf.description import Robot
-from fishmj.tasks.sensing import Sensors
-from fishmj.tracker import delayed, estimate
+from fishmj.tasks.sensing import Sensors, delayed, estimate
 
 JOINTS = 3
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")

@@ -10,7 +10,7 @@ from fishmj.campaign.data.segment import Segment
 from fishmj.engines import nominal_params, ticks_per
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.loop import SensorWindow
+from fishmj.tasks.episode import SensorWindow
 from fishmj.tasks.sensing import Sensors
 
 
