@@ -71,8 +71,7 @@ def judge(args, policy: str):
 def show(args, result) -> dict:
     """Report with pictures, and the replay of one trial against the stream."""
     from fishmj.evaluate import summary
-    from fishmj.evaluate.report import condition, write
-    from fishmj.evaluate.trial_logs import trial_of
+    from fishmj.evaluate.report import condition, trial_of, write
     from fishmj.log import write_trial
     from fishmj.replay import write_html
 

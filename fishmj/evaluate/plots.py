@@ -187,6 +187,8 @@ def headings(results: list[Result], path: Path) -> Path:
 
 def tracks(results: list[Result], path: Path) -> Path:
     """Tracks relative to the target: rows controllers, columns speeds, colour by direction."""
+    from matplotlib.patches import Circle
+
     speeds = speeds_of(results)
     figure, axes = canvas(len(results), len(speeds), (3.6 * len(speeds), 3.6 * len(results)), sharex=True, sharey=True)
     los = np.unique(results[0].trials.los)
@@ -201,7 +203,7 @@ def tracks(results: list[Result], path: Path) -> Path:
                 hue = COLOURS[np.searchsorted(los, r.trials.los[i]) % len(COLOURS)]
                 axis.plot(-left[i, :stop], up[i, :stop], color=hue, linewidth=0.8, alpha=0.8)
                 axis.plot(-left[i, 0], up[i, 0], "o", color=hue, markersize=4)
-            axis.add_patch(_circle(constant("protocol", "arrival_radius")))
+            axis.add_patch(Circle((0, 0), constant("protocol", "arrival_radius"), fill=False, color=INK, linewidth=1, zorder=4))
             axis.plot(0, 0, "+", color=INK, markersize=9, zorder=4)
             axis.annotate("", (1.75, 1.2), (1.75, 1.8), arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.6})
             axis.text(1.66, 1.5, "flow", ha="right", va="center", color="#0072B2", fontsize=9)
@@ -210,9 +212,3 @@ def tracks(results: list[Result], path: Path) -> Path:
     for axis in axes[-1]:
         axis.set_xlabel("to the right, facing upstream [m]")
     return save(figure, path)
-
-
-def _circle(radius: float):
-    from matplotlib.patches import Circle
-
-    return Circle((0, 0), radius, fill=False, color=INK, linewidth=1, zorder=4)

@@ -7,19 +7,26 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from functools import partial
-from math import isfinite
+from math import ceil, isfinite
 from pathlib import Path
 
 import numpy as np
 
 from fishmj import console
 from fishmj.calib import constant
+from fishmj.dynamics.planar_chain import chain_of
+from fishmj.engines.planar import link_centres
 from fishmj.errors import FishmjError, StoreError
 from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
-from fishmj.evaluate.trial_logs import name_of, trial_of, write_logs
+from fishmj.flow import sample, stack
+from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.mjcf.identity import identity
 from fishmj.pages import Section, figure, part, report, table
-from fishmj.store import write_text
+from fishmj.source import made_by
+from fishmj.store import Manifest, write_text
+from fishmj.tasks.sensing import NOTE, logged, logged_meta
 
 SHORT = {  # key -> heading, digits
     "arrival": ("arrival", 3),
@@ -48,6 +55,92 @@ MEANING = {
     "power": "mean electrical power, idle included",
     "RI": "rheotactic index over 30 to 60 s, heading averaged over a beat; 1 = always upstream",
 }
+BLOCK = 200  # ticks whose flow is looked up at once
+
+
+def trial_of(r: Result, i: int) -> Trial:
+    """Trial i of a result in the log's schema, origin "synthetic".
+
+    `joint` and `pose` are what encoders and tracker report (`tasks.sensing`), `truth` is the exact state. A fish whose
+    tank stopped is logged up to there.
+    """
+    ticks = ended(r, i)
+    t, start, step = r.t[1 : ticks + 1], r.t[:ticks], r.robot.timing.control_dt
+    item, flow = r.trials.items[i], r.trials.flows()[i]
+    decisions = np.arange(ceil(ticks / round(step / r.robot.timing.bus_dt))) * step
+    pose, velocity, joint, rate = (x[i, 1 : ticks + 1] for x in (r.pose, r.velocity, r.joint, r.rate))
+    params, camera = replace(r.trials, items=(item,)).fish(r.robot)
+    swum = (start, t, r.command[i, :ticks], pose, velocity, joint, rate, r.power[i, :ticks])
+    tables = {
+        **logged(r.robot, *swum, params, camera, start=r.pose[i, 0], random=item.draw(4), strength=r.trials.noise),
+        "obs": {"t": decisions, **numbered("o#", r.obs[i, : len(decisions)])},
+        "target": {"t": np.zeros(1), "x": r.target[i, :1], "y": r.target[i, 1:]},
+        "flow": {"t": start, **_flow_at_links(r, i, ticks)},
+    }
+    if r.action is not None:
+        tables["action"] = {"t": decisions, **numbered("a#", r.action[i, : len(decisions)])}
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        **identity(r.robot),
+        "medium": "water",
+        "flow": {**asdict(flow), "known": True},
+        "water": r.water,
+        "root": "planar",
+        "engine": r.engine,
+        "controller": r.controller,
+        "policy_sha256": r.policy_sha256,
+        "target": r.target[i].tolist(),
+        "seed": int(item.seed[0]),
+        "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
+        "randomisation": r.trials.randomisation,
+        "excitation": "station holding",
+        **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
+        **made_by("numpy", "mujoco"),
+        "source": "fishmj.evaluate",
+        "licence": "Apache-2.0",
+        "notes": NOTE if ticks == len(r.t) - 1 else f"{NOTE}; the tank stopped after {ticks * r.robot.timing.bus_dt:.2f} s",
+    }
+    return Trial(meta, tables)
+
+
+def name_of(r: Result, i: int) -> str:
+    """Folder name of trial i: `dob_u0.2_los045_r1`."""
+    t = r.trials.items[i]
+    return f"{r.controller}_u{t.speed:g}_los{round(np.degrees(t.los)) % 360:03d}_r{t.repeat}"
+
+
+def write_logs(r: Result, folder: Path) -> list[Path]:
+    """Every trial as a folder under `folder`, which with its manifest is a data set."""
+    written = [write_trial(folder / name_of(r, i), trial_of(r, i), overwrite=True) for i in range(len(r.trials))]
+    Manifest.of(folder, {"source": "fishmj.evaluate", "licence": "Apache-2.0"}).write(folder)
+    return written
+
+
+def ended(r: Result, i: int) -> int:
+    """Bus ticks of trial i that were swum: all, or in the flow solver those before its tank stopped and the fish stood still."""
+    last = len(r.t) - 1
+    if r.water != "lbm" or r.left[i] > last:
+        return last
+    state = np.concatenate([r.pose[i], r.joint[i]], -1)
+    moved = np.flatnonzero((np.diff(state, axis=0) != 0).any(-1))
+    return int(moved[-1]) + 1 if len(moved) else last
+
+
+def _flow_at_links(r: Result, i: int, ticks: int) -> dict:
+    """Water velocity at the link centres at the start of each tick, as columns."""
+    current, chain = stack([r.trials.flows()[i]]), chain_of(r.robot)
+    q = np.concatenate([r.pose[i], r.joint[i]], -1)[:ticks]
+    rows = []
+    for first in range(0, len(q), BLOCK):
+        some = q[first : first + BLOCK]
+        tick = first + np.arange(len(some))
+        many = current._replace(
+            **{name: np.repeat(getattr(current, name), len(some), 0) for name in ("mean", "rms", "row", "offset", "turn")}
+        )
+        rows.append(sample(np, many, link_centres(np, chain, some), tick)[0])
+    u = np.concatenate(rows)
+    return {**numbered("u#x", u[:, :, 0]), **numbered("u#y", u[:, :, 1])}
 
 
 def condition(result: Result) -> str:
@@ -108,10 +201,8 @@ def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
         if d.key not in keys:
             continue
         head, digits = SHORT[d.key]
-        row: dict[str, object] = {
-            "key": head,
-            f"{second.controller} - {first.controller}": f"{d.value:+.{digits}f}" if d.n else "-",
-        }
+        value = f"{d.value:+.{digits}f}" if d.n else "-"
+        row: dict[str, object] = {"key": head, f"{second.controller} - {first.controller}": value}
         row["95 % interval"] = d.why or f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if d.apart else ''}"
         row |= {"pairs": d.n, "Welch t": number(d.welch_t, ".2f"), "Welch p": number(d.welch_p, ".2g")}
         rows.append(row)

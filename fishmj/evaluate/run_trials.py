@@ -161,11 +161,8 @@ class FinishedTrials:
         """Add a finished controller: its arrays."""
         self.done.append(brain.name)
         path = self._path(brain)
-        if self.folder is None or path is None or len(self.names) == 1:
-            return result
-        if not path.is_file():
-            arrays = {name: value for name in ARRAYS if (value := getattr(result, name)) is not None}
-            store.write_npz(path, arrays)
+        if path is not None and len(self.names) > 1 and not path.is_file():
+            store.write_npz(path, {name: value for name in ARRAYS if (value := getattr(result, name)) is not None})
         return result
 
     @property

@@ -21,11 +21,12 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.from_above import FromAbove, coarse_skin
 from fishmj.tasks.episode import Draws, EpisodeDraw, Episodes, TaskOptions, TaskSpec
 from fishmj.tasks.reference import named, options_of
+from fishmj.tasks.station_hold import spans
 
 SIDE = 480  # pixels
 # Bounds of the observations, which Gymnasium wants finite: several times what a fish reaches inside the domain, so the clip
 # to them never acts on a sound simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.
-TARGET, VELOCITY, YAW_RATE, JOINT, JOINT_RATE = 20.0, 10.0, 50.0, np.pi, 50.0
+LARGEST = (20.0, 10.0, 50.0, np.pi, 50.0)
 
 
 class Picture:
@@ -62,8 +63,7 @@ def rules_of(task: Any, options: dict) -> TaskSpec:
 
 def observation_space(rules: TaskSpec) -> spaces.Box:
     """(11,) float32: target, velocity, yaw rate, joints, joint rates."""
-    j = rules.n_act
-    high = np.array([TARGET] * 2 + [VELOCITY] * 2 + [YAW_RATE] + [JOINT] * j + [JOINT_RATE] * j, np.float32)
+    high = np.repeat(np.array(LARGEST, np.float32), [*spans(rules.n_act).values()])
     return spaces.Box(-high, high, dtype=np.float32)
 
 

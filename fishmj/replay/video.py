@@ -9,8 +9,7 @@ from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.from_above import FromAbove, coarse_skin, opencv
-from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
-from fishmj.replay.wake import Wake, colours, read_wake
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, Wake, colours, read_wake, robot_of, tracks_of
 
 INK = (250, 244, 236)  # BGR
 WORDS = 120  # characters of a line

@@ -90,8 +90,7 @@ class FishTask(base.Task):
     def __init__(self, rules: TaskSpec, random=None):
         super().__init__(random=random)
         self.rules = rules
-        self.scenario = rules.scenario(rules.draws(np.random.RandomState(0), 1))
-        self._start(self.scenario, np.zeros((1, rules.n_obs)))
+        self._start(rules.scenario(rules.draws(np.random.RandomState(0), 1)), np.zeros((1, rules.n_obs)))
 
     def initialize_episode(self, physics: Physics) -> None:
         """Draw fish, flow, start and target; everything at rest over ground."""
@@ -132,7 +131,7 @@ class FishTask(base.Task):
         target = self._target()[None]
         noise = rules.setting.noise * self.normals
         obs = task.observe_with_sensors(np, rules.robot, rules.sensors, self.scenario.params, *senses, target, noise)[0]
-        widths = spans(rules.n_act)
+        widths = task.spans(rules.n_act)
         parts = np.split(obs, np.cumsum([*widths.values()])[:-1])
         return OrderedDict((name, part.copy()) for name, part in zip(widths, parts, strict=True))
 
@@ -172,8 +171,3 @@ class FishTask(base.Task):
 
     def _target(self) -> np.ndarray:
         return self.rules.target(self.scenario, np.array([self.count]))[0]
-
-
-def spans(joints: int) -> dict[str, int]:
-    """Name and width of each observation, in the order of the flat vector."""
-    return {"target": 2, "velocity": 2, "yaw_rate": 1, "joint": joints, "joint_rate": joints}

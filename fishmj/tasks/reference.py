@@ -62,14 +62,13 @@ class StationHoldReference:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AngleOfAttackReference:
+class AngleOfAttackReference(StationHoldReference):
     """Start on the target, turned from upstream. angle in rad; None draws one of the paper's four."""
 
     decides = ("pose", "target")  # what no caller may fix of a start
     heads_by_flow = True  # the start's heading is given against the flow
 
     angle: float | None = None
-    seconds: float = constant("task", "episode_time")
 
     def launch(self, xp, uniforms) -> EpisodeStart:
         """Starts from uniforms (B, 7): target and flow direction drawn, flow speed the paper's."""
@@ -81,10 +80,6 @@ class AngleOfAttackReference:
         pose = xp.concatenate([start.target, heading[:, None]], -1)
         speed = constant("experiments", "aoa_speed") + 0.0 * heading
         return EpisodeStart(start._replace(pose=pose, speed=speed), xp.zeros_like(heading))
-
-    def target(self, xp, launch: EpisodeStart, t):
-        """Target (B, 2) m at times t (B,) s."""
-        return launch.start.target + 0.0 * t[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -260,7 +260,7 @@ class TrainingRun:
                     saved = time.monotonic()
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
-        return self.summary(stopped=bool(asked))
+        return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked))
 
     def _assessment_is_due(self) -> bool:
         """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
@@ -299,10 +299,6 @@ class TrainingRun:
         if not newest:
             return f"nothing was learnt yet; {interrupt.again('start again')}"
         return go_on(self.folder, newest, self.settings)
-
-    def summary(self, stopped: bool = False) -> dict:
-        """What the command line prints last."""
-        return summary_of(self.settings, self.folder, self.done, self.seconds, self.best, stopped)
 
     def _look(self) -> tuple[dict, bool]:
         """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
