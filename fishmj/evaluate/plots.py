@@ -117,8 +117,7 @@ def radar(results: list[Result], path: Path) -> Path:
         for row, speed in enumerate(speeds):
             axis = polar(axes[row, column])
             for f, r, colour, dash in found:
-                los = np.unique(r.trials.los)
-                mean = np.array([_mean(f[key][(r.trials.speed == speed) & (r.trials.los == b)]) for b in los])
+                los, mean = np.unique(r.trials.los), _means(f[key], r, speed)
                 axis.plot(np.append(los, los[0]), np.append(mean, mean[0]), color=colour, linestyle=dash, linewidth=2)
                 axis.scatter(los, mean, color=colour, s=16, zorder=3)
             if key in LOGARITHMIC:
@@ -131,19 +130,16 @@ def radar(results: list[Result], path: Path) -> Path:
     return save(figure, path)
 
 
-def _mean(x) -> float:
-    x = x[np.isfinite(x)]
-    return float(np.mean(x)) if len(x) else np.nan
+def _means(values, r: Result, speed: float) -> np.ndarray:
+    """Means of a figure (n,) over the trials that have it, at one speed, in each direction; NaN where there are none."""
+    some = [values[(r.trials.speed == speed) & (r.trials.los == b)] for b in np.unique(r.trials.los)]
+    return np.array([np.mean(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some])
 
 
 def _ceiling(found, key: str, results) -> float:
     """Radius of a radar column: the largest mean of any condition."""
-    tops = []
-    for f, r, *_ in found:
-        for speed in speeds_of(results):
-            tops += [_mean(f[key][(r.trials.speed == speed) & (r.trials.los == b)]) for b in np.unique(r.trials.los)]
-    tops = [t for t in tops if np.isfinite(t)]
-    return 1.08 * max(tops) if tops else 1.0
+    tops = np.concatenate([_means(f[key], r, speed) for f, r, *_ in found for speed in speeds_of(results)])
+    return 1.08 * float(np.nanmax(tops)) if np.isfinite(tops).any() else 1.0
 
 
 def polar(axis):

@@ -270,10 +270,10 @@ def strongest(omega: np.ndarray) -> float:
     return float(next(step * power for step in (1, 2, 5, 10) if step * power >= 0.999 * high))
 
 
-def page_data(wake: Wake, budget: int = BUDGET) -> dict:
+def page_data(wake: Wake) -> dict:
     """What the page needs; where the pictures would be too large, cells are averaged two by two."""
     images = list(wake.values)
-    while sum(map(len, packed := [_png(image) for image in images])) > budget and min(images[0].shape) >= 16:
+    while sum(map(len, packed := [_png(image) for image in images])) > BUDGET and min(images[0].shape) >= 16:
         images = [_halved(image) for image in images]
     return {
         "t": wake.t,

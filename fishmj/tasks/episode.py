@@ -66,10 +66,7 @@ class Scenario(NamedTuple):
 
 
 class ControlLoop:
-    """B fish on an engine.
-
-    Args:
-        engine: name or engine.
+    """B fish on an engine, which is given by name or as one.
 
     Attributes:
         scenario: as given to `start`. fish: their state. window: what the sensors remember. count: (B,) control steps so far.

@@ -118,17 +118,7 @@ def sigmas(joints: int, strength: float = 1.0) -> dict[str, float]:
 
 
 def sensed(
-    robot: Robot,
-    t: np.ndarray,
-    pose: np.ndarray,
-    joint: np.ndarray,
-    rate: np.ndarray,
-    *,
-    start: np.ndarray,
-    camera: int,
-    effects: np.ndarray,
-    random: np.random.Generator,
-    strength: float = 1.0,
+    robot: Robot, t, pose, joint, rate, *, start, camera: int, effects, random: np.random.Generator, strength: float = 1.0
 ) -> dict[str, dict[str, np.ndarray]]:
     """Tables `joint` and `pose` of one swim, as late and as noisy as the task's own observations.
 
