@@ -297,10 +297,6 @@ class Policy:
     def memory(self) -> int:
         return self.meta.get("memory") or 1
 
-    @property
-    def _width(self) -> int:
-        return self.n_obs * self.memory + self.n_act * (self.memory - 1)
-
     def reset(self, n: int = 1) -> None:
         """Forget the past of n fish."""
         self._window = None
@@ -332,4 +328,5 @@ class Policy:
         if self._window is None or len(self._window) != len(sight):
             pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
             self._window = np.concatenate([pair] * (self.memory - 1), 1)
-        return np.concatenate([sight, self._window], 1)[:, : self._width]
+        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
+        return np.concatenate([sight, self._window], 1)[:, :width]

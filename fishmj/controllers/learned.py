@@ -13,7 +13,6 @@ from fishmj.policy import FOLDER, Policy, PolicyBody, file_of, fit
 from fishmj.tasks import station_hold as task
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
-
 OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE makes a policy for this one"
 
 
