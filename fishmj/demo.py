@@ -9,8 +9,6 @@ from fishmj import console, interrupt
 SPEED, INTENSITY = 0.2, 0.10  # m/s at which holding is judged; gusts as a fraction of the flow
 ARRIVALS, HOLDING = 23, 0.10  # of 24 trials; m
 SMOKE = {"steps": 150_000, "assess_every": 150_000, "assess_episodes": 32}  # runs every part, learns next to nothing
-
-
 ABOUT = """The policy sees 11 numbers in its own frame and never the current. It trains in gusts and is judged on MuJoCo in
 24 trials of 60 s: three flow speeds, eight directions, 10 % gusts, randomised robot, noise, latencies.
 Exit 1: fewer than 23 of 24 trials arrive, or it holds worse than 0.10 m at 0.2 m/s.
@@ -71,9 +69,7 @@ def judge(args, policy: str):
 def show(args, result) -> dict:
     """Report with pictures, and the replay of one trial against the stream."""
     from fishmj.evaluate import summary
-    from fishmj.evaluate.report import write
-    from fishmj.evaluate.tables import condition
-    from fishmj.evaluate.trial_logs import trial_of
+    from fishmj.evaluate.report import condition, trial_of, write
     from fishmj.log import write_trial
     from fishmj.replay import write_html
 

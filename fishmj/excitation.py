@@ -140,9 +140,13 @@ def _add(name: str, commands: Callable[[], np.ndarray], about: str, start=(0.0, 
     _MAKERS[name] = lambda: Excitation(id=name, commands=commands(), about=about, start=start, push=push)
 
 
+def _still(rows: int) -> Callable[[], np.ndarray]:
+    return partial(np.zeros, (rows, JOINTS))
+
+
 WEST = (-1.4, 0.0, 0.0)  # facing east, room to swim
-_deg = np.radians
-_add("idle", lambda: np.zeros((200, JOINTS)), "nothing moves: noise, idle power, sensor offsets")
+_deg, _cruise = np.radians, partial(gait, 1.0, SWIM, LAG)
+_add("idle", _still(200), "nothing moves: noise, idle power, sensor offsets")
 _add("sine", lambda: gait(1.0, SWIM, 0.0), "calibration: 1 Hz in phase; joint tracking under load", WEST)
 _add(
     "square",
@@ -159,7 +163,7 @@ _add(
     lambda: _chirp(0.2, 3.0, _deg(14), LAG, 14.0),
     "phase and amplitude over a decade of frequency: latency, gains, added mass",
 )
-_add("gait", lambda: gait(1.0, SWIM, LAG), "steady swimming: speed, recoil, power", WEST)
+_add("gait", _cruise, "steady swimming: speed, recoil, power", WEST)
 _add("gait_slow", lambda: gait(0.5, SWIM, LAG, seconds=12.0), "slow swimming: linear against quadratic drag", WEST)
 _add("gait_fast", lambda: gait(1.8, _deg(28), LAG, seconds=6.0), "fast swimming: torque and speed limits, supply voltage", WEST)
 _add("gait_small", lambda: gait(1.2, _deg(12), LAG, seconds=12.0), "small beats: dead band, play, friction", WEST)
@@ -202,7 +206,7 @@ _add(
     "static holds and what creeps after them: skin stiffness and its memory",
 )
 for _name, _yaw in (("drift_east", 0.0), ("drift_north", np.pi / 2), ("drift_west", np.pi), ("drift_south", -np.pi / 2)):
-    _add(_name, lambda: np.zeros((600, JOINTS)), "passive drift: current, swirl, tether, camera axes", (0.6, 0.5, _yaw))
+    _add(_name, _still(600), "passive drift: current, swirl, tether, camera axes", (0.6, 0.5, _yaw))
 _add(
     "spin",
     lambda: gait(1.2, _deg(20), _deg(90), _deg(40), seconds=12.0),
@@ -216,34 +220,17 @@ _add(
     "there, around and back: current, tether, scale against drag",
     (-1.2, -0.5, 0.0),
 )
-_add(
-    "station_left",
-    lambda: gait(1.0, SWIM, LAG),
-    "swim along the tank's left side: shear and walls, with station_right",
-    (-1.4, 1.3, 0.0),
-)
-_add("station_right", lambda: gait(1.0, SWIM, LAG), "swim along the tank's right side", (-1.4, -1.3, 0.0))
+_add("station_left", _cruise, "swim along the tank's left side: shear and walls, with station_right", (-1.4, 1.3, 0.0))
+_add("station_right", _cruise, "swim along the tank's right side", (-1.4, -1.3, 0.0))
 _add("ramps", lambda: random_ramps(1), "random straight lines, like a policy's commands: everything a little")
 for _draw in range(2, 7):
     _add(f"ramps_{_draw}", partial(random_ramps, _draw), "another draw of ramps")
 _add("flap", lambda: _alone_beat(1.2, _deg(35), 3.5), "each joint beats alone: which servo, supply voltage against all together")
-_add("tow_ahead", lambda: np.zeros((400, JOINTS)), "let go at 0.4 m/s ahead: drag from coasting alone", WEST, (0.4, 0.0, 0.0))
-_add(
-    "tow_astern",
-    lambda: np.zeros((300, JOINTS)),
-    "let go at 0.3 m/s tail first: drag backwards",
-    (1.2, 0.0, 0.0),
-    (-0.3, 0.0, 0.0),
-)
-_add("tow_oblique", lambda: np.zeros((300, JOINTS)), "let go at a drift angle: lift and Munk moment", WEST, (0.35, 0.1, 0.0))
-_add(
-    "tow_sideways",
-    lambda: np.zeros((300, JOINTS)),
-    "let go broadside: cross-flow drag and sway mass",
-    (0.0, -1.0, 0.0),
-    (0.0, 0.3, 0.0),
-)
-_add("twirl", lambda: np.zeros((300, JOINTS)), "let go turning: yaw drag and yaw inertia", (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
+_add("tow_ahead", _still(400), "let go at 0.4 m/s ahead: drag from coasting alone", WEST, (0.4, 0.0, 0.0))
+_add("tow_astern", _still(300), "let go at 0.3 m/s tail first: drag backwards", (1.2, 0.0, 0.0), (-0.3, 0.0, 0.0))
+_add("tow_oblique", _still(300), "let go at a drift angle: lift and Munk moment", WEST, (0.35, 0.1, 0.0))
+_add("tow_sideways", _still(300), "let go broadside: cross-flow drag and sway mass", (0.0, -1.0, 0.0), (0.0, 0.3, 0.0))
+_add("twirl", _still(300), "let go turning: yaw drag and yaw inertia", (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
 
 DESIGNED = (  # a session of twelve that shows most effects
     *("gait", "chirp", "steps", "slow_triangle", "turn_left", "gait_fast"),

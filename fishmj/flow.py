@@ -252,11 +252,7 @@ class Flow:
 
 
 def stack(flows: list[Flow]) -> Current:
-    """Several flows of one preset and box as one batch.
-
-    Raises:
-        ConfigError: presets or boxes differ.
-    """
+    """Several flows of one preset and box as one batch. Raises ConfigError: presets or boxes differ."""
     kinds = {(f.turbulence, f.box) for f in flows}
     if len(kinds) != 1:
         raise ConfigError(f"a batch of flows shares one turbulence preset and box, got {sorted(kinds)}")

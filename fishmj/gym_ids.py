@@ -27,7 +27,7 @@ def register() -> None:
             gymnasium.register(
                 id=name,
                 entry_point="fishmj.gym.fish_env:FishEnv",
-                vector_entry_point="fishmj.gym.fish_vector_env:FishVectorEnv",
+                vector_entry_point="fishmj.gym.fish_env:FishVectorEnv",
                 kwargs={"task": task},
             )
 

@@ -3,27 +3,193 @@
     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
 
 A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot of which structure, which observations, scale,
-activation, memory, command path (policy_header.py), how it was trained. With memory m > 1 the input is the newest observation
-followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself.
+activation, memory, command path (`check_header`), how it was trained. With memory m > 1 the input is the newest observation
+followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself. The header's keys:
+
+    robot         name: another name with the same structure is said, not refused
+    structure     {links, lengths, joints, servo_range}: another count, order, range, or a length off by more than 10 % is refused
+    observation   [{name, unit}, ..] in order, with the divisors `scale`
+    command_path  how commands travel between two decisions: another one is refused unless it was asked for
+    control_dt    s between two decisions: another one is refused
+
+Files written before `structure` was say less: the servo range and the joint count are read from `action` and `joints`. What a
+header does not say is not checked, and that is said.
 """
 
+import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj import policy_header
 from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj.names import is_name
 from fishmj.plain_file import trouble
-from fishmj.policy_header import MOST, is_number, shown
 from fishmj.store import read_tensors, write_tensors
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
 OF_A_RUN = ("best.safetensors", "last.safetensors")  # what a training leaves, the better one first
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
+CLOSE = 0.10  # of a link's length, what calibrations change
+SAME = 1e-3  # of ranges and times: rounding
+MOST = 1000  # links, observations: beyond them it is no fish
+KEYS = {"links": str, "lengths": float, "joints": str, "servo_range": float}
+
+
+class PolicyFit(NamedTuple):
+    """Whether a policy may steer a robot: reasons to refuse it, and what is worth a line."""
+
+    refused: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def check_header(meta: Any, where: str) -> None:
+    """Whether every key of a header that is there can be used. Raises ConfigError, one line."""
+    if not isinstance(meta, dict):
+        raise ConfigError(f"{where}: the header is {shown(meta)}; expected a table of keys: this is not a policy file")
+    for key in ("robot", "name", "command_path", "algorithm"):
+        if meta.get(key) is not None and not is_label(meta[key], key):
+            raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 1 to 64 letters, digits, '_', '.' or '-'")
+    control_dt, joints = meta.get("control_dt"), meta.get("joints")
+    if control_dt is not None and not (is_number(control_dt) and 0 < control_dt <= 100):
+        raise ConfigError(f"{where}: control_dt {shown(control_dt)}; expected seconds, above 0 to 100")
+    if joints is not None and not (isinstance(joints, int) and not isinstance(joints, bool) and 1 <= joints <= MOST):
+        raise ConfigError(f"{where}: joints {shown(joints)}; expected how many there are, 1 to {MOST}")
+    if meta.get("structure") is not None:
+        _check_structure(meta["structure"], where)
+    if meta.get("observation") is not None:
+        _check_observation(meta["observation"], len(meta["scale"]), where)
+
+
+def is_label(value: Any, key: str) -> bool:
+    """A name; an algorithm of one's own is module:Name."""
+    if not isinstance(value, str):
+        return False
+    return is_name(value) or (key == "algorithm" and re.fullmatch(r"[A-Za-z0-9_./:-]{1,200}", value) is not None)
+
+
+def is_number(value: Any) -> bool:
+    """A finite number, and no bool."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and math.isfinite(value)
+
+
+def shown(value: Any) -> str:
+    """A value of a foreign file for one line of an error."""
+    try:
+        text = repr(value) if not isinstance(value, list) or len(value) <= 20 else f"a list of {len(value)}"
+    except (ValueError, RecursionError):  # an integer of thousands of digits; a table nested without end
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 80 else text[:76] + "..."
+
+
+class PolicyBody(NamedTuple):
+    """What a policy must find again on a robot (mjcf.identity)."""
+
+    name: str
+    structure: dict
+    observation: list[dict]
+    command_path: str
+    control_dt: float  # s
+
+
+def fit(meta: dict, robot: PolicyBody, *, any_path: bool, known: dict) -> PolicyFit:
+    """Whether the policy with this header may steer a robot.
+
+    Args:
+        any_path: the robot's command path was asked for. known: structures by robot name, for headers that name a robot and
+            do not say what it is.
+    """
+    refused, notes = [], []
+    theirs = structure_in(meta)
+    name = meta.get("robot")
+    if name is None:
+        notes.append("its header does not say which robot it is for")
+    elif "links" not in theirs and name in known:
+        theirs = known[name] | theirs
+    refused += _differences(theirs, robot.structure)
+    if isinstance(seen := meta.get("observation"), list) and seen != robot.observation:
+        a, b = (", ".join(f"{row['name']} [{row['unit']}]" for row in rows)[:200] for rows in (seen, robot.observation))
+        refused.append(f"sees {a}; the robot gives {b}")
+    if not refused and "links" not in theirs:
+        notes.append("its header does not say which links it is for; the number of joints fits")
+    if not refused and name is not None and name != robot.name:
+        notes.append(f"made for robot {name}, steers {robot.name}: the same joints, lengths and servo range")
+    wanted, path = meta.get("command_path"), robot.command_path
+    if wanted is None:
+        notes.append(f"its header does not say its command path; it steers on {path}")
+    elif wanted != path and any_path:
+        notes.append(f"trained on command path {wanted}, steers on {path} as asked")
+    elif wanted != path:
+        refused.append(f"trained on command path {wanted}, the robot's is {path}: --command-path {wanted}, or --any-command-path")
+    if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
+        refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s")
+    return PolicyFit(tuple(refused), tuple(notes))
+
+
+def structure_in(meta: dict) -> dict:
+    """What a checked header says of the structure; of an older file the joint count as names, and the servo range."""
+    if meta.get("structure") is not None:
+        return dict(meta["structure"])
+    found: dict[str, Any] = {}
+    if meta.get("joints") is not None:
+        found["joints"] = [f"j{i}" for i in range(1, meta["joints"] + 1)]
+    said = re.fullmatch(r"joint angle over (\d{1,3}\.\d{1,9}) rad", str(meta.get("action", ""))[:80])
+    if said:
+        found["servo_range"] = float(said[1])
+    return found
+
+
+def _differences(theirs: dict, ours: dict) -> list[str]:
+    """What is another structure, each as one clause with both."""
+    found = []
+    for key in ("joints", "links"):
+        if key in theirs and list(theirs[key]) != list(ours[key]):
+            a, b = (f"{len(x[key])} {key} ({', '.join(x[key][:8])}{', ..' if len(x[key]) > 8 else ''})" for x in (theirs, ours))
+            found.append(f"made for {a}, the robot has {b}")
+            break
+    if not found and "lengths" in theirs:
+        for link, a, b in zip(ours["links"], theirs["lengths"], ours["lengths"], strict=True):
+            if abs(a / b - 1) > CLOSE:
+                found.append(f"made for a {link} of {a:.3g} m, the robot's is {b:.3g} m")
+    if "servo_range" in theirs and abs(theirs["servo_range"] / ours["servo_range"] - 1) > SAME:
+        found.append(f"made for servos of +-{theirs['servo_range']:.4g} rad, the robot's have +-{ours['servo_range']:.4g} rad")
+    return found
+
+
+def _check_structure(table: Any, where: str) -> None:
+    if not isinstance(table, dict) or set(table) != set(KEYS):
+        raise ConfigError(f"{where}: structure {shown(table)}; expected {', '.join(KEYS)}")
+    names = all(_list_of(table[key], is_name) for key in ("links", "joints"))
+    positive = _list_of(table["lengths"], lambda x: is_number(x) and 0 < x < 1000)
+    if not (names and positive and is_number(table["servo_range"]) and 0 < table["servo_range"] < 100):
+        raise ConfigError(f"{where}: structure {shown(table)}; expected names, positive lengths in m and a servo range in rad")
+    n = len(table["links"])
+    if not (len(table["lengths"]) == n and len(table["joints"]) == n - 1):
+        sizes = f"{n} links, {len(table['lengths'])} lengths and {len(table['joints'])} joints"
+        raise ConfigError(f"{where}: structure has {sizes}; a chain of n links has n lengths and n - 1 joints")
+
+
+def _check_observation(rows: Any, count: int, where: str) -> None:
+    if isinstance(rows, str) and len(rows) <= 1000:
+        return  # an older file: a sentence, for people
+    row = lambda x: isinstance(x, dict) and set(x) == {"name", "unit"} and is_name(x["name"]) and _is_unit(x["unit"])
+    if not _list_of(rows, row) or len(rows) != count:
+        raise ConfigError(
+            f"{where}: observation {shown(rows)}; expected {count} rows {{name, unit}}, one for each divisor of scale"
+        )
+
+
+def _is_unit(text: Any) -> bool:
+    return isinstance(text, str) and re.fullmatch(r"[A-Za-z0-9/^ ]{1,16}", text) is not None
+
+
+def _list_of(value: Any, test) -> bool:
+    return isinstance(value, list) and 1 <= len(value) <= MOST and all(test(item) for item in value)
 
 
 def shipped() -> list[str]:
@@ -117,7 +283,7 @@ class Policy:
             width = w.shape[0]
         if not all(np.isfinite(w).all() and np.isfinite(b).all() for w, b in self.weights):
             raise ConfigError(f"{where}: weights are not finite")
-        policy_header.check(self.meta, where)
+        check_header(self.meta, where)
 
     @property
     def n_obs(self) -> int:
@@ -130,10 +296,6 @@ class Policy:
     @property
     def memory(self) -> int:
         return self.meta.get("memory") or 1
-
-    @property
-    def _width(self) -> int:
-        return self.n_obs * self.memory + self.n_act * (self.memory - 1)
 
     def reset(self, n: int = 1) -> None:
         """Forget the past of n fish."""
@@ -166,4 +328,5 @@ class Policy:
         if self._window is None or len(self._window) != len(sight):
             pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
             self._window = np.concatenate([pair] * (self.memory - 1), 1)
-        return np.concatenate([sight, self._window], 1)[:, : self._width]
+        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
+        return np.concatenate([sight, self._window], 1)[:, :width]

@@ -11,7 +11,7 @@ from fishmj.calib import constant
 from fishmj.calibrate import calibration_logs as calibrate_logs
 from fishmj.engines.extensions import with_effects
 from fishmj.errors import LogError
-from fishmj.evaluate import trial_logs
+from fishmj.evaluate.report import trial_of, write_logs
 from fishmj.flow import Flow
 from fishmj.gap.commands import admission
 from fishmj.gap.records.datasets import readable_trials
@@ -23,7 +23,7 @@ from fishmj.mjcf.identity import robot_sha256
 from fishmj.play import LiveSession
 from fishmj.play import __main__ as play
 from fishmj.sim import Sim
-from fishmj.tasks.recorded_sensors import sensed, sigmas
+from fishmj.tasks.sensing import sensed, sigmas
 
 ROBOT = load_robot("fish")
 TABLES = {"cmd", "joint", "pose", "power", "truth", "flow", "target", "obs"}
@@ -199,7 +199,7 @@ def result(body):
 
 
 def test_a_judged_trial_is_complete(result, tmp_path):
-    trial_logs.write_logs(result, tmp_path)
+    write_logs(result, tmp_path)
     assert admission.insufficient_data(readable_trials(tmp_path), load_robot("fish")) is None, (
         "gap find takes the folder as it is"
     )
@@ -216,10 +216,10 @@ def test_a_judged_trial_is_complete(result, tmp_path):
 
 
 def test_every_fish_has_its_own_latency_and_the_same_log_twice(result):
-    one, two = trial_logs.trial_of(result, 0), trial_logs.trial_of(result, 1)
+    one, two = trial_of(result, 0), trial_of(result, 1)
     _, camera = result.trials.fish(ROBOT)
     assert [t.value("latency.pose") for t in (one, two)] == pytest.approx(list(camera * 0.02))
-    again = trial_logs.trial_of(result, 0)
+    again = trial_of(result, 0)
     assert np.array_equal(one.tables["pose"]["x"], again.tables["pose"]["x"])
 
 
@@ -230,7 +230,7 @@ def test_a_tank_that_stopped_is_logged_up_to_there(result):
         values[0, stop:] = values[0, stop] if name in ("pose", "joint") else 0.0
     left = np.array([stop + 1, len(result.t)])
     tank = result._replace(engine="tanks, window, slip 1", left=left, **held)
-    short, whole = trial_logs.trial_of(tank, 0), trial_logs.trial_of(tank, 1)
+    short, whole = trial_of(tank, 0), trial_of(tank, 1)
     assert {len(short.tables[n]["t"]) for n in ("cmd", "joint", "pose", "truth", "power", "flow")} == {stop}
     assert len(short.tables["obs"]["t"]) == stop // 10 and "stopped after 2.40 s" in short.value("notes")
     assert len(whole.tables["truth"]["t"]) == 200 and whole.value("water") == "lbm"

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from fishmj import controllers, engines, evaluate
-from fishmj.controllers import gait_table
+from fishmj.controllers import gains_of, gait_table
 from fishmj.controllers.adrc import Observer
 from fishmj.controllers.cpg import Cpg, Rates
 from fishmj.controllers.estimator import StateEstimator, hermite, turned
-from fishmj.controllers.gains import gains_of
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.description import load_robot
 from fishmj.policy import FOLDER, Policy

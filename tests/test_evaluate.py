@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fishmj import engines, evaluate
-from fishmj.controllers.gains import gains_of
+from fishmj.controllers import gains_of
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.evaluate import metrics, statistics
-from fishmj.evaluate.result import Result
+from fishmj.evaluate import metrics
+from fishmj.evaluate.metrics import Result
 from fishmj.mjcf.description import load_robot
 
 ROBOT = load_robot("fish")
@@ -213,27 +213,27 @@ def test_a_controller_that_answers_nonsense_is_named(engine):
 
 def test_an_interval_holds_the_mean_and_shrinks_with_trials():
     rng = np.random.default_rng(1)
-    few, many = (statistics.estimate("power", rng.normal(5, 1, n)) for n in (20, 500))
+    few, many = (metrics.estimate("power", rng.normal(5, 1, n)) for n in (20, 500))
     assert few.low < few.value < few.high and many.high - many.low < 0.5 * (few.high - few.low)
     assert many.high - many.low == pytest.approx(2 * 1.96 / np.sqrt(500), rel=0.15)
 
 
 def test_missing_figures_are_left_out_and_counted():
-    e = statistics.estimate("approach_time", [np.nan, 4.0, 6.0, 20.0])
+    e = metrics.estimate("approach_time", [np.nan, 4.0, 6.0, 20.0])
     assert e.n == 3 and e.value == 6.0  # a median
-    assert statistics.estimate("power", [np.nan]).n == 0
+    assert metrics.estimate("power", [np.nan]).n == 0
 
 
 def test_pairing_sees_a_shift_that_the_spread_would_hide():
     rng = np.random.default_rng(2)
     a = rng.normal(0, 1, 72)
-    d = statistics.difference("power", a, a + 0.1)
+    d = metrics.difference("power", a, a + 0.1)
     assert (d.value, d.low, d.high) == pytest.approx((0.1, 0.1, 0.1)) and d.welch_p > 0.3
 
 
 def test_welch_follows_its_formula():
     a, b = np.array([1.0, 2.0, 4.0, 4.5, 3.0]), np.array([3.0, 5.0, 5.0, 9.0, 2.0])
-    d = statistics.difference("power", a, b)
+    d = metrics.difference("power", a, b)
     t = (b.mean() - a.mean()) / np.sqrt(a.var(ddof=1) / 5 + b.var(ddof=1) / 5)
     assert d.welch_t == pytest.approx(t)
 
@@ -241,17 +241,17 @@ def test_welch_follows_its_formula():
 @pytest.mark.parametrize("n", [0, 1, 2, 4])
 def test_too_few_trials_have_neither_interval_nor_test(n):
     a = np.arange(n) + 1.0
-    e, d = statistics.estimate("power", [*a, np.nan]), statistics.difference("power", a, a * 2)
+    e, d = metrics.estimate("power", [*a, np.nan]), metrics.difference("power", a, a * 2)
     assert e.n == d.n == n and e.why == d.why == f"too few trials for an interval: {n} of 5"
     assert np.isnan([e.low, e.high, d.low, d.high, d.welch_t, d.welch_p]).all() and not d.apart
     assert n == 0 or (e.value, d.value) == pytest.approx((a.mean(), a.mean()))
 
 
 def test_five_pairs_have_an_interval_and_six_can_be_told_apart():
-    five, six = (statistics.difference("power", np.zeros(n), np.ones(n) + 0.1 * np.arange(n)) for n in (5, 6))
+    five, six = (metrics.difference("power", np.zeros(n), np.ones(n) + 0.1 * np.arange(n)) for n in (5, 6))
     assert five.low > 0 and not five.why and not five.apart and six.apart
 
 
 def test_results_of_other_trials_cannot_be_compared():
     with pytest.raises(ConfigError, match="different trials"):
-        statistics.compare(hand_made(still(0.5)), hand_made(still(0.5), seed=1))
+        metrics.compare(hand_made(still(0.5)), hand_made(still(0.5), seed=1))

@@ -10,7 +10,7 @@ import pytest
 
 from fishmj import console, engines, evaluate
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import metrics, report, trial_logs
+from fishmj.evaluate import metrics, report
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.description import load_robot
 
@@ -25,7 +25,7 @@ def engine():
 def test_a_judged_trial_can_be_read_back(tmp_path, engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[45], repeats=1, duration=4)
     r = evaluate.run("dob", ROBOT, trials, engine)
-    (folder,) = trial_logs.write_logs(r, tmp_path)
+    (folder,) = report.write_logs(r, tmp_path)
     trial = read_trial(folder)
     assert folder.name == "dob_u0.2_los045_r0"
     assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"

@@ -6,7 +6,7 @@ import pytest
 from fishmj import controllers, engines
 from fishmj.engines import lbm
 from fishmj.errors import ConfigError
-from fishmj.evaluate import lbm_trials, trials
+from fishmj.evaluate import run_trials, trials
 from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
 
@@ -19,7 +19,9 @@ def plan(**changes):
 
 @pytest.mark.slow
 def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
-    judge = lambda: lbm_trials.judge(controllers.make("drift", ROBOT), ROBOT, plan(), tmp_path, domain="laptop", device="cpu")
+    judge = lambda: run_trials.judge_in_solver(
+        controllers.make("drift", ROBOT), ROBOT, plan(), tmp_path, domain="laptop", device="cpu"
+    )
     first = judge()
     assert first.water == "lbm" and first.pose.shape == (1, 51, 3) and np.isfinite(first.pose).all()
     drifted = first.pose[0, -1, 0] - first.pose[0, 0, 0]
@@ -32,17 +34,17 @@ def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
 
 def test_what_would_change_a_trial_changes_its_file_name():
     brain = controllers.make("dob", ROBOT)
-    base = lbm_trials.fingerprint(brain, ROBOT, plan(), "paper", 1.0)
+    base = run_trials.fingerprint(brain, ROBOT, plan(), "paper", 1.0)
     others = [
-        lbm_trials.fingerprint(controllers.make("pd", ROBOT), ROBOT, plan(), "paper", 1.0),
-        lbm_trials.fingerprint(brain, ROBOT, plan(duration=2.0), "paper", 1.0),
-        lbm_trials.fingerprint(brain, ROBOT, plan(seed=1), "paper", 1.0),
-        lbm_trials.fingerprint(brain, ROBOT, plan(turbulence="gust"), "paper", 1.0),
-        lbm_trials.fingerprint(brain, ROBOT, plan(), "laptop", 1.0),
-        lbm_trials.fingerprint(brain, ROBOT, plan(), "paper", 0.95),
+        run_trials.fingerprint(controllers.make("pd", ROBOT), ROBOT, plan(), "paper", 1.0),
+        run_trials.fingerprint(brain, ROBOT, plan(duration=2.0), "paper", 1.0),
+        run_trials.fingerprint(brain, ROBOT, plan(seed=1), "paper", 1.0),
+        run_trials.fingerprint(brain, ROBOT, plan(turbulence="gust"), "paper", 1.0),
+        run_trials.fingerprint(brain, ROBOT, plan(), "laptop", 1.0),
+        run_trials.fingerprint(brain, ROBOT, plan(), "paper", 0.95),
     ]
     assert len({base, *others}) == 7
-    assert base == lbm_trials.fingerprint(controllers.make("dob", ROBOT), ROBOT, plan(), "paper", 1.0)
+    assert base == run_trials.fingerprint(controllers.make("dob", ROBOT), ROBOT, plan(), "paper", 1.0)
 
 
 def test_as_many_fish_as_flows():

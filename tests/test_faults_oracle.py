@@ -9,7 +9,7 @@ wp = pytest.importorskip("warp")
 
 from fishmj import console, controllers
 from fishmj.engines import lbm
-from fishmj.evaluate import lbm_trials, trials
+from fishmj.evaluate import run_trials, trials
 from fishmj.evaluate.metrics import figures
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed import snapshot
@@ -110,7 +110,9 @@ def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_w
     plan = trials(speeds=[0.4], los_deg=[0], repeats=1, duration=1.0)
     box = Domain(name="narrow", shape=(116, 28, 16), dx=0.02, dt=0.004, sponge=4)  # half a length of room behind the fish
     monkeypatch.setattr(lbm, "preset", lambda name: box)
-    judge = lambda folder: lbm_trials.judge(controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu")
+    judge = lambda folder: run_trials.judge_in_solver(
+        controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu"
+    )
     left = judge(tmp_path)
     tick = int(left.left[0])
     assert 5 < tick < 51 and np.ptp(left.pose[0, tick:], axis=0).max() == 0, "the fish stays where it was"
@@ -120,5 +122,5 @@ def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_w
     assert figures(left)["power"] > 0
 
     row = {"left": np.array(51), "distance": np.full(51, 0.02)}
-    failed = lbm_trials.ended(row, "water: 1.9 m/s is Mach 0.66", 30)
+    failed = run_trials.ended(row, "water: 1.9 m/s is Mach 0.66", 30)
     assert failed["left"] == 31 and np.isnan(failed["distance"][31:]).all() and (failed["distance"][:31] == 0.02).all()

@@ -21,11 +21,10 @@ from fishmj.engines import make
 from fishmj.errors import SimDiverged, StoreError
 from fishmj.policy import Policy
 from fishmj.tasks.env import Options, StationHold
-from fishmj.train import interruptions
+from fishmj.train import training_run
 from fishmj.train.__main__ import main
-from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.ppo import PPO, PPOConfig
-from fishmj.train.training_run import TrainingRun, learner_of
+from fishmj.train.training_run import MetricsLog, TrainingRun, learner_of
 
 STEP = 8192  # control steps an iteration of `calm_run`
 
@@ -38,7 +37,7 @@ def learner():
 
 @pytest.fixture(autouse=True)
 def short_pause(monkeypatch):
-    monkeypatch.setattr(interruptions, "PAUSE", 0.05)
+    monkeypatch.setattr(training_run, "PAUSE", 0.05)
 
 
 # ---- 1, 2: the physics leaves the finite numbers ----
@@ -268,7 +267,7 @@ def test_fault_14_figures_are_written_whole_or_not_at_all(tmp_path, monkeypatch)
         def write(self, data):
             return self.file.write(data[:10])
 
-    monkeypatch.setattr("fishmj.train.metrics_log.open", Full, raising=False)
+    monkeypatch.setattr("fishmj.train.training_run.open", Full, raising=False)
     with pytest.raises(OSError, match=r"disk full: needs \d+ bytes") as caught:
         board.write(2, {"reward": 0.7})
     assert caught.value.errno == errno.ENOSPC and board.path.read_bytes() == before
@@ -281,7 +280,7 @@ def test_another_failure_of_the_disk_is_an_error_and_no_pause():
         raise error
 
     with pytest.raises(StoreError, match="Read-only"):
-        interruptions.when_there_is_room(broken, [])
+        training_run.when_there_is_room(broken, [])
 
 
 # ---- 15: a damaged checkpoint ----

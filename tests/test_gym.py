@@ -16,9 +16,7 @@ from gymnasium.vector import AutoresetMode
 import fishmj.gym
 from fishmj import engines, mjcf
 from fishmj.errors import ConfigError, UnknownName
-from fishmj.gym import picture
-from fishmj.gym.fish_env import FishEnv
-from fishmj.gym.fish_vector_env import FishVectorEnv
+from fishmj.gym.fish_env import FishEnv, FishVectorEnv, Picture
 from fishmj.tasks import env as functional
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import Draws
@@ -304,7 +302,7 @@ def test_a_running_episode_is_drawn_as_a_film_of_it_is():
 
     from fishmj.replay.video import TopView
 
-    film, drawn = TopView([swim(2.0)]), picture.Picture(mjcf.load_robot("fish"))
+    film, drawn = TopView([swim(2.0)]), Picture(mjcf.load_robot("fish"))
     film.view, film.still = drawn.view, drawn.view.water()
     for extra in ("_trail", "_wind", "_chart", "_words"):
         setattr(film, extra, lambda *_: None)

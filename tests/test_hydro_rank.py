@@ -10,7 +10,7 @@ import pytest
 from fishmj import console, controllers, engines, interrupt
 from fishmj.engines import lbm
 from fishmj.errors import UsageError
-from fishmj.evaluate import figures, statistics, trials
+from fishmj.evaluate import figures, metrics, trials
 from fishmj.flow import stack
 from fishmj.hydro_fit.__main__ import main
 from fishmj.lbm_oracle.run.domain import preset
@@ -93,7 +93,7 @@ def test_the_worst_controller_decides_the_gap():
 
 
 def test_too_few_trials_tell_nobody_apart():
-    few = lambda w: {name: x[: statistics.APART - 1] for name, x in w.items()}
+    few = lambda w: {name: x[: metrics.APART - 1] for name, x in w.items()}
     found = rank.judged(KEY, [few(water(dob=0.1, pi=0.9))], [few(water(dob=0.1, pi=0.9))])
     assert found["counted"] == 0 and found["passed"]["tau"] is None and np.isnan(found["tau"])
 

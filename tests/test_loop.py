@@ -13,7 +13,7 @@ from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines.single import HookedWater, MujocoWater, StripWater
 from fishmj.sim import Sim
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.loop import SensorWindow
+from fishmj.tasks.episode import SensorWindow
 from fishmj.tasks.sensing import Sensors
 
 ROBOT = mjcf.load_robot("fish")

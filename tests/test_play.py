@@ -23,7 +23,7 @@ from fishmj.mjcf import load_robot
 from fishmj.mjcf.skin import posed, skin
 from fishmj.play import LiveSession
 from fishmj.play.__main__ import main, swim
-from fishmj.play.keyboard import Keyboard, press
+from fishmj.play.live_session import Keyboard, press
 from fishmj.replay.live_view import LiveView, Server, arrow, ring, slices_of
 
 
@@ -108,12 +108,12 @@ def test_a_passive_fish_drifts_with_the_current_that_the_keys_make(body):
 def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
     pond.step()
     before = log.stacked(pond.trial().tables["flow"], "u#x")[-1] + 0.2
+    from fishmj.engines.planar import link_centres
     from fishmj.flow import sample
-    from fishmj.play.live_session import _centres
 
     pond.set_flow(0.2 + 1e-9, math.pi)
     tick = np.array([pond.loop.count[0] * 10])
-    now = sample(np, pond.loop.scenario.current, _centres(pond._chain, pond.q[None]), tick)[0][0, :, 0] + 0.2
+    now = sample(np, pond.loop.scenario.current, link_centres(np, pond._chain, pond.q[None]), tick)[0][0, :, 0] + 0.2
     assert now == pytest.approx(before, abs=2e-4)
     pond.loop.count[0] = 500
     ahead = pond.loop.scenario.current

@@ -320,7 +320,7 @@ def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
         policy.reset(1)
         assert policy(np.zeros((1, 11))).shape == (1, 3)
         from fishmj.controllers.learned import body_of
-        from fishmj.policy_header import fit
+        from fishmj.policy import fit
 
         fit(policy.meta, body_of(ROBOT), any_path=False, known={})
     except FishmjError as error:

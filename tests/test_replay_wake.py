@@ -13,8 +13,8 @@ from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, Slice, write_slice
 from fishmj.mjcf import load_robot
 from fishmj.replay import track, write_html
 from fishmj.replay.__main__ import main
+from fishmj.replay.scene import colours, page_data, read_wake, strongest
 from fishmj.replay.video import TopView
-from fishmj.replay.wake import colours, page_data, read_wake, strongest
 from fishmj.store import write_json
 
 STRONG, PEAK, SIDE, WIDE = (

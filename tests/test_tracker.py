@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fishmj.tracker import delayed, estimate, slope_weights
+from fishmj.tasks.sensing import delayed, estimate, slope_weights
 
 DT = 0.02
 WINDOWS = st.integers(2, 12)

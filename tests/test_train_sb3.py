@@ -9,7 +9,7 @@ import pytest
 from training import StopAt, figures_of
 
 from fishmj import console
-from fishmj.gym.fish_vector_env import FishVectorEnv
+from fishmj.gym.fish_env import FishVectorEnv
 from fishmj.policy import Policy
 from fishmj.store import read_tensors
 from fishmj.train.__main__ import main
@@ -36,7 +36,7 @@ def test_without_the_extra_the_message_has_the_install_line(monkeypatch, capsys)
 
 @pytest.mark.sb3
 def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstrap():
-    from fishmj.train.sb3_env import FishVecEnv
+    from fishmj.train.sb3 import FishVecEnv
 
     shoal = FishVecEnv(settings(task={"turbulence": "gust", "hide": ("joint",)}), 6)
     seeds = shoal.seed(3)
@@ -65,7 +65,7 @@ def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstra
 
 @pytest.mark.sb3
 def test_seeds_of_runs_share_no_fish():
-    from fishmj.train.sb3_env import FishVecEnv
+    from fishmj.train.sb3 import FishVecEnv
 
     shoal = FishVecEnv(settings(), 4)
     first, second, again = shoal.seed(0), shoal.seed(1), shoal.seed(0)
@@ -75,8 +75,7 @@ def test_seeds_of_runs_share_no_fish():
 @pytest.mark.sb3
 def test_a_policy_with_memory_sees_what_sb3_saw():
     from fishmj.train.sac import SACConfig
-    from fishmj.train.sb3 import StableSAC
-    from fishmj.train.sb3_env import FishVecEnv
+    from fishmj.train.sb3 import FishVecEnv, StableSAC
 
     run = settings(task={"memory": 3, "turbulence": "gust"})
     shoal = FishVecEnv(run, 5)

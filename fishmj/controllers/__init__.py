@@ -13,6 +13,7 @@ A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS
 from a file.
 """
 
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from fishmj import plugins
-from fishmj.controllers.gains import gains_of
+from fishmj.calib import calib_folder, read_toml
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.policy import is_policy
@@ -115,6 +116,41 @@ def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = Fa
         controller.name = next(name for name in (controller.name, *same) if name not in names)
         names.append(controller.name)
     return made
+
+
+@cache
+def _file() -> dict:
+    return read_toml(calib_folder() / "controllers.toml")
+
+
+def gains_of(section: str, changes: dict | None = None) -> dict:
+    """Values of one section, some of them changed.
+
+    A section with `like = "other"` starts from that section. Raises UnknownName for a gain that does not exist.
+    """
+    table = dict(_file()[section])
+    base = table.pop("like", None)
+    values = gains_of(base) if base else {}
+    values.update({key: entry["value"] for key, entry in table.items()})
+    for key in changes or {}:
+        if key not in values:
+            raise UnknownName(f"gain of {section}", key, values)
+    return {**values, **(changes or {})}
+
+
+def gait_of(robot: Robot, name: str) -> dict:
+    """The section `gait`, for the controller `name` of this robot; `lag` is in rad.
+
+    Raises:
+        ConfigError: the robot has not the joints that the gait is for.
+    """
+    gait = gains_of("gait")
+    lag = np.radians(gait["lag_deg"])
+    if len(lag) != robot.n_joints:
+        raise ConfigError(
+            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
+        )
+    return {**gait, "lag": lag}
 
 
 __all__ = ["CONTROLLERS", "NAMES", "Controller", "chosen", "make", "several", "shipped_policies"]

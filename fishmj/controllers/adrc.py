@@ -13,9 +13,9 @@ saturates the loop); inside `hover_radius` the gait idles at `hover_speed`.
 
 import numpy as np
 
+from fishmj.controllers import gait_of
 from fishmj.controllers.cpg import Cpg, cpg_of
 from fishmj.controllers.estimator import StateEstimator
-from fishmj.controllers.gains import gait_of
 from fishmj.controllers.gait_table import SpeedToGait, throttle_of
 from fishmj.mjcf.description import Robot
 from fishmj.units import wrap

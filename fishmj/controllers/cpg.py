@@ -62,6 +62,6 @@ class Cpg:
 
 
 def cpg_of(robot: Robot, gait: Mapping) -> Cpg:
-    """The oscillators of a robot's gait (`gains.gait_of`)."""
+    """The oscillators of a robot's gait (`controllers.gait_of`)."""
     amplitude, bias = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
     return Cpg(robot, gait["lag"], Rates(frequency=gait["frequency_rate"], amplitude=amplitude, bias=bias))

@@ -152,13 +152,8 @@ def main(argv: list[str]) -> int:
     m = measure(args.robot, engine=args.engine)
     rounded = lambda a, n: [rounded(r, n) for r in a] if np.ndim(a) else round(float(a), n)
     source = 'source = "derived: python -m fishmj.controllers.gait_table"'
-    for key, unit, digits in (
-        ("speed", "m/s", 4),
-        ("wobble", "1", 3),
-        ("sway", "m/rad", 4),
-        ("turn", "1/m", 3),
-        ("glide", "m", 3),
-    ):
+    told = (("speed", "m/s", 4), ("wobble", "1", 3), ("sway", "m/rad", 4), ("turn", "1/m", 3), ("glide", "m", 3))
+    for key, unit, digits in told:
         console.say(f'{key} = {{ value = {rounded(m[key], digits)}, unit = "{unit}", {source} }}')
     console.say(f"# not explained by the joints: {m['residual'][0]:.2f} of the head's yaw, {m['residual'][1]:.2f} of the sway")
     return console.OK

@@ -9,12 +9,10 @@ from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import observation_of, structure_of
 from fishmj.names import nearest
-from fishmj.policy import FOLDER, Policy, file_of
-from fishmj.policy_header import PolicyBody, fit
+from fishmj.policy import FOLDER, Policy, PolicyBody, file_of, fit
 from fishmj.tasks import station_hold as task
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
-
 OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE makes a policy for this one"
 
 

@@ -12,11 +12,10 @@ Course = direction of W, speed = the part of W along it.
 
 import numpy as np
 
+from fishmj.controllers import gait_of
 from fishmj.controllers.cpg import cpg_of
 from fishmj.controllers.estimator import StateEstimator, turned
-from fishmj.controllers.gains import gait_of
-from fishmj.controllers.heading_speed import HeadingSpeedController
-from fishmj.controllers.line_of_sight import capped
+from fishmj.controllers.line_of_sight import HeadingSpeedController, capped
 from fishmj.mjcf.description import Robot
 from fishmj.units import wrap
 

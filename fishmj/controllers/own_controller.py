@@ -42,12 +42,13 @@ class Own:
     def __call__(self, obs) -> np.ndarray:
         """Commands (B, T, J) rad. Raises OwnCodeError: it fails, or gives another shape, no finite numbers, or degrees."""
         answer = plugins.call(f"{self.what}, control step {self.count}", self.controller, np.array(obs, float))
-        expected = f"bus commands {(len(obs), ticks_per(self.robot)[1], self.robot.n_joints)}, (trials, ticks, joints) in rad"
+        shape = (len(obs), ticks_per(self.robot)[1], self.robot.n_joints)
+        expected = f"bus commands {shape}, (trials, ticks, joints) in rad"
         try:
             commands = np.array(answer, float)
         except (TypeError, ValueError) as error:
             raise self._wrong(f"gave a {type(answer).__name__} that is no array of numbers", expected) from error
-        if commands.shape != (len(obs), ticks_per(self.robot)[1], self.robot.n_joints):
+        if commands.shape != shape:
             raise self._wrong(f"gave an array of shape {commands.shape}", expected)
         if not np.isfinite(commands).all():
             raise self._wrong(f"gave {int((~np.isfinite(commands)).sum())} values that are not finite", expected)

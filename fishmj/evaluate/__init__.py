@@ -3,13 +3,11 @@
     result = evaluate.run("dob", trials=evaluate.trials(turbulence="gust", intensity=0.10))
     evaluate.summary(result)["overall"]["rmse_last20"]
 
-The protocol is in `protocol`, the loop in `driver`, the definitions in `metrics`, the intervals in `statistics`.
+The protocol is in `protocol`, the loop in `run_trials`, definitions and intervals in `metrics`.
 """
 
-from fishmj.evaluate.metrics import UNITS, figures
+from fishmj.evaluate.metrics import UNITS, IntervalEstimate, PairedDifference, Result, compare, figures, summary
 from fishmj.evaluate.protocol import Trials, trials
-from fishmj.evaluate.result import Result
 from fishmj.evaluate.run_trials import run
-from fishmj.evaluate.statistics import IntervalEstimate, PairedDifference, compare, summary
 
 __all__ = ["UNITS", "PairedDifference", "IntervalEstimate", "Result", "Trials", "compare", "figures", "run", "summary", "trials"]

@@ -8,12 +8,10 @@ from pathlib import Path
 from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
-from fishmj.evaluate import protocol, tables
-from fishmj.evaluate.finished_trials import FinishedTrials
-from fishmj.evaluate.report import save, write
-from fishmj.evaluate.result import Result
-from fishmj.evaluate.run_trials import run
-from fishmj.evaluate.statistics import compare, summary
+from fishmj.evaluate import protocol
+from fishmj.evaluate.metrics import Result, compare, summary
+from fishmj.evaluate.report import REST, STARRED, by_condition, condition, overall, paired, save, unbounded, write
+from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
@@ -54,41 +52,14 @@ def options() -> console.Parser:
     angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315"
     add("--los", type=los, metavar="DEG,..", help=angle)
     add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
-    add(
-        "--heading",
-        choices=protocol.HEADINGS,
-        default="upstream",
-        help="of the fish at the start; uniform: drawn",
-    )
-    add(
-        "--engine",
-        choices=engines.NAMES,
-        default="batch",
-        help="what moves the fish; batch (MuJoCo in C) judges",
-    )
-    add(
-        "--duration",
-        type=console.number(1, 600),
-        metavar="S",
-        help="of a trial; default 60",
-    )
+    add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start; uniform: drawn")
+    add("--engine", choices=engines.NAMES, default="batch", help="what moves the fish; batch (MuJoCo in C) judges")
+    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
     add("--seed", type=console.SEED, default=0, help="of all draws")
-    add(
-        "--seeds",
-        choices=protocol.SETS,
-        default="judge",
-        help="which draws; tune is for choosing gains and checkpoints",
-    )
-    add(
-        "--command-path",
-        choices=COMMAND_PATHS,
-        help="servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too",
-    )
-    add(
-        "--any-command-path",
-        action="store_true",
-        help="policies steer on the robot's command path, not on theirs",
-    )
+    add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
+    path = "servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too"
+    add("--command-path", choices=COMMAND_PATHS, help=path)
+    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, not on theirs")
     own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
@@ -180,15 +151,11 @@ def tanks_words(folder: Path | None) -> str:
     """What an interrupted judgement in the flow solver says."""
     if folder is None:
         return "nothing was kept: with --out DIR every finished trial is"
-    return f"{folder / 'lbm'} holds {len(list((folder / 'lbm').glob('*.npz')))} trials; {interrupt.again()}"
+    return f"{folder / KEPT} holds {len(list((folder / KEPT).glob('*.npz')))} trials; {interrupt.again()}"
 
 
 def affordable(robot, trials, brains: int) -> None:
-    """Refuse what this machine cannot hold.
-
-    Raises:
-        TooMuch: with the estimate.
-    """
+    """Refuse what this machine cannot hold. Raises TooMuch: with the estimate."""
     ticks = trials.duration / robot.timing.bus_dt * len(trials)
     need = ticks * (brains * HELD + WORK) * (robot.n_joints + 3)
     what, less = f"{len(trials)} trials of {trials.duration:g} s by {brains} controllers", "take fewer --repeats, or a part by"
@@ -218,20 +185,19 @@ def judge(brain, robot, trials, engine) -> Result:
 
 def judge_in_tanks(brain, robot, trials, args) -> Result:
     """One controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
-    from fishmj.evaluate import lbm_trials
 
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
         options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
         seen = lambda k: bar.update(k * robot.timing.control_dt)
-        return lbm_trials.judge(brain, robot, trials, args.out, progress=seen, **options)
+        return judge_in_solver(brain, robot, trials, args.out, progress=seen, **options)
 
 
 def findings(results: list[Result]) -> dict:
     """What results.json holds."""
     a = results[0]
     return {
-        "condition": tables.condition(a),
+        "condition": condition(a),
         "results": [summary(r) for r in results],
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
@@ -243,16 +209,16 @@ def report(results: list[Result], args) -> int:
     summaries = found["results"]
     if args.out is not None:
         save(args.out, results, found)
-    console.say("", tables.condition(results[0]), "value (95 % bootstrap interval over trials)", "")
-    console.say(console.table(tables.overall(summaries)), "")
-    console.say(console.table(tables.overall(summaries, ("arrival", *tables.REST))), *tables.unbounded(summaries))
+    console.say("", condition(results[0]), "value (95 % bootstrap interval over trials)", "")
+    console.say(console.table(overall(summaries)), "")
+    console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))
     for s in summaries:
-        console.say("", f"{s['controller']} by flow speed", console.table(tables.by_condition(s, "by_speed")))
+        console.say("", f"{s['controller']} by flow speed", console.table(by_condition(s, "by_speed")))
         what = "by direction (0 = target straight upstream)"
-        console.say("", f"{s['controller']} {what}", console.table(tables.by_condition(s, "by_los")))
+        console.say("", f"{s['controller']} {what}", console.table(by_condition(s, "by_los")))
     for other in results[1:]:
         what = f"{other.controller} minus {results[0].controller}"
-        console.say("", f"paired over the same trials: {what}; {tables.STARRED}", console.table(tables.paired(results[0], other)))
+        console.say("", f"paired over the same trials: {what}; {STARRED}", console.table(paired(results[0], other)))
     if args.out is not None:
         console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log, again=args.again)}")
     if args.json:

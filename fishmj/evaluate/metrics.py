@@ -1,4 +1,4 @@
-"""One figure a trial, for each of the decided keys. NaN where a trial has no such figure.
+"""What a judgement yields: the time series of every trial, one figure a trial for each key, and the statements made of them.
 
     arrival             1 if the fish enters 0.1 m within 30 s
     approach_time       s, of the first entry
@@ -8,17 +8,34 @@
     energy_per_metre    J/m of way through the water;  cost_of_transport = that / (m g)
     rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg
 
-psi and the speed through the water are averaged over 1 s, so that the beat does not count as turning or as way. A trial
-that leaves the domain keeps its distance from there on; power, way and heading count until it leaves.
+A figure is NaN where a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat does not
+count as turning or as way. A trial that leaves the domain keeps its distance from there on; power, way and heading count until
+it leaves. Means stand with bootstrap intervals, by condition, and in paired comparisons:
+
+    interval      percentile bootstrap over trials, 95 %, fixed seed (Efron & Tibshirani 1993)
+    difference    mean of b_i - a_i over the trials that both have, its bootstrap interval, and Welch's t-test of a against b
+    too few       of fewer than `ENOUGH` trials there is neither interval nor test (NaN): a bootstrap of so few draws the same
+                  values again and again, and its interval is far too narrow (one trial: none wide at all)
+    told apart    the interval excludes 0, of `APART` pairs or more: of fewer even two equal controllers give all differences
+                  the same sign in 2^(1 - n) > 5 % of the draws, so that no 95 % interval can tell
+
+Approach time is a median over the trials that arrive; every other key is a mean over the trials that have it.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
 from fishmj.calib import constant
-from fishmj.evaluate.result import Result, arrival_tick
+from fishmj.errors import ConfigError
+from fishmj.evaluate.protocol import Trials
+from fishmj.mjcf.description import Robot
 from fishmj.units import G, wrap
 
 BEAT = 1.0  # s, averaging window
+RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
+ENOUGH, APART = 5, 6  # trials
+MEDIANS = ("approach_time",)
 UNITS = {
     "arrival": "1",
     "approach_time": "s",
@@ -31,6 +48,41 @@ UNITS = {
     "rheotactic_index": "1",
     "rheotactic_index_linear": "1",
 }
+
+
+class Result(NamedTuple):
+    """What n trials did; T bus ticks of 20 ms, row 0 is the start; K control steps."""
+
+    controller: str
+    policy_sha256: str  # of a policy's file, else ""
+    robot: Robot
+    trials: Trials
+    engine: str
+    t: np.ndarray  # (T + 1,) s
+    target: np.ndarray  # (n, 2) m
+    pose: np.ndarray  # (n, T + 1, 3) m, m, rad; tank frame, yaw not wrapped
+    velocity: np.ndarray  # (n, T + 1, 3) true rates
+    joint: np.ndarray  # (n, T + 1, J) rad
+    rate: np.ndarray  # (n, T + 1, J) rad/s
+    power: np.ndarray  # (n, T) W, servos and idle, mean over a tick
+    command: np.ndarray  # (n, T, J) rad, on the bus
+    obs: np.ndarray  # (n, K, 5 + 2 J)
+    action: np.ndarray | None  # (n, K, J) of policies
+    distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
+    left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
+
+    @property
+    def water(self) -> str:
+        """`lbm` for the flow solver, else the robot's model: `structured`, `surrogate` or the file of a fitted one."""
+        return "lbm" if self.engine.startswith("tanks") else str(self.robot.water.get("model", "structured"))
+
+
+def arrival_tick(result: Result) -> np.ndarray:
+    """(n,) tick of the first entry into the arrival radius within the arrival time; -1 where there is none."""
+    limit = round(constant("protocol", "arrival_time") / result.robot.timing.bus_dt)
+    inside = (result.distance <= constant("protocol", "arrival_radius"))[:, : limit + 1]
+    inside &= np.arange(inside.shape[1]) < result.left[:, None]
+    return np.where(inside.any(1), inside.argmax(1), -1)
 
 
 def figures(r: Result) -> dict[str, np.ndarray]:
@@ -97,3 +149,108 @@ def _way(r: Result) -> np.ndarray:
 def _until_left(r: Result, x) -> np.ndarray:
     """x (n, T) with zeros after the trial has left the domain."""
     return x * (np.arange(x.shape[1]) < r.left[:, None])
+
+
+class IntervalEstimate(NamedTuple):
+    """A figure with its interval over n trials; `why` there is none, where low and high are NaN."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+    why: str = ""
+
+
+class PairedDifference(NamedTuple):
+    """b minus a, trial by trial, and Welch's test of the two samples."""
+
+    key: str
+    value: float
+    low: float
+    high: float
+    n: int
+    welch_t: float
+    welch_p: float
+    why: str = ""
+
+    @property
+    def apart(self) -> bool:
+        """Whether the difference is one: its interval excludes 0, of `APART` pairs or more."""
+        return self.n >= APART and (self.low > 0 or self.high < 0)
+
+
+def too_few(n: int) -> str:
+    """Why n trials have no interval; "" where they have one."""
+    return f"too few trials for an interval: {n} of {ENOUGH}" if n < ENOUGH else ""
+
+
+def estimate(key: str, values) -> IntervalEstimate:
+    """Gather (n,) figures, NaN left out, with a bootstrap interval over trials."""
+    x = np.asarray(values, float)
+    x = x[np.isfinite(x)]
+    middle = np.median if key in MEDIANS else np.mean
+    value = float(middle(x)) if len(x) else np.nan
+    if why := too_few(len(x)):
+        return IntervalEstimate(value, np.nan, np.nan, len(x), why)
+    return IntervalEstimate(value, *_interval(middle(_resampled(x), -1)), len(x))
+
+
+def difference(key: str, a, b) -> PairedDifference:
+    """Paired difference b - a of (n,) figures of the same trials; pairs with a NaN are left out."""
+    from scipy.stats import ttest_ind_from_stats
+
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both], b[both]
+    value = float(np.mean(b - a)) if len(a) else np.nan
+    if why := too_few(len(a)):
+        return PairedDifference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, why)
+    low, high = _interval(_resampled(b - a).mean(-1))
+    t = p = np.nan
+    if np.ptp(a) > 0 or np.ptp(b) > 0:
+        one, two = ((x.mean(), x.std(ddof=1), len(x)) for x in (b, a))
+        t, p = ttest_ind_from_stats(*one, *two, equal_var=False)
+    return PairedDifference(key, value, low, high, len(a), float(t), float(p))
+
+
+def _resampled(x) -> np.ndarray:
+    """(RESAMPLES, n) draws with replacement, the same for every key and controller of n trials."""
+    return x[np.random.default_rng(SEED).integers(len(x), size=(RESAMPLES, len(x)))]
+
+
+def _interval(draws) -> tuple[float, float]:
+    tail = (1 - LEVEL) / 2
+    low, high = np.quantile(draws, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def summary(result: Result) -> dict:
+    """Every key over all trials, by speed and by direction; plain numbers, ready for JSON.
+
+    Returns:
+        {"controller", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..}, "by_los": {"45": ..}}
+    """
+    found = figures(result)
+    trials = result.trials
+    degrees = np.round(np.degrees(trials.los)).astype(int)
+    return {
+        "controller": result.controller,
+        "n": len(trials),
+        "overall": gather(found),
+        "by_speed": {f"{u:g}": gather(found, trials.speed == u) for u in np.unique(trials.speed)},
+        "by_los": {f"{b}": gather(found, degrees == b) for b in np.unique(degrees)},
+        "left_domain": int(np.sum(result.left < len(result.t))),
+    }
+
+
+def gather(found: dict, rows=slice(None)) -> dict:
+    """{key: {value, low, high, n, why, unit}} of some trials."""
+    return {key: {**estimate(key, x[rows])._asdict(), "unit": UNITS[key]} for key, x in found.items()}
+
+
+def compare(first: Result, second: Result) -> list[PairedDifference]:
+    """second minus first for every key, over the same trials. Raises ConfigError: the two were not judged on the same trials."""
+    if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
+        raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
+    a, b = figures(first), figures(second)
+    return [difference(key, a[key], b[key]) for key in UNITS]

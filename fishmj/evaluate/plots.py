@@ -12,8 +12,7 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.errors import MissingExtra
-from fishmj.evaluate.metrics import beat_mean, figures
-from fishmj.evaluate.result import Result
+from fishmj.evaluate.metrics import Result, beat_mean, figures
 from fishmj.pages import drawn
 from fishmj.units import wrap
 
@@ -118,8 +117,7 @@ def radar(results: list[Result], path: Path) -> Path:
         for row, speed in enumerate(speeds):
             axis = polar(axes[row, column])
             for f, r, colour, dash in found:
-                los = np.unique(r.trials.los)
-                mean = np.array([_mean(f[key][(r.trials.speed == speed) & (r.trials.los == b)]) for b in los])
+                los, mean = np.unique(r.trials.los), _means(f[key], r, speed)
                 axis.plot(np.append(los, los[0]), np.append(mean, mean[0]), color=colour, linestyle=dash, linewidth=2)
                 axis.scatter(los, mean, color=colour, s=16, zorder=3)
             if key in LOGARITHMIC:
@@ -132,19 +130,16 @@ def radar(results: list[Result], path: Path) -> Path:
     return save(figure, path)
 
 
-def _mean(x) -> float:
-    x = x[np.isfinite(x)]
-    return float(np.mean(x)) if len(x) else np.nan
+def _means(values, r: Result, speed: float) -> np.ndarray:
+    """Means of a figure (n,) over the trials that have it, at one speed, in each direction; NaN where there are none."""
+    some = [values[(r.trials.speed == speed) & (r.trials.los == b)] for b in np.unique(r.trials.los)]
+    return np.array([np.mean(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some])
 
 
 def _ceiling(found, key: str, results) -> float:
     """Radius of a radar column: the largest mean of any condition."""
-    tops = []
-    for f, r, *_ in found:
-        for speed in speeds_of(results):
-            tops += [_mean(f[key][(r.trials.speed == speed) & (r.trials.los == b)]) for b in np.unique(r.trials.los)]
-    tops = [t for t in tops if np.isfinite(t)]
-    return 1.08 * max(tops) if tops else 1.0
+    tops = np.concatenate([_means(f[key], r, speed) for f, r, *_ in found for speed in speeds_of(results)])
+    return 1.08 * float(np.nanmax(tops)) if np.isfinite(tops).any() else 1.0
 
 
 def polar(axis):
@@ -188,6 +183,8 @@ def headings(results: list[Result], path: Path) -> Path:
 
 def tracks(results: list[Result], path: Path) -> Path:
     """Tracks relative to the target: rows controllers, columns speeds, colour by direction."""
+    from matplotlib.patches import Circle
+
     speeds = speeds_of(results)
     figure, axes = canvas(len(results), len(speeds), (3.6 * len(speeds), 3.6 * len(results)), sharex=True, sharey=True)
     los = np.unique(results[0].trials.los)
@@ -202,7 +199,7 @@ def tracks(results: list[Result], path: Path) -> Path:
                 hue = COLOURS[np.searchsorted(los, r.trials.los[i]) % len(COLOURS)]
                 axis.plot(-left[i, :stop], up[i, :stop], color=hue, linewidth=0.8, alpha=0.8)
                 axis.plot(-left[i, 0], up[i, 0], "o", color=hue, markersize=4)
-            axis.add_patch(_circle(constant("protocol", "arrival_radius")))
+            axis.add_patch(Circle((0, 0), constant("protocol", "arrival_radius"), fill=False, color=INK, linewidth=1, zorder=4))
             axis.plot(0, 0, "+", color=INK, markersize=9, zorder=4)
             axis.annotate("", (1.75, 1.2), (1.75, 1.8), arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.6})
             axis.text(1.66, 1.5, "flow", ha="right", va="center", color="#0072B2", fontsize=9)
@@ -211,9 +208,3 @@ def tracks(results: list[Result], path: Path) -> Path:
     for axis in axes[-1]:
         axis.set_xlabel("to the right, facing upstream [m]")
     return save(figure, path)
-
-
-def _circle(radius: float):
-    from matplotlib.patches import Circle
-
-    return Circle((0, 0), radius, fill=False, color=INK, linewidth=1, zorder=4)

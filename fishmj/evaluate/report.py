@@ -1,24 +1,48 @@
-"""Files of a judgement: results.json, trials.csv, pictures, trial folders, and one self-contained report.html."""
+"""Tables of a judgement and its files: results.json, trials.csv, pictures, trial folders, one self-contained report.html.
+
+Rows of tables are the same in the terminal and on the page: with units and intervals, every condition named.
+"""
 
 import csv
 import io
 import json
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from functools import partial
+from math import ceil, isfinite
 from pathlib import Path
 
 import numpy as np
 
 from fishmj import console
 from fishmj.calib import constant
+from fishmj.dynamics.planar_chain import chain_of
+from fishmj.engines.planar import link_centres
 from fishmj.errors import FishmjError, StoreError
-from fishmj.evaluate import metrics, tables
-from fishmj.evaluate.result import Result
-from fishmj.evaluate.statistics import compare
-from fishmj.evaluate.trial_logs import name_of, trial_of, write_logs
+from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
+from fishmj.flow import sample, stack
+from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.mjcf.identity import identity
 from fishmj.pages import Section, figure, part, report, table
-from fishmj.store import write_text
+from fishmj.source import made_by
+from fishmj.store import Manifest, write_text
+from fishmj.tasks.sensing import NOTE, logged, logged_meta
 
+SHORT = {  # key -> heading, digits
+    "arrival": ("arrival", 3),
+    "approach_time": ("approach [s]", 1),
+    "rmse_after_arrival": ("rmse after [m]", 3),
+    "rmse_last20": ("rmse last 20 s [m]", 3),
+    "rmse_total": ("rmse total [m]", 3),
+    "power": ("power [W]", 2),
+    "energy_per_metre": ("energy [J/m]", 1),
+    "cost_of_transport": ("CoT", 2),
+    "rheotactic_index": ("RI cos", 3),
+    "rheotactic_index_linear": ("RI lin", 3),
+}
+STARRED = f"* = the interval excludes 0, of {APART} pairs or more"
+MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
+REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
 BASELINE = "drift"  # the controller that does nothing
 FORMULA = tuple("=+-@\t\r")  # what a spreadsheet takes for the start of one
@@ -31,6 +55,158 @@ MEANING = {
     "power": "mean electrical power, idle included",
     "RI": "rheotactic index over 30 to 60 s, heading averaged over a beat; 1 = always upstream",
 }
+BLOCK = 200  # ticks whose flow is looked up at once
+
+
+def trial_of(r: Result, i: int) -> Trial:
+    """Trial i of a result in the log's schema, origin "synthetic".
+
+    `joint` and `pose` are what encoders and tracker report (`tasks.sensing`), `truth` is the exact state. A fish whose
+    tank stopped is logged up to there.
+    """
+    ticks = ended(r, i)
+    t, start, step = r.t[1 : ticks + 1], r.t[:ticks], r.robot.timing.control_dt
+    item, flow = r.trials.items[i], r.trials.flows()[i]
+    decisions = np.arange(ceil(ticks / round(step / r.robot.timing.bus_dt))) * step
+    pose, velocity, joint, rate = (x[i, 1 : ticks + 1] for x in (r.pose, r.velocity, r.joint, r.rate))
+    params, camera = replace(r.trials, items=(item,)).fish(r.robot)
+    swum = (start, t, r.command[i, :ticks], pose, velocity, joint, rate, r.power[i, :ticks])
+    tables = {
+        **logged(r.robot, *swum, params, camera, start=r.pose[i, 0], random=item.draw(4), strength=r.trials.noise),
+        "obs": {"t": decisions, **numbered("o#", r.obs[i, : len(decisions)])},
+        "target": {"t": np.zeros(1), "x": r.target[i, :1], "y": r.target[i, 1:]},
+        "flow": {"t": start, **_flow_at_links(r, i, ticks)},
+    }
+    if r.action is not None:
+        tables["action"] = {"t": decisions, **numbered("a#", r.action[i, : len(decisions)])}
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        **identity(r.robot),
+        "medium": "water",
+        "flow": {**asdict(flow), "known": True},
+        "water": r.water,
+        "root": "planar",
+        "engine": r.engine,
+        "controller": r.controller,
+        "policy_sha256": r.policy_sha256,
+        "target": r.target[i].tolist(),
+        "seed": int(item.seed[0]),
+        "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
+        "randomisation": r.trials.randomisation,
+        "excitation": "station holding",
+        **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
+        **made_by("numpy", "mujoco"),
+        "source": "fishmj.evaluate",
+        "licence": "Apache-2.0",
+        "notes": NOTE if ticks == len(r.t) - 1 else f"{NOTE}; the tank stopped after {ticks * r.robot.timing.bus_dt:.2f} s",
+    }
+    return Trial(meta, tables)
+
+
+def name_of(r: Result, i: int) -> str:
+    """Folder name of trial i: `dob_u0.2_los045_r1`."""
+    t = r.trials.items[i]
+    return f"{r.controller}_u{t.speed:g}_los{round(np.degrees(t.los)) % 360:03d}_r{t.repeat}"
+
+
+def write_logs(r: Result, folder: Path) -> list[Path]:
+    """Every trial as a folder under `folder`, which with its manifest is a data set."""
+    written = [write_trial(folder / name_of(r, i), trial_of(r, i), overwrite=True) for i in range(len(r.trials))]
+    Manifest.of(folder, {"source": "fishmj.evaluate", "licence": "Apache-2.0"}).write(folder)
+    return written
+
+
+def ended(r: Result, i: int) -> int:
+    """Bus ticks of trial i that were swum: all, or in the flow solver those before its tank stopped and the fish stood still."""
+    last = len(r.t) - 1
+    if r.water != "lbm" or r.left[i] > last:
+        return last
+    state = np.concatenate([r.pose[i], r.joint[i]], -1)
+    moved = np.flatnonzero((np.diff(state, axis=0) != 0).any(-1))
+    return int(moved[-1]) + 1 if len(moved) else last
+
+
+def _flow_at_links(r: Result, i: int, ticks: int) -> dict:
+    """Water velocity at the link centres at the start of each tick, as columns."""
+    current, chain = stack([r.trials.flows()[i]]), chain_of(r.robot)
+    q = np.concatenate([r.pose[i], r.joint[i]], -1)[:ticks]
+    rows = []
+    for first in range(0, len(q), BLOCK):
+        some = q[first : first + BLOCK]
+        tick = first + np.arange(len(some))
+        many = current._replace(
+            **{name: np.repeat(getattr(current, name), len(some), 0) for name in ("mean", "rms", "row", "offset", "turn")}
+        )
+        rows.append(sample(np, many, link_centres(np, chain, some), tick)[0])
+    u = np.concatenate(rows)
+    return {**numbered("u#x", u[:, :, 0]), **numbered("u#y", u[:, :, 1])}
+
+
+def condition(result: Result) -> str:
+    """One line that names everything that a figure depends on."""
+    t = result.trials
+    speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
+    turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
+    switch = lambda on: "on" if on else "off"
+    return (
+        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
+        f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
+        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}"
+    )
+
+
+def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
+    """One row a controller: value and 95 % interval over trials."""
+    return [{"controller": s["controller"], **{SHORT[k][0]: cell(k, s["overall"][k]) for k in keys}} for s in summaries]
+
+
+def cell(key: str, e: dict, interval: bool = True) -> str:
+    """`0.052 (0.048 0.057)`; the median over arrivals says their number."""
+    digits = SHORT[key][1]
+    if e["n"] == 0:
+        return "-"
+    text = f"{e['value']:.{digits}f}"
+    if interval and not e["why"]:
+        text += f" ({e['low']:.{digits}f} {e['high']:.{digits}f})"
+    return f"{text} n={e['n']}" if key == "approach_time" else text
+
+
+def unbounded(summaries: list[dict]) -> list[str]:
+    """Which figures of which controller stand there without an interval, and why: a line a reason."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for s in summaries:
+        for key, e in s["overall"].items():
+            if e["why"] and e["n"]:
+                found.setdefault((s["controller"], e["why"]), []).append(SHORT[key][0])
+    return [f"{name}: {', '.join(heads)}: {why}" for (name, why), heads in found.items()]
+
+
+def number(x: float, form: str) -> str:
+    """A number, or `-` where there is none."""
+    return format(x, form) if isfinite(x) else "-"
+
+
+def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
+    """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
+    head = {"by_speed": "flow [m/s]", "by_los": "los [deg]"}[which]
+    order = sorted(summary[which], key=float)
+    return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
+
+
+def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
+    """second minus first, trial by trial: mean difference, its interval or why there is none, Welch's t-test."""
+    rows = []
+    for d in compare(first, second):
+        if d.key not in keys:
+            continue
+        head, digits = SHORT[d.key]
+        value = f"{d.value:+.{digits}f}" if d.n else "-"
+        row: dict[str, object] = {"key": head, f"{second.controller} - {first.controller}": value}
+        row["95 % interval"] = d.why or f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if d.apart else ''}"
+        row |= {"pairs": d.n, "Welch t": number(d.welch_t, ".2f"), "Welch p": number(d.welch_p, ".2g")}
+        rows.append(row)
+    return rows
 
 
 def write(folder: Path, results: list[Result], found: dict, *, plots: bool = False, logs: bool = False, again: str = "") -> Path:
@@ -81,21 +257,21 @@ def trials_csv(results: list[Result]) -> str:
     """One row a trial and controller: condition, seed, every figure."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
-    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *metrics.UNITS])
+    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *UNITS])
     for r in results:
-        found, seeds = metrics.figures(r), [f.seed for f in r.trials.flows()]
+        found, seeds = figures(r), [f.seed for f in r.trials.flows()]
         for i, t in enumerate(r.trials.items):
             left = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
             name = f"'{r.controller}" if r.controller[:1] in FORMULA else r.controller  # as spreadsheets mark text
             row = [name, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left]
-            out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in metrics.UNITS)])
+            out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in UNITS)])
     return text.getvalue()
 
 
 def worst(r: Result) -> int:
     """Trial with the largest RMS distance after arrival; of a judgement too short for that, over all of it."""
-    after = metrics.figures(r)["rmse_after_arrival"]
-    return int(np.argmax(after if np.isfinite(after).all() else metrics.rms(r, 0.0, float(r.t[-1]))))
+    after = figures(r)["rmse_after_arrival"]
+    return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
 def replay_of_worst(r: Result, out: Path) -> Path:
@@ -109,7 +285,7 @@ def replay_of_worst(r: Result, out: Path) -> Path:
 def headline(results: list[Result]) -> str:
     """The result in one sentence: how many trials the first controller holds, how closely, and against the `baseline`."""
     first, radius = results[0], constant("protocol", "arrival_radius")
-    found = metrics.figures(first)
+    found = figures(first)
     after, n = found["rmse_after_arrival"], len(first.trials)
     words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
     if not np.isfinite(after).all():
@@ -131,7 +307,7 @@ def against(first: Result, other: Result) -> str:
     if not d.apart:
         return f"these trials do not tell it from {other.controller}"
     side = "nearer to the target than" if d.value > 0 else "farther from the target than"
-    mean = metrics.figures(other)["rmse_after_arrival"].mean()
+    mean = figures(other)["rmse_after_arrival"].mean()
     without = "no control, " if other.controller == BASELINE else ""
     return f"{abs(d.value):.3f} m {side} {other.controller} ({without}{mean:.3f} m)"
 
@@ -143,22 +319,22 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], repl
     notes = [found["condition"]]
     if told is None:
         notes.append(f"Judged alone. Name {BASELINE} (no control) or another controller behind it, and it is compared with that.")
-    elif np.isfinite(metrics.figures(first)["rmse_after_arrival"]).all():
+    elif np.isfinite(figures(first)["rmse_after_arrival"]).all():
         notes += [f"Against {other.controller}: {against(first, other)}." for other in results[1:] if other is not told]
     worst_name = name_of(first, worst(first))
     if replay:
         notes.append(part("link", replay, "Replay of the worst trial", worst_name))
     elif again:
         notes.append(part("command", f"The worst trial is {worst_name}. Its replay is written by", again))
-    overall = [tables.overall(summaries), tables.overall(summaries, ("arrival", *tables.REST))]
+    every = [overall(summaries), overall(summaries, ("arrival", *REST))]
     about = "value (95 % bootstrap interval over trials)"
-    sections = [Section("All trials", about, [*map(table, overall), *tables.unbounded(summaries)])]
+    sections = [Section("All trials", about, [*map(table, every), *unbounded(summaries)])]
     for other in results[1:]:
         title = f"{other.controller} minus {first.controller}, paired by trial"
-        sections.append(Section(title, tables.STARRED, [table(tables.paired(first, other))]))
+        sections.append(Section(title, STARRED, [table(paired(first, other))]))
     sections.append(Section("", "", [figure(path.read_bytes(), caption) for path, caption in shown]))
     for s in summaries:
-        conditions = [table(tables.by_condition(s, which)) for which in ("by_speed", "by_los")]
+        conditions = [table(by_condition(s, which)) for which in ("by_speed", "by_los")]
         sections.append(Section(f"{s['controller']} by condition", "", conditions))
     meant = [{"figure": key, "meaning": value} for key, value in MEANING.items()]
     sections.append(Section("What the figures mean", "", [table(meant, left=2)]))

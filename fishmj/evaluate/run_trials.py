@@ -1,21 +1,34 @@
 """Run a controller over all trials at once: observe -> controller -> engine -> record.
 
 `run` is the whole judge's loop. The engine is batched MuJoCo unless another is asked for; all engines give the same swim.
+`judge_in_solver` runs the same trials in the flow solver, in groups. What is finished is kept for an interrupted judgement.
 """
 
+import json
+import shutil
 from collections.abc import Callable
+from dataclasses import asdict, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj import controllers
-from fishmj.errors import ConfigError, SimDiverged
+from fishmj import console, controllers, interrupt, store
+from fishmj.calib import calib_folder
+from fishmj.errors import ConfigError, SimDiverged, StoreError
 from fishmj.evaluate import protocol
+from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
-from fishmj.evaluate.result import Result
 from fishmj.flow import stack
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.source import package_sha256
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.loop import ControlLoop, Scenario
+from fishmj.tasks.episode import ControlLoop, Scenario
+
+KEPT = "lbm"  # folder of finished trials in the flow solver
+OF_A_TRIAL = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
+ARRAYS = ("t", "target", "pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
 
 
 def run(
@@ -115,3 +128,185 @@ def _named(error: SimDiverged, trials: Trials, time: float) -> SimDiverged:
     trial = trials.items[int(bad[0])]
     where = f"{trial.speed} m/s, los {np.degrees(trial.los):.0f} deg, repeat {trial.repeat}, after {time:.1f} s"
     return SimDiverged(f"trial at {where}: {error}", time=time, term=error.term, states=error.states)
+
+
+class FinishedTrials:
+    """Controllers that a judgement has finished, kept until it has finished all: the same command then goes on with the next one.
+
+    A file is taken only by a judgement under the same conditions: controller, robot, water, trials, engine, and the code and
+    constants of this package, all in its name by hash. A judgement that comes to its end removes what it kept.
+    folder: --out; None keeps nothing. engine: its name.
+    """
+
+    def __init__(self, folder: Path | None, robot: Robot, trials: Trials, engine: str, names: list[str]):
+        self.folder, self.robot, self.trials, self.engine = folder, robot, trials, engine
+        self.names = names
+        self.done: list[str] = []
+
+    def find(self, brain) -> Result | None:
+        """The finished judgement of a controller, if there is one; says so."""
+        path = self._path(brain)
+        if path is None or not path.is_file():
+            return None
+        try:
+            arrays = store.read_npz(path)
+            given: dict[str, Any] = {name: arrays.get(name) for name in ARRAYS}
+        except StoreError:  # damaged: judged again
+            return None
+        console.warn(f"{brain.name} was judged before under the same conditions: taken from {path}")
+        known: dict[str, Any] = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
+        return Result(robot=self.robot, trials=self.trials, **known, **given)
+
+    def keep(self, brain, result: Result) -> Result:
+        """Add a finished controller: its arrays."""
+        self.done.append(brain.name)
+        path = self._path(brain)
+        if path is not None and len(self.names) > 1 and not path.is_file():
+            store.write_npz(path, {name: value for name in ARRAYS if (value := getattr(result, name)) is not None})
+        return result
+
+    @property
+    def unfinished(self) -> list[str]:
+        """Controllers that are not judged yet."""
+        return self.names[len(self.done) :]
+
+    def words(self) -> str:
+        """What is kept, and how to go on."""
+        if self.folder is None:
+            return "nothing was kept: with --out DIR every finished controller is"
+        return f"{self.folder} holds {len(self.done)} of {len(self.names)} controllers; {interrupt.again()}"
+
+    def end(self) -> None:
+        """All are finished and reported."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder / "judged", ignore_errors=True)
+
+    def _path(self, brain) -> Path | None:
+        if self.folder is None:
+            return None
+        what = {
+            "controller": [brain.name, getattr(brain, "sha256", "")],
+            "robot": repr(self.robot),
+            "water": water_of(self.robot),
+            "trials": asdict(self.trials),
+            "engine": self.engine,
+            "code": package_sha256(),
+        }
+        mark = sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:16]
+        return self.folder / "judged" / f"{brain.name}_{mark}.npz"
+
+
+def water_of(robot: Robot) -> list[str]:
+    """Hashes of the files of a fitted water."""
+    path = Path(str(robot.water.get("model", "")))
+    return [store.sha256(file) for file in sorted(path.parent.glob(f"{path.stem}*")) if path.is_file() and file.is_file()]
+
+
+class Variation(NamedTuple):
+    """How trials are run that ought to come out the same: every fish shifted by so many cells, and time steps in one of the
+    domain's."""
+
+    name: str = ""
+    nudge: tuple[float, float] = (0.0, 0.0)
+    finer: int = 1
+
+
+UNCHANGED = Variation()
+
+
+def judge_in_solver(
+    brain,
+    robot: Robot,
+    trials: Trials,
+    folder: Path | None = None,
+    *,
+    domain: str = "paper",
+    slip: float = 1.0,
+    device: str = "auto",
+    tanks: int = 1,
+    variation: Variation = UNCHANGED,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Result:
+    """Judge one controller in the flow solver: the same trials and figures, `tanks` trials at a time on one device.
+
+    Every finished trial is kept in <folder>/lbm as one npz, so a judgement that is interrupted goes on with the next trial; a
+    file made with another controller, robot or box of water is not used.
+
+    Args:
+        folder: where finished trials are kept and looked for; None keeps nothing. variation: the trials are run so.
+        progress: called with the number of control steps done, summed over trials.
+
+    Raises:
+        OracleUnstable, ConfigError: the set-up would not run.
+    """
+    from fishmj.engines.lbm import Engine
+
+    steps = round(trials.duration / robot.timing.control_dt)
+    label = "_".join(filter(None, (fingerprint(brain, robot, trials, domain, slip), variation.name)))
+    box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "finer": variation.finer}
+    paths = [None if folder is None else folder / KEPT / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
+    found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
+    waiting = [i for i in range(len(trials)) if i not in found]
+    for group in (waiting[k : k + tanks] for k in range(0, len(waiting), tanks)):
+        some = replace(trials, items=tuple(trials.items[i] for i in group))
+        engine = Engine(robot, some.flows(), **box)
+        done, many = len(found) * steps, len(group)
+        x, y = (cells * engine.domain.dx for cells in variation.nudge)
+        told = lambda k: progress(done + many * k)  # noqa: B023, E731  called at once
+        result = run(brain, robot, some, engine, shift=(x, y), progress=told)
+        for row, i in enumerate(group):
+            found[i] = {key: getattr(result, key)[row] for key in OF_A_TRIAL if getattr(result, key) is not None}
+            found[i] |= {"t": result.t, "target": result.target[row]}
+            if why := engine.stopped[row]:
+                found[i] = ended(found[i], why, engine.ticks[row])
+                console.warn(f"{name_of(brain, trials.items[i])}: truncated: {why}")
+            if (path := paths[i]) is not None:
+                store.write_npz(path, found[i])
+    return merged(brain, robot, trials, f"tanks, {domain}, slip {slip:g}", [found[i] for i in range(len(trials))])
+
+
+def ended(row: dict, why: str, ticks: int) -> dict:
+    """The arrays of a trial whose tank stopped after `ticks` bus ticks; the fish was left where it was.
+
+    It counts as one that left the domain at the next tick. Where its water or its motion failed, nobody knows how far from the
+    target it would have been: NaN, so that no figure over that time looks better than it is.
+    """
+    left, distance = min(int(row["left"]), ticks + 1), row["distance"].copy()
+    if not why.startswith("left_domain"):
+        distance[left:] = np.nan
+    return row | {"left": np.array(left), "distance": distance, "stopped": np.array(why)}
+
+
+def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -> Result:
+    """One result from the arrays of every trial."""
+    join: dict[str, Any] = {key: np.stack([row[key] for row in rows]) if key in rows[0] else None for key in OF_A_TRIAL}
+    target = np.stack([row["target"] for row in rows])
+    return Result(
+        controller=brain.name,
+        robot=robot,
+        trials=trials,
+        engine=engine,
+        policy_sha256=getattr(brain, "sha256", ""),
+        t=rows[0]["t"],
+        target=target,
+        **join,
+    )
+
+
+def name_of(brain, item) -> str:
+    """File name of one trial."""
+    return f"{brain.name}_u{item.speed:g}_los{round(np.degrees(item.los)):03d}_r{item.repeat}"
+
+
+def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -> str:
+    """Eight characters that change with anything that would change a trial's outcome."""
+    from fishmj.engines.lbm import HELD
+
+    what = {
+        "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
+        "robot": repr(robot),
+        "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
+        "seed": trials.items[0].seed[:2],
+        "water": [domain, slip, HELD],
+    }
+    return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

@@ -18,8 +18,7 @@ from fishmj.flow import PRESETS, Flow
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.play.keyboard import Keyboard, press
-from fishmj.play.live_session import LiveSession
+from fishmj.play.live_session import Keyboard, LiveSession, press
 from fishmj.replay.live_view import LOCAL, LiveView, check_host
 
 FRAME = 0.04  # s between two pictures
@@ -28,16 +27,13 @@ LATE = 0.2  # s behind real time from which on pictures are skipped
 KEYS = """keys: up, down   current faster, slower            w a s d   target up, left, down, right in the tank
       left, right  turn the current by 15 deg      space     pause        c  next controller
       r  start again                               q         quit"""
-EXAMPLES = (
-    """examples:
+EXAMPLES = f"""examples:
   fishmj play                                   the best shipped controller in a 0.2 m/s current
   fishmj play --controller drift --speed 0.3    what the current does to a fish that does nothing
   fishmj play --turbulence gust --intensity 0.1 --save runs/mine
   fishmj replay runs/mine                       what you just did, as a page
 
-"""
-    + KEYS
-)
+{KEYS}"""
 
 
 def swim(session: LiveSession, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:

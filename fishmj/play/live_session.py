@@ -1,23 +1,34 @@
-"""One fish, one controller, and a current and target that may change while it swims."""
+"""One fish, one controller, a current and a target that may change while it swims, and the keys that change them."""
 
+import os
+import select
+import sys
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from fishmj import controllers, engines
-from fishmj.dynamics import planar_chain
+from fishmj.controllers import Controller
+from fishmj.dynamics.planar_chain import chain_of
+from fishmj.engines.planar import link_centres
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.flow import Flow, sample
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
-from fishmj.tasks.loop import ControlLoop, Scenario
-from fishmj.tasks.recorded_sensors import NOTE, clocks, sensed, sigmas
+from fishmj.tasks.episode import ControlLoop, Scenario
+from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.units import wrap
 
 FASTEST = 0.5  # m/s
 SENSED = 4  # stream of random numbers of what is logged, beside that of the observations
+SPEED_STEP, TURN_STEP, TARGET_STEP = 0.02, np.pi / 12, 0.1  # m/s, rad, m a key press
+REACH = 1.5  # m, the target stays in |x|, |y| <= REACH
+ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
+ARROWS |= {code.replace("[", "O"): name for code, name in ARROWS.items()}  # terminals in application mode
+MOVES = {"w": (0, 1), "a": (-1, 0), "s": (0, -1), "d": (1, 0)}
 
 
 class Chunk(NamedTuple):
@@ -41,7 +52,7 @@ class LiveSession:
 
     def __init__(
         self,
-        controller: "controllers.Controller | str" = "dob",
+        controller: "Controller | str" = "dob",
         robot: "Robot | str" = "fish",
         flow: Flow | None = None,
         engine="batch",
@@ -51,14 +62,14 @@ class LiveSession:
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.loop = ControlLoop(self.robot, engine)
         self.engine_name = type(self.loop.engine).__module__.rpartition(".")[2]
-        self._chain = planar_chain.chain_of(self.robot)
+        self._chain = chain_of(self.robot)
         params = engines.nominal_params(self.robot, 1)
         camera = self.loop.sensors.ticks(np, np.array([self.robot.timing.camera_latency]), params.effects, "pose")
         self._nominal = Scenario(params, camera, self.flow.current())
         self.choose(controller)
         self.reset()
 
-    def choose(self, controller: "controllers.Controller | str") -> None:
+    def choose(self, controller: "Controller | str") -> None:
         """Hand the fish to another controller, made or by name."""
         self.controller = controllers.make(controller, self.robot) if isinstance(controller, str) else controller
         self.controller.reset(1)
@@ -116,7 +127,7 @@ class LiveSession:
             t=ticks * self.robot.timing.bus_dt,
             q=q,
             v=np.concatenate([trace.velocity[0], trace.rate[0]], -1),
-            flow=sample(np, self.loop.scenario.current, _centres(self._chain, q), ticks)[0],
+            flow=sample(np, self.loop.scenario.current, link_centres(np, self._chain, q), ticks)[0],
             power=trace.power[0] + self.robot.servo.idle_power,
             command=command[0],
             target=self.target.copy(),
@@ -136,30 +147,11 @@ class LiveSession:
         begun = t - self.robot.timing.bus_dt
         slow = begun[:: self.loop.ticks]
         target, obs = (np.array([getattr(c, name) for c in self.chunks]) for name in ("target", "obs"))
-        volts, robot = self.robot.servo.voltage, self.robot
-        pose, joint, rate = q[:, :3], q[:, 3:], v[:, 3:]
-        names = ("x", "y", "yaw", "vx", "vy", "wz")
+        swum = (begun, t, command, q[:, :3], v[:, :3], q[:, 3:], v[:, 3:], power)
+        random = np.random.default_rng([self.flow.seed, SENSED])
+        fish, camera = self._nominal.params, self._nominal.camera
         tables = {
-            "cmd": {"t": begun, **numbered("c#", command)},
-            **sensed(
-                robot,
-                t,
-                pose,
-                joint,
-                rate,
-                start=self._start,
-                camera=int(self._nominal.camera[0]),
-                effects=np.asarray(self._nominal.params.effects[0], float),
-                random=np.random.default_rng([self.flow.seed, SENSED]),
-                strength=self.noise,
-            ),
-            "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
-            "truth": {
-                "t": t,
-                **dict(zip(names, (*pose.T, *v[:, :3].T), strict=True)),
-                **numbered("j#", joint),
-                **numbered("k#", rate),
-            },
+            **logged(self.robot, *swum, fish, camera, start=self._start, random=random, strength=self.noise),
             "target": {"t": slow, "x": target[:, 0], "y": target[:, 1]},
             "obs": {"t": slow, **numbered("o#", obs)},
             "flow": {"t": t, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
@@ -195,15 +187,7 @@ class LiveSession:
             "policy_sha256": str(getattr(self.controller, "sha256", "")),
             "target": self.chunks[-1].target.tolist(),
             "excitation": "station holding" if still and steady else "live",
-            "replicate_of": "",
-            "start": [float(value) for value in self._start],
-            "push": [0.0, 0.0, 0.0],
-            "sigma": sigmas(self.robot.n_joints, self.noise),
-            "clock": clocks(tables),
-            "latency": {
-                "pose": float(self._nominal.camera[0]) * self.robot.timing.bus_dt,
-                "command": float(np.asarray(self._nominal.params.delay)[0]) * self.robot.timing.physics_dt,
-            },
+            **logged_meta(self.robot, tables, self._nominal.params, self._nominal.camera, self._start, self.noise),
             "seed": self.flow.seed,
             **made_by("numpy", "mujoco"),
             "source": "fishmj.play",
@@ -212,8 +196,54 @@ class LiveSession:
         }
 
 
-def _centres(ch: planar_chain.Chain, q: np.ndarray) -> np.ndarray:
-    """Link centres (T, N, 2) of poses q (T, 2 + N)."""
-    from fishmj.engines.planar import link_centres
+class Keyboard:
+    """Reads keys, without Enter, in its `with` block; then the terminal is as it was. Without a handle there are never keys."""
 
-    return link_centres(np, ch, q)
+    def __init__(self, handle: int | None = None):
+        self.handle = handle
+
+    @classmethod
+    def of_terminal(cls) -> "Keyboard":
+        """Standard input, if it is a terminal."""
+        return cls(sys.stdin.fileno() if sys.stdin and sys.stdin.isatty() else None)
+
+    def __enter__(self) -> "Keyboard":
+        if self.handle is not None:
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self.handle)
+            tty.setcbreak(self.handle)
+        return self
+
+    def __exit__(self, *failure) -> None:
+        if self.handle is not None:
+            import termios
+
+            termios.tcsetattr(self.handle, termios.TCSADRAIN, self._before)
+
+    def read(self) -> list[str]:
+        """The keys pressed since the last call, by name; never waits."""
+        if self.handle is None or not select.select([self.handle], [], [], 0)[0]:
+            return []
+        text, keys = os.read(self.handle, 256).decode("utf-8", "ignore"), []
+        while text:
+            length = 3 if text[:3] in ARROWS else 1
+            keys.append(ARROWS.get(text[:length], text[:length].lower()))
+            text = text[length:]
+        return keys
+
+
+def press(session: LiveSession, key: str, choices: Iterator[Controller | str]) -> None:
+    """What a key does: arrows change the current, w a s d the target, c the controller, r starts again; others do nothing."""
+    flow = session.flow
+    if key in ("up", "down"):
+        session.set_flow(flow.speed + (SPEED_STEP if key == "up" else -SPEED_STEP), flow.direction)
+    elif key in ("left", "right"):
+        session.set_flow(flow.speed, flow.direction + (TURN_STEP if key == "left" else -TURN_STEP))
+    elif key in MOVES:
+        session.target = np.clip(session.target + TARGET_STEP * np.array(MOVES[key]), -REACH, REACH)
+    elif key == "c":
+        session.choose(next(choices))
+    elif key == "r":
+        session.reset()

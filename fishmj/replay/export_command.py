@@ -3,7 +3,6 @@
 It lies here and not in `log` because it knows robots: Foxglove draws the links of the one that a trial or `--robot` names.
 """
 
-from argparse import Namespace
 from pathlib import Path
 
 from fishmj import console
@@ -20,8 +19,6 @@ EXAMPLES = """examples:
   fishmj log export data/calm --to parquet --out calm_parquet          a folder a trial, a file a table
   fishmj log export data/calm --to csv --out calm_csv --tables pose,joint
 """
-
-
 SOON = 2.0  # s; what is done by then needs no progress
 
 
@@ -44,11 +41,6 @@ def options() -> console.Parser:
     return parser
 
 
-def main(argv: list[str]) -> int:
-    """The command `log export`. Returns the exit code."""
-    return send(options().parse_args(argv))
-
-
 def shape_of(trial: Trial, robot: Robot | None = None) -> tuple[Solid, ...]:
     """The links of `robot`, or of the shipped one that a trial names; () where it names none.
 
@@ -63,8 +55,9 @@ def shape_of(trial: Trial, robot: Robot | None = None) -> tuple[Solid, ...]:
     return () if own is None else solids(own)
 
 
-def send(args: Namespace) -> int:
-    """Export, and say what went out."""
+def main(argv: list[str]) -> int:
+    """The command `log export`: exports, and says what went out. Returns the exit code."""
+    args = options().parse_args(argv)
     if args.robot and args.to != "mcap":
         raise ConfigError(f"log export: --robot is for --to mcap, where the fish is drawn; leave it out for {args.to}")
     tables = None if args.tables is None else [name.strip() for name in args.tables.split(",")]

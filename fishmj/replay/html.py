@@ -15,8 +15,7 @@ from fishmj.errors import ConfigError, LogError, MissingExtra
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, skin
-from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
-from fishmj.replay.wake import page_data, read_wake
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, page_data, read_wake, robot_of, tracks_of
 from fishmj.store import write_text
 
 SCRIPTS = Path(__file__).parent / "page"
@@ -31,13 +30,12 @@ def write_html(
     title: str = "fishmj replay",
     *,
     speed: float = 1.0,
-    robots: "list[Robot | str | None] | None" = None,
     fields: str | Path | None = None,
 ) -> Path:
     """Write a replay of one trial, or of several overlaid (the first solid, the others translucent).
 
     Args:
-        robot: description for all trials; default, the one that each trial names. `robots` sets it one by one.
+        robot: description for all trials; default, the one that each trial names.
         speed: playing speed at the start, 1 = real time.
         fields: folder with the vorticity slices of the first trial, as `lbm_oracle swim --fields` writes it.
 
@@ -49,7 +47,7 @@ def write_html(
         raise LogError("nothing to replay: give at least one trial")
     if not 0 < speed <= 100:
         raise ConfigError(f"speed = {speed}; expected a factor in (0, 100], 1 = real time")
-    chosen = [robot_of(trial, one) for trial, one in zip(trials, robots or [robot] * len(trials), strict=True)]
+    chosen = [robot_of(trial, robot) for trial in trials]
     tracks = tracks_of(trials, chosen)
     data = {
         "title": title,

@@ -61,11 +61,7 @@ class Server:
 
 
 def check_host(host: str) -> None:
-    """Whether this machine can listen on `host`.
-
-    Raises:
-        ConfigError: it cannot.
-    """
+    """Whether this machine can listen on `host`. Raises ConfigError: it cannot."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:

@@ -9,8 +9,8 @@ from fishmj.errors import ConfigError, LogError, StoreError
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.from_above import FromAbove, coarse_skin, opencv
-from fishmj.replay.scene import ARRIVAL, TRACKS, Track, robot_of, tracks_of
-from fishmj.replay.wake import Wake, colours, read_wake
+from fishmj.replay.scene import ARRIVAL, TRACKS, Track, Wake, colours, read_wake, robot_of, tracks_of
+from fishmj.store import write_bytes
 
 INK = (250, 244, 236)  # BGR
 WORDS = 120  # characters of a line
@@ -63,8 +63,6 @@ def write_mp4(
 
 def write_png(trials: list[Trial], out: str | Path, time: float, robot: "Robot | str | None" = None, **options) -> Path:
     """Write one picture at `time` [s] from the start; options as of `TopView`."""
-    from fishmj.store import write_bytes
-
     done, data = opencv().imencode(".png", TopView(trials, robot, **options).frame(time))
     if not done:
         raise StoreError(f"{out}: OpenCV could not encode a PNG")

@@ -17,7 +17,7 @@ from fishmj import console
 from fishmj.engines import Trace
 from fishmj.engines.lbm import Engine
 from fishmj.evaluate import protocol, run_trials
-from fishmj.evaluate.trial_logs import trial_of
+from fishmj.evaluate.report import trial_of
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE
 from fishmj.lbm_oracle.output.record_fields import FieldRecorder
 from fishmj.lbm_oracle.run import solver_cost
@@ -26,8 +26,7 @@ from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.from_above import FromAbove, opencv
 from fishmj.mjcf.skin import skin
-from fishmj.replay.scene import ARRIVAL, track
-from fishmj.replay.wake import colours, read_wake
+from fishmj.replay.scene import ARRIVAL, colours, read_wake, track
 from fishmj.store import write_bytes
 
 POLICY, SPEED, SECONDS = "fitted", 0.2, 10.0  # m/s, s of the trial

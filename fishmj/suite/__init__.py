@@ -11,7 +11,7 @@ from dm_control import suite as _dm
 from fishmj import plugins
 from fishmj.errors import UnknownName
 from fishmj.suite import fish
-from fishmj.tasks.own_task import named
+from fishmj.tasks.reference import named
 
 _OWN = fish.SUITE
 ALL_TASKS = tuple((fish.DOMAIN, name) for name in _OWN)

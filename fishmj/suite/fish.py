@@ -27,10 +27,8 @@ from fishmj.mjcf.description import load_robot
 from fishmj.suite.physics import Physics
 from fishmj.suite.solver_physics import SolverPhysics
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.episode import EpisodeDraw, TaskOptions, TaskSpec
-from fishmj.tasks.loop import SensorWindow
-from fishmj.tasks.own_task import options_of
-from fishmj.tasks.reference import StepTruth
+from fishmj.tasks.episode import EpisodeDraw, SensorWindow, TaskOptions, TaskSpec
+from fishmj.tasks.reference import StepTruth, options_of
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
@@ -57,7 +55,7 @@ def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=N
 
 
 def own(task_class, random=None, environment_kwargs=None, root="planar", **setting):
-    """A task of one's own (tasks.own_task). Options: its own, and `TaskOptions`."""
+    """A task of one's own (tasks.reference). Options: its own, and `TaskOptions`."""
     mine = options_of(task_class)
     course = {name: value for name, value in setting.items() if name in mine}
     rest = {name: value for name, value in setting.items() if name not in mine}
@@ -118,8 +116,7 @@ class FishTask(base.Task):
     def __init__(self, rules: TaskSpec, random=None):
         super().__init__(random=random)
         self.rules = rules
-        self.scenario = rules.scenario(rules.draws(np.random.RandomState(0), 1))
-        self._start(self.scenario, np.zeros((1, rules.n_obs)))
+        self._start(rules.scenario(rules.draws(np.random.RandomState(0), 1)), np.zeros((1, rules.n_obs)))
 
     def initialize_episode(self, physics: Physics) -> None:
         """Draw fish, flow, start and target; everything at rest over ground."""
@@ -158,9 +155,9 @@ class FishTask(base.Task):
         rules = self.rules
         senses = (self.window.pose, self.scenario.camera, self.window.joint)
         target = self._target()[None]
-        noise = rules.noise(self.normals)
+        noise = rules.setting.noise * self.normals
         obs = task.observe_with_sensors(np, rules.robot, rules.sensors, self.scenario.params, *senses, target, noise)[0]
-        widths = spans(rules.n_act)
+        widths = task.spans(rules.n_act)
         parts = np.split(obs, np.cumsum([*widths.values()])[:-1])
         return OrderedDict((name, part.copy()) for name, part in zip(widths, parts, strict=True))
 
@@ -200,8 +197,3 @@ class FishTask(base.Task):
 
     def _target(self) -> np.ndarray:
         return self.rules.target(self.scenario, np.array([self.count]))[0]
-
-
-def spans(joints: int) -> dict[str, int]:
-    """Name and width of each observation, in the order of the flat vector."""
-    return {"target": 2, "velocity": 2, "yaw_rate": 1, "joint": joints, "joint_rate": joints}

@@ -20,9 +20,8 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.loop import slide
-from fishmj.tasks.own_task import course_of
-from fishmj.tasks.reference import StepTruth
+from fishmj.tasks.episode import slide
+from fishmj.tasks.reference import StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
 
 
@@ -159,9 +158,8 @@ class StationHold:
         keep = ("current", "key", "reward", "terminated", "truncated", "distance", "diverged", "final_obs", "final_privileged")
         pick = lambda new, old: jnp.where(done.reshape((n,) + (1,) * (old.ndim - 1)), new, old)
         mixed = {f: jax.tree.map(pick, getattr(fresh, f), getattr(moved, f)) for f in EnvState._fields if f not in keep}
-        each = {
-            f: pick(getattr(fresh.current, f), getattr(moved.current, f)) for f in Current._fields[:5]
-        }  # not the shared table
+        own = Current._fields[:5]  # not the shared table
+        each = {f: pick(getattr(fresh.current, f), getattr(moved.current, f)) for f in own}
         finite = lambda a: jnp.where(bad[:, None], 0.0, a)
         return moved._replace(
             **mixed, current=moved.current._replace(**each), final_obs=finite(obs), final_privileged=finite(moved.privileged),
@@ -186,16 +184,9 @@ class StationHold:
         start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity
-        current = flow.draw(
-            jnp,
-            self.options.turbulence,
-            self.table,
-            jnp.float32(self.cell),
-            start.speed,
-            start.direction,
-            low + (high - low) * u[:, 4],
-            u,
-        )
+        intensity = low + (high - low) * u[:, 4]
+        cell = jnp.float32(self.cell)
+        current = flow.draw(jnp, self.options.turbulence, self.table, cell, start.speed, start.direction, intensity, u)
         draws = jax.random.uniform(keys[2], (n, task.n_fish(self.robot, self.options.effects)))
         params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation, self.options.effects)
         params = jax.tree.map(lambda a: a if a.dtype == jnp.int32 else a.astype(jnp.float32), params)

@@ -1,4 +1,4 @@
-"""What the sensors of one robot make of the truth: the measurement effects and delays of its description.
+"""What the sensors of one robot make of the truth, and what they write down of it: measurement effects, delays, noise.
 
     poses     frames of the camera as the tracker finds them: camera_scale, marker_offset, ..
     joints    encoder readings: offset, and the delay of the clock `joint`, linear between bus ticks
@@ -7,12 +7,48 @@
 Without such effects every function returns what it was given. Rewards, ends of episodes and logs of the truth never pass here.
 """
 
-from math import ceil
+from math import ceil, radians
 
+import numpy as np
+
+from fishmj.calib import constant
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import Measured
 from fishmj.engines.extensions import Extensions
+from fishmj.log import numbered
 from fishmj.mjcf.description import Robot
+
+NOTE = (
+    "simulated; joint: encoders, pose: the tracker's frame that arrives at each stamp, with the task's noise and camera latency"
+    " (sigma, latency); power and truth: exact; obs: what the controller saw, other draws of the same noise"
+)
+
+
+def slope_weights(window: int, dt: float) -> np.ndarray:
+    """(W,) weights, 1/s, oldest first, that turn W equally spaced samples into the slope of their line fit."""
+    t = (np.arange(window) - (window - 1) / 2) * dt
+    return t / np.sum(t * t)
+
+
+def estimate(xp, poses, dt: float):
+    """Pose and velocity from camera poses (..., W, 3) [m, m, rad; yaw unwrapped], oldest first, dt [s] apart.
+
+    A straight line is fitted to the last W poses at t_k = k dt (least squares; a first-order Savitzky-Golay filter):
+        v = sum_k (t_k - mean t) p_k / sum_k (t_k - mean t)^2
+    Its estimate is late by (W - 1) dt / 2; the newest pose itself is not smoothed. The same code runs beside the tank.
+
+    Returns:
+        pose (..., 3) and velocity (..., 3), world frame, m, rad, m/s, rad/s.
+    """
+    weights = xp.asarray(slope_weights(poses.shape[-2], dt), dtype=poses.dtype)
+    return poses[..., -1, :], xp.sum(poses * weights[:, None], -2)
+
+
+def delayed(xp, history, frames, window: int):
+    """The `window` newest poses of history (B, H, 3), newest last, that have arrived `frames` (B,) int ticks late."""
+    rows = xp.arange(history.shape[0])[:, None]
+    columns = history.shape[1] - window - frames[:, None] + xp.arange(window)[None, :]
+    return history[rows, columns]
 
 
 class Sensors:
@@ -71,3 +107,77 @@ def measure(active: EffectStack, xp, rows, seen: Measured) -> Measured:
 def readings(xp, joint, rate):
     """Encoder readings (B, T, 2 J) of a trace."""
     return xp.concatenate([joint, rate], -1)
+
+
+def sigmas(joints: int, strength: float = 1.0) -> dict[str, float]:
+    """Standard deviation of the noise of every column, in its unit; strength: factor on the task's."""
+    get = lambda key: strength * constant("noise", key)
+    angle, rate = radians(get("joint_deg")), get("joint_rate")
+    each = {f"{letter}{i + 1}": value for letter, value in (("j", angle), ("w", rate)) for i in range(joints)}
+    return {"x": get("position"), "y": get("position"), "yaw": get("yaw"), **each}
+
+
+def sensed(
+    robot: Robot, t, pose, joint, rate, *, start, camera: int, effects, random: np.random.Generator, strength: float = 1.0
+) -> dict[str, dict[str, np.ndarray]]:
+    """Tables `joint` and `pose` of one swim, as late and as noisy as the task's own observations.
+
+    joint: encoders at the end of every bus tick. pose: the tracker's frame that arrives then, which is that of `camera` ticks
+    before; before the first frame arrives the fish is seen at its start. An observation holds other draws of the same noise: it
+    is made of a frame in the body's axes, once a control step.
+
+    Args:
+        t: (T,) s, ends of the bus ticks. pose: (T, 3) m, rad; joint, rate: (T, J) rad, rad/s, then.
+        start: (3,) where the fish was before the first tick, straight and at rest. camera: its latency in bus ticks.
+        effects: (P,) parameters of the robot's effects. random: draws the noise. strength: factor on the task's noise.
+    """
+    sensors, count, joints = Sensors(robot), len(t), robot.n_joints
+    rows = np.broadcast_to(effects, (count, len(effects)))
+    frames = np.concatenate([np.broadcast_to(start, (camera, 3)), pose])[:count]
+    seen = np.asarray(sensors.poses(np, effects[None], frames[None]))[0]
+    before = np.zeros((sensors.behind, 2 * joints))
+    kept = np.concatenate([before, readings(np, joint[None], rate[None])[0]])
+    recent = np.stack([kept[k : k + count] for k in range(sensors.behind + 1)], 1)  # (T, behind + 1, 2 J), newest last
+    angle, turning = sensors.joints(np, rows, recent)
+    sigma = sigmas(joints, strength)
+    noise = random.standard_normal((count, 3 + 2 * joints))
+    seen = seen + noise[:, :3] * [sigma["x"], sigma["y"], sigma["yaw"]]
+    angle = angle + noise[:, 3 : 3 + joints] * sigma["j1"]
+    turning = turning + noise[:, 3 + joints :] * sigma["w1"]
+    return {
+        "joint": {"t": t, **numbered("j#", angle), **numbered("w#", turning)},
+        "pose": {"t": t, "x": seen[:, 0], "y": seen[:, 1], "yaw": seen[:, 2]},
+    }
+
+
+def logged(robot: Robot, begun, t, command, pose, velocity, joint, rate, power, fish, camera, **sensing) -> dict:
+    """Tables `cmd`, `joint`, `pose`, `power` and `truth` of one swim.
+
+    Args:
+        begun, t: (T,) s, starts and ends of the bus ticks. command: (T, J) rad. power: (T,) W, with idle.
+        pose, velocity: (T, 3) m, rad, m/s, rad/s; joint, rate: (T, J) rad, rad/s, at `t`.
+        fish, camera: `FishParams` and latency (1,) in bus ticks. sensing: start, random, strength of `sensed`.
+    """
+    volts, names = robot.servo.voltage, ("x", "y", "yaw", "vx", "vy", "wz")
+    known = {"camera": int(camera[0]), "effects": np.asarray(fish.effects[0], float), **sensing}
+    exact = dict(zip(names, (*pose.T, *velocity.T), strict=True))
+    return {
+        "cmd": {"t": begun, **numbered("c#", command)},
+        **sensed(robot, t, pose, joint, rate, **known),
+        "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
+        "truth": {"t": t, **exact, **numbered("j#", joint), **numbered("k#", rate)},
+    }
+
+
+def logged_meta(robot: Robot, tables, fish, camera, start, strength: float) -> dict:
+    """What a log says of a swim from rest at `start` (3,): noise, clocks and latencies; `fish` and `camera` as of `logged`."""
+    received = {"pose": "simulation, frame received"}  # one clock, the simulation's; the tracker stamps a frame when it arrives
+    pose, command = float(camera[0]) * robot.timing.bus_dt, float(np.asarray(fish.delay)[0]) * robot.timing.physics_dt
+    return {
+        "replicate_of": "",
+        "start": start.tolist(),
+        "push": [0.0, 0.0, 0.0],
+        "sigma": sigmas(robot.n_joints, strength),
+        "clock": {name: received.get(name, "simulation") for name in tables},
+        "latency": {"pose": pose, "command": command},
+    }

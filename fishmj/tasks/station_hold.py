@@ -10,13 +10,14 @@ Nothing here draws random numbers: draws come in as arrays, so NumPy, JAX and ev
 from math import ceil, pi, radians
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from fishmj.calib import constant
 from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.errors import UnknownName
 from fishmj.mjcf.description import Robot
-from fishmj.tasks.sensing import Sensors
-from fishmj.tracker import delayed, estimate
+from fishmj.tasks.sensing import Sensors, delayed, estimate
 
 JOINTS = 3
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
@@ -95,19 +96,16 @@ def _latency(nominal, bounds, uniform, strength):
     return low + (high - low) * uniform
 
 
+def spans(joints: int) -> dict[str, int]:
+    """Name and width of each observation, in the order of the flat vector."""
+    return {"target": 2, "velocity": 2, "yaw_rate": 1, "joint": joints, "joint_rate": joints}
+
+
 def noise_scale(robot: Robot):
     """Standard deviation of each of the 5 + 2 J observations."""
-    import numpy as np
-
     get = lambda key: constant("noise", key)
-    j = robot.n_joints
-    return np.array(
-        [get("position")] * 2
-        + [get("velocity")] * 2
-        + [get("yaw_rate")]
-        + [radians(get("joint_deg"))] * j
-        + [get("joint_rate")] * j
-    )
+    each = [get("position"), get("velocity"), get("yaw_rate"), radians(get("joint_deg")), get("joint_rate")]
+    return np.repeat(each, [*spans(robot.n_joints).values()])
 
 
 def visible(joints: int, hide=()) -> list[bool]:
@@ -119,7 +117,7 @@ def visible(joints: int, hide=()) -> list[bool]:
     for name in hide:
         if name not in GROUPS:
             raise UnknownName("observation group", name, GROUPS)
-    return [group not in hide for group, width in zip(GROUPS, (2, 2, 1, joints, joints), strict=True) for _ in range(width)]
+    return [group not in hide for group, width in spans(joints).items() for _ in range(width)]
 
 
 def history_length(robot: Robot) -> int:

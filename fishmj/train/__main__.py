@@ -96,11 +96,7 @@ def options() -> console.Parser:
 
 
 def weight(text: str) -> tuple[str, float]:
-    """`wG=0.5` -> ("wG", 0.5).
-
-    Raises:
-        ArgumentTypeError: no such weight, or no finite number.
-    """
+    """`wG=0.5` -> ("wG", 0.5). Raises ArgumentTypeError: no such weight, or no finite number."""
     from fishmj.train.settings import REWARD
 
     key, equals, value = text.partition("=")
@@ -117,7 +113,7 @@ def settings_from(args, run=None):
     """
     from fishmj import plugins
     from fishmj.engines import own_effects
-    from fishmj.tasks.own_task import named
+    from fishmj.tasks.reference import named
     from fishmj.train.settings import ALGORITHMS, change, own_code, preset
 
     own_effects.join(args.effects)
@@ -125,9 +121,9 @@ def settings_from(args, run=None):
     for option, name in own_code(run).items() if run else ():
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
-    algorithm, task, reward = {}, {}, dict(args.reward)
-    plain = ("preset", "engine", "robot", "water", "seed", "command_path")
-    top = {name: value for name in plain if (value := getattr(args, name)) is not None}
+    given = lambda *names: {name: value for name in names if (value := getattr(args, name)) is not None}
+    top = given("preset", "engine", "robot", "water", "seed", "command_path")
+    algorithm, task, reward = given("envs", "learning_rate"), given("memory", "turbulence"), dict(args.reward)
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
         s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
@@ -139,18 +135,10 @@ def settings_from(args, run=None):
         raise ConfigError("--reward: one weight stands there twice; name each once")
     if args.steps is not None:
         top |= {"steps": int(args.steps), "assess_every": min(preset(s.preset).assess_every, max(1, int(args.steps) // 4))}
-    if args.envs is not None:
-        algorithm["envs"] = args.envs
-    if args.learning_rate is not None:
-        algorithm["learning_rate"] = args.learning_rate
     if args.hidden:
         algorithm["hidden"] = tuple(args.hidden)
     if args.critic:
         algorithm["privileged"] = args.critic == "privileged"
-    if args.memory is not None:
-        task["memory"] = args.memory
-    if args.turbulence:
-        task["turbulence"] = args.turbulence
     if args.intensity is not None:
         task["intensity"] = (0.0, args.intensity)
     if args.task:

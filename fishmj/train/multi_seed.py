@@ -13,10 +13,8 @@ import numpy as np
 
 from fishmj import console, store
 from fishmj.errors import SimDiverged
-from fishmj.train.interruptions import stop_on_signal
-from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import Settings, as_dict, change
-from fishmj.train.training_run import MAX_DIVERGED, export, is_better, learner_of, summary_of
+from fishmj.train.training_run import MAX_DIVERGED, MetricsLog, export, is_better, learner_of, stop_on_signal, summary_of
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.tasks.station_hold import GROUPS, spans
 
 ACTIVATIONS = {"relu": jax.nn.relu, "tanh": jnp.tanh}
 # target m, the same within reach m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s
@@ -13,10 +14,7 @@ SCALE = {"target": 1.0, "near": 0.1, "velocity": 0.3, "yaw_rate": 1.5, "joint": 
 
 def scale(joints: int) -> np.ndarray:
     """(5 + 2 J,) divisors of one observation."""
-    s = SCALE
-    return np.array(
-        [s["target"]] * 2 + [s["velocity"]] * 2 + [s["yaw_rate"]] + [s["joint"]] * joints + [s["joint_rate"]] * joints
-    )
+    return np.repeat([SCALE[group] for group in GROUPS], [*spans(joints).values()])
 
 
 def input_scale(joints: int, memory: int) -> np.ndarray:

@@ -18,9 +18,8 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from fishmj.train.learner import PolicyLayers
+from fishmj.train.learner import PolicyLayers, metrics_of, record_of
 from fishmj.train.networks import check_config, forward, input_scale
-from fishmj.train.rollout import metrics_of, record_of
 from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
 
 

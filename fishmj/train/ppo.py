@@ -17,9 +17,8 @@ import numpy as np
 import optax
 
 from fishmj.errors import ConfigError
-from fishmj.train.learner import PolicyLayers
+from fishmj.train.learner import PolicyLayers, metrics_of, record_of
 from fishmj.train.networks import check_config, forward, input_scale, mlp, privileged_scale
-from fishmj.train.rollout import metrics_of, record_of
 from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
 
 ADAM_EPS = 1e-5

@@ -55,9 +55,7 @@ class Settings:
 PRESETS = {
     # a laptop: small network, gusts as strong as the demo's; about a minute on two cores
     "quick": Settings(
-        preset="quick",
-        task={"turbulence": "gust", "intensity": (0.0, 0.15)},
-        algorithm={"hidden": (64, 64), "envs": 512},
+        preset="quick", task={"turbulence": "gust", "intensity": (0.0, 0.15)}, algorithm={"hidden": (64, 64), "envs": 512}
     ),
     # one GPU: the paper's actor (11-256-256-3, memoryless); half a minute with --engine planar
     "paper": Settings(

@@ -42,10 +42,9 @@ def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
 def seconds(settings: Settings) -> float:
     """Of one run, assessments left out, on this machine."""
     kind = _kind()
-    engine = ENGINE[kind][pick_engine(settings.engine)]
     cores = usable_cores() if kind == CPU else 1
     work = config_of(settings).operations(widths(settings))
-    return settings.steps * (1 / engine + work / ARITHMETIC[kind]) / cores
+    return settings.steps * (1 / ENGINE[kind][pick_engine(settings.engine)] + work / ARITHMETIC[kind]) / cores
 
 
 def widths(settings: Settings) -> tuple[int, int, int]:

@@ -4,28 +4,37 @@ A run is a folder: settings.json, metrics.jsonl (one line an iteration), checkpo
 Killed at any point it goes on from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
 """
 
+import errno
+import json
+import os
 import shlex
+import signal
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Lock
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from fishmj import console, interrupt, store
+from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
+from fishmj.tasks.env import StationHold
+from fishmj.tasks.station_hold import control_steps
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of
-from fishmj.train.evaluate_policy import Assessment
-from fishmj.train.interruptions import stop_on_signal, when_there_is_room
 from fishmj.train.learner import PolicyLayers
-from fishmj.train.metrics_log import MetricsLog
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
+FULL = (errno.ENOSPC, errno.EDQUOT)
+PAUSE = 5.0  # s between two tries on a full disk
 
 FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints called them before, the longer first
     ".agent.target_critics": ".targets", ".agent.opt_states": ".optimisers", ".agent": "",
@@ -67,6 +76,133 @@ def tree_of(arrays: dict[str, np.ndarray], like):
         value = jax.numpy.asarray(arrays[name])
         leaves.append(jax.random.wrap_key_data(value) if key else value.astype(leaf.dtype))
     return jax.tree_util.tree_unflatten(shape, leaves)
+
+
+class Assessment:
+    """Whole episodes of 30 s without exploration, on flows that training never saw. One jitted function."""
+
+    def __init__(self, env: StationHold, act, episodes: int = 256):
+        self.env, self.act, self.episodes = env, act, episodes
+        self.radius, self.bound = constant("protocol", "arrival_radius"), constant("task", "bound")
+        self.last10 = control_steps(10.0, env.robot)
+
+    @partial(jax.jit, static_argnums=0)
+    def __call__(self, actor, key):
+        """Figures as scalars: return, arrival, rmse_last10, within (share of episodes with rmse_last10 < 0.1 m)."""
+        state = self.env.reset(key, self.episodes, False)
+
+        def one(carry, _):
+            state, alive = carry
+            after = self.env.step(state, self.act(actor, state.obs))
+            distance = jnp.where(alive, after.distance, jnp.nan)
+            alive = alive & ~after.terminated & ~after.diverged
+            return (after, alive), (distance, after.reward * alive)
+
+        steps = self.env.limit
+        (_, alive), (distance, reward) = jax.lax.scan(one, (state, jnp.ones(self.episodes, bool)), None, steps)
+        far = jnp.nan_to_num(distance, nan=self.bound)  # outside the tank
+        late = jnp.sqrt(jnp.mean(jnp.square(far[-self.last10 :]), 0))
+        return {
+            "return": reward.sum(0).mean(),
+            "arrival": jnp.mean(jnp.any(far < self.radius, 0)),
+            "stayed": alive.mean(),
+            "rmse_last10": late.mean(),
+            "rmse_last10_median": jnp.median(late),
+            "within": jnp.mean(late < self.radius),
+        }
+
+
+@contextmanager
+def stop_on_signal(words: interrupt.Words = str):
+    """A list that fills on Ctrl-C or SIGTERM instead of an exception in the middle of an update.
+
+    words: of `interrupt.finishing`, for an update that takes longer than an interrupt may.
+    """
+    asked: list[int] = []
+    old = {}
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            old[number] = signal.signal(number, lambda n, _: asked.append(n))
+    except ValueError:  # not the main thread: the caller keeps its own handlers
+        pass
+    try:
+        with interrupt.finishing(words):
+            yield asked
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
+    """Call `write()`; on a full disk say what it needs, wait and try again.
+
+    Returns:
+        True when it is written; False when a stop was asked for while there was no room. Any other failure is raised.
+    """
+    waiting = False
+    while True:
+        try:
+            write()
+        except OSError as error:  # a StoreError is one, and keeps the errno
+            if error.errno not in FULL:
+                raise
+            if asked:
+                console.warn(f"not saved: {error}")
+                return False
+            if not waiting:
+                console.warn(f"paused: {error}; looking again every {PAUSE:g} s, Ctrl-C stops without this save")
+            waiting = True
+        else:
+            if waiting:
+                console.warn("there is room again: saved, going on")
+            return True
+        until = time.monotonic() + PAUSE
+        while time.monotonic() < until and not asked:
+            time.sleep(min(0.1, PAUSE))
+
+
+class MetricsLog:
+    """metrics.jsonl: one line of figures an iteration, whole or not at all; TensorBoard events where tensorboardX is installed.
+
+    A run that goes on from step `after` drops the lines beyond it: it will write them again.
+
+    assessed: the step of the last assessment that the run goes on from; lines of later ones are dropped, too.
+    """
+
+    def __init__(self, folder: Path, after: int = 0, assessed: int = 0):
+        folder.mkdir(parents=True, exist_ok=True)
+        self.path = folder / "metrics.jsonl"
+        if self.path.exists():
+            store.write_text(self.path, "".join(_until(after, assessed, self.path.read_text(encoding="utf-8"))))
+        try:
+            from tensorboardX import SummaryWriter
+        except ImportError:
+            self.events = None
+        else:
+            self.events = SummaryWriter(str(folder / "events"))
+
+    def write(self, step: int, figures: dict) -> None:
+        """Append one line. Raises OSError, with the file as it was, when there is no room for all of it."""
+        line = (json.dumps({"step": step, **figures}) + "\n").encode()
+        with open(self.path, "ab", buffering=0) as lines:
+            size = os.fstat(lines.fileno()).st_size
+            try:
+                if lines.write(line) < len(line):
+                    raise OSError(errno.ENOSPC, f"disk full: needs {len(line)} bytes", str(self.path))
+            except OSError:
+                lines.truncate(size)
+                raise
+        if self.events is not None:
+            for name, value in figures.items():
+                self.events.add_scalar(name, value, step)
+
+
+def _until(step: int, assessed: int, text: str) -> list[str]:
+    """The lines up to `step`, those of assessments up to `assessed`; a last line that a kill cut short is none."""
+    whole = [line + "\n" for line in text.split("\n")[:-1]]
+    rows = [json.loads(line) for line in whole]
+    last = [assessed if any(key.startswith("tune_") for key in row) else step for row in rows]
+    return [line for line, row, end in zip(whole, rows, last, strict=True) if row["step"] <= end]
 
 
 class TrainingRun:
@@ -124,7 +260,7 @@ class TrainingRun:
                     saved = time.monotonic()
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
-        return self.summary(stopped=bool(asked))
+        return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked))
 
     def _assessment_is_due(self) -> bool:
         """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
@@ -163,10 +299,6 @@ class TrainingRun:
         if not newest:
             return f"nothing was learnt yet; {interrupt.again('start again')}"
         return go_on(self.folder, newest, self.settings)
-
-    def summary(self, stopped: bool = False) -> dict:
-        """What the command line prints last."""
-        return summary_of(self.settings, self.folder, self.done, self.seconds, self.best, stopped)
 
     def _look(self) -> tuple[dict, bool]:
         """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""

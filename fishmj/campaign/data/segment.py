@@ -22,7 +22,7 @@ from fishmj.hydro_fit.segment_dataset import SPLITS
 from fishmj.lbm_oracle.run.setup import Gait
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.loop import SensorWindow
+from fishmj.tasks.episode import SensorWindow
 from fishmj.tasks.sensing import Sensors
 
 Path = Callable[[float], np.ndarray]

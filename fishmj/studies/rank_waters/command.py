@@ -20,7 +20,7 @@ from fishmj import console, controllers, engines, interrupt
 from fishmj.campaign.data.collect import GO, ON_GPU
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
-from fishmj.evaluate import lbm_trials, protocol
+from fishmj.evaluate import protocol, run_trials
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
     names = list(args.controllers) or list(DEFAULT)
     brains = controllers.several(names, robot, any_command_path=args.any_command_path)
     trials = chosen(args)
-    runs = (lbm_trials.UNCHANGED, *compare_waters.AGAIN[: args.again])
+    runs = (run_trials.UNCHANGED, *compare_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)
     less = "--domain laptop --trials 6 --seconds 10 is a preview"
     solver_cost.agree(

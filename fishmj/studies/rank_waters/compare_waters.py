@@ -20,17 +20,17 @@ import numpy as np
 from fishmj import engines
 from fishmj.calib import constant
 from fishmj.campaign.data.solver_hash import solver_sha256
-from fishmj.evaluate import lbm_trials, metrics
+from fishmj.evaluate import metrics, run_trials
+from fishmj.evaluate.metrics import Result, arrival_tick
 from fishmj.evaluate.protocol import Trials
-from fishmj.evaluate.result import Result, arrival_tick
 from fishmj.evaluate.run_trials import run
 from fishmj.mjcf.description import Robot
 
 KEYS = ("rmse_after_arrival", "rmse_holding")
 AGAIN = (
-    lbm_trials.Variation("r1", (0.37, -0.21)),
-    lbm_trials.Variation("r2", (-0.14, 0.46)),
-    lbm_trials.Variation("half", finer=2),
+    run_trials.Variation("r1", (0.37, -0.21)),
+    run_trials.Variation("r2", (-0.14, 0.46)),
+    run_trials.Variation("half", finer=2),
 )
 OFTEN = 8  # repeats of the surrogate beside those of the solver, each with its fish half a cell away at most
 STRIDE = 3  # between directions that follow each other in the order
@@ -48,21 +48,21 @@ def silent(name: str, seconds: float) -> None:
 
 def in_solver(
     robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int,
-    variation: lbm_trials.Variation = lbm_trials.UNCHANGED,
+    variation: run_trials.Variation = run_trials.UNCHANGED,
 ) -> Water:  # fmt: skip
     """The flow solver; finished trials are kept in `folder` under the solver's own sha256 and not run again."""
     kept = kept_in(folder).parent
 
     def judge(brain, trials: Trials, report: Report) -> Result:
         box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "tanks": tanks, "variation": variation}
-        return lbm_trials.judge(brain, robot, trials, kept, progress=report, **box)
+        return run_trials.judge_in_solver(brain, robot, trials, kept, progress=report, **box)
 
     return judge
 
 
 def kept_in(folder: Path) -> Path:
     """Where `in_solver` keeps finished trials."""
-    return Path(folder) / f"solver-{solver_sha256()[:8]}" / lbm_trials.KEPT
+    return Path(folder) / f"solver-{solver_sha256()[:8]}" / run_trials.KEPT
 
 
 def in_surrogate(robot: Robot, engine="batch", shift: tuple[float, float] = (0.0, 0.0)) -> Water:

@@ -3,7 +3,7 @@
     gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval; of a trial that was repeated
                in a water, the mean over its runs there: a fish that overshoots and turns back is chaotic
     allowed    0.02 m, or twice what the solver's own mean moves by when the trials are repeated in it
-    told apart in a water: the interval of two controllers' paired difference excludes 0 (`statistics.PairedDifference.apart`)
+    told apart in a water: the interval of two controllers' paired difference excludes 0 (`metrics.PairedDifference.apart`)
     tau-b      sum s_a s_b / sqrt(sum s_a^2 sum s_b^2),  s = sign of a pair's mean difference in each water (Kendall 1945)
 
 Only pairs that are told apart in both waters count for the verdict: of a pair that lies within its interval nobody knows which
@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from fishmj.evaluate.statistics import difference, estimate
+from fishmj.evaluate.metrics import difference, estimate
 
 GAP, TAU = 0.02, 0.8  # m; the least rank correlation
 UNRANKED = ("drift",)  # shown beside the others
