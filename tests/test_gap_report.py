@@ -60,6 +60,7 @@ def planted(plant, hidden: dict, runs=RUNS):
 
 
 # ------------------------------------------------------------------------------------------------------------ localisation
+@pytest.mark.slow
 def test_a_late_command_is_upstream_of_the_joint(material):
     p = material.place
     assert significant(p.lags.joint) and significant(p.lags.heading) and compatible(p.lags.joint, p.lags.heading)

@@ -21,7 +21,7 @@ from fishmj.gap.workflow import Inquiry, investigate
 from fishmj.log.dataset import Taken
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import shipped, write_json
+from fishmj.store import left_out, shipped, write_json
 
 
 def main(argv: list[str]) -> int:
@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
     own_effects.option(parser)
     args = parser.parse_args(argv)
     args.null = args.null and shipped(args.null)
-    gap_options.there(args.data, args.null)
+    gap_options.there(args.null, args.data if left_out(args.data) else None)
     own_effects.join(args.effects)
     robot = in_water(load_robot(args.model), args.water)
     admission.searchable(robot, args.model)
