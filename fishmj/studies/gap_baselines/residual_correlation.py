@@ -1,6 +1,6 @@
 """Which input does the residual go with? The residual test of classical identification (Ljung 1999, ch. 16), inputs named.
 
-    rho(channel, input) = corr(residual, input), each record and column taken at the averages of features.py
+    rho(channel, input) = corr(residual, input), each record and column taken at the averages of gap/records/records.py
     bound               2.58 / sqrt(sum n / tau)         99 %, autocorrelation corrected
 
 The largest rho / bound above LOUD is named by the effect for which such a correlation is the text-book sign.
