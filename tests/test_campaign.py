@@ -1,6 +1,7 @@
 """The campaign: what it plans, what a segment of the flow solver holds, and that collecting goes on where it was stopped."""
 
 import json
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +11,15 @@ from ray_toys import toy
 
 from fishmj import console
 from fishmj.campaign.data import plan, run_segments
-from fishmj.campaign.data.collect import Collected, collect, main
+from fishmj.campaign.data.collect import Collected, collect, domain_of, domain_of_model, main
 from fishmj.campaign.data.segment import Segment, drive
 from fishmj.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.record import HALF, narrow, read_record
-from fishmj.hydro_fit.segment_dataset import SEGMENTS, open_dataset
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
+from fishmj.water.hydro_model import HydroModel
 
 FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
 SETUP = run_segments.Setup(domain=preset("laptop"), device="cpu")
@@ -206,6 +208,23 @@ def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
     assert said["plan"] == "preview" and 80 < said["water_s"] < 130 and not (tmp_path / "no").exists()
     assert console.run(main, ["--preview", "--fresh-test", "2"]) == console.BAD_INPUT
     assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
+
+
+def test_a_data_set_is_continued_in_its_own_box(tmp_path):
+    """Without this, to go on with the shipped segments was refused: they are of another box than a new data set's."""
+    asked = Namespace(domain=None, dt=None, preview=False)
+    own = domain_of(asked, SHIPPED)
+    assert run_segments.Setup(domain=own, device="cpu").about["grid"] == open_dataset(SHIPPED).meta["grid"]
+    assert domain_of(asked, tmp_path).name == "window"
+    assert domain_of(Namespace(domain=None, dt=None, preview=True), tmp_path).name == "laptop"
+    other = domain_of(Namespace(domain="laptop", dt=0.001, preview=False), SHIPPED)
+    assert (other.name, other.dt) == ("laptop", 0.001)
+    model = HydroModel.load("swift")
+    assert domain_of_model(None, model).name == "window_coarse" and domain_of_model("laptop", model).name == "laptop"
+    assert domain_of_model(None, replace(model, dataset={})).name == "window"
+    (tmp_path / SPLIT).write_text('{"grid": {"domain": "window"}}')
+    with pytest.raises(DatasetError, match="grid with domain and dt"):
+        domain_of(asked, tmp_path)
 
 
 def test_the_shipped_data_are_what_their_command_makes():

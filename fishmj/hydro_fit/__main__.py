@@ -35,7 +35,7 @@ def run(verb: str, argv: list[str]) -> int | None:
             missing = console.FAILED_CHECK
             console.warn(str(error))
         if missing:
-            console.warn(f"the campaign in {folder} is not complete; going on with what is there")
+            console.warn(f"{folder}: segments are missing or were lost; going on with what is there")
     folder = data_of(robot, args)
     found: dict = {}
     if verb in ("fit", "all"):

@@ -30,7 +30,7 @@ import numpy as np
 from fishmj import console, controllers, interrupt
 from fishmj.calib import constant
 from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.collect import ON_GPU, Local, Pool, collect
+from fishmj.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model
 from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.campaign.data.segment import Segment, drive, ticks_of
@@ -40,7 +40,7 @@ from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, preset
+from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.lbm_oracle.run.run import flow_at_links
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import read_json, write_json
@@ -205,17 +205,16 @@ def main(argv: list[str]) -> int:
     add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
     add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
     add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
-    add("--domain", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     controllers.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
-    if (grid := {meta["grid"]["domain"] for meta in first.about.values()}) != {args.domain}:
-        console.warn(
-            f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {args.domain}: two waters in one fit"
-        )
-    box, water = preset(args.domain), args.rounds * args.episodes * args.seconds
+    box = domain_of_model(args.domain, began)
+    if (grid := {meta["grid"]["domain"] for meta in first.about.values()}) != {box.name}:
+        console.warn(f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {box.name}: two waters in one fit")
+    water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
     solver_cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
     setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))

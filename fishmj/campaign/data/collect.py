@@ -29,12 +29,14 @@ from fishmj.hydro_fit.record import files, write_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json
+from fishmj.water.hydro_model import HydroModel
 
 SCHEMA = "fishmj.campaign/1"
 ON_GPU = 12  # tanks of two million cells that fill one
+BOX, PREVIEW_BOX = "window", "laptop"  # where no data set says another
 GO = "--budget SECONDS or --device cpu"  # begins what takes a CPU long
 
 
@@ -214,8 +216,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=console.SEED, default=0, help="of the draws")
     steers = "what steers on-policy episodes; may be repeated; by default the shipped policies that are made for the fish"
     add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
-    add("--domain", choices=NAMES, help="box of water; by default window, laptop with --preview")
-    add("--dt", type=console.number(1e-5, 0.02), metavar="S", help="another time step; by default the domain's")
+    add(
+        "--domain",
+        choices=NAMES,
+        help=f"box of water; by default that of the data set there, else {BOX}, with --preview {PREVIEW_BOX}",
+    )
+    add(
+        "--dt",
+        type=console.number(1e-5, 0.02),
+        metavar="S",
+        help="another time step; by default the data set's, else the domain's",
+    )
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     tanks = f"segments side by side on a device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
@@ -232,9 +243,7 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(args.fish)
     plan = plan_of(args, robot)
     out = Path(args.out) if args.out else default_folder(plan)
-    domain = preset(args.domain or ("laptop" if args.preview else "window"))
-    if args.dt is not None:
-        domain = domain.changed(dt=args.dt)
+    domain = domain_of(args, out)
     if not (args.dry_run or args.ray):
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
@@ -284,6 +293,25 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
     else:
         plan = plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
     return plan.at(args.slip) if args.slip else plan
+
+
+def domain_of(args: argparse.Namespace, out: Path) -> Domain:
+    """The box that was asked for, else that of the data set which is continued, else `BOX` or, for a preview, `PREVIEW_BOX`."""
+    path, dt = out / SPLIT, args.dt
+    name = args.domain or (PREVIEW_BOX if args.preview else BOX)
+    if args.domain is None and path.is_file():
+        try:
+            grid = read_json(path)["grid"]
+            name, dt = grid["domain"], dt or float(grid["dt"])
+        except (TypeError, KeyError, ValueError) as error:
+            raise DatasetError(f"{path}: {error!r}; expected a grid with domain and dt. Take another folder") from error
+    domain = preset(name)
+    return domain if dt is None else domain.changed(dt=dt)
+
+
+def domain_of_model(asked: str | None, model: HydroModel) -> Domain:
+    """The box that was asked for, else the one that the model's segments were solved in: another grid is another water."""
+    return preset(asked or str(model.dataset.get("grid", BOX)))
 
 
 def default_folder(plan: Plan) -> Path:

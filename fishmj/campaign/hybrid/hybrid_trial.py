@@ -16,7 +16,7 @@ import numpy as np
 
 from fishmj import console
 from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.collect import Local, collect
+from fishmj.campaign.data.collect import Local, collect, domain_of_model
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.campaign.data.segment import Segment, drive, ticks_of
 from fishmj.campaign.hybrid.hybrid import Hybrid, Solver, Surrogate
@@ -26,7 +26,7 @@ from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, preset
+from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.store import read_json, write_json
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
     add("--first", type=console.number(0, 600), default=Hybrid.first, help=first)
     lead = "s of a stretch for which the fish is led, where it is not at rest"
     add("--lead", type=console.number(0, STRETCH), default=Hybrid.lead, help=lead)
-    add("--domain", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--tanks", type=console.whole(1, 256), default=1, help="continuous runs side by side; 12 fill a GPU")
     add("--seed", type=console.whole(1, 2**32 - 1), default=1, help="of the fresh test episodes")
@@ -63,14 +63,15 @@ def main(argv: list[str]) -> int:
     add("--out", type=console.out_folder, default="runs/hybrid", help=place)
     args = parser.parse_args(argv)
     robot, out = load_robot(args.fish), Path(args.out)
-    box, model, segments = preset(args.domain), surrogate_of(args), episodes_of(robot, args)
+    right, model, segments = HydroModel.load(args.model), surrogate_of(args), episodes_of(robot, args)
+    box = domain_of_model(args.domain, right)
     water = sum(segment.water for segment in segments)
     less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
     solver_cost.agree("hydro_fit hybrid", args.device, [(box, water)], instead=less, tanks=args.tanks)
     setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
     plan = plans.Plan(label="hybrid", robot=robot, seed=args.seed, segments=tuple(segments))
     collect(plan, out / "solver", setup, pool=Local(args.tanks), quiet=args.json)
-    own = float(HydroModel.load(args.model).scores.get("from_rest", 1.0))  # of a right one, whatever is corrected
+    own = float(right.scores.get("from_rest", 1.0))  # of a right one, whatever is corrected
     when = {"first": args.first, "every": args.every, "lead": args.lead, "span": STRETCH - args.lead}
     found = trial(robot, model, setup, segments, out, when=when, wrong=args.wrong, own=own)
     console.say(console.table([{k: row[k] for k in SHOWN} for row in found["episodes"]]))
