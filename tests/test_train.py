@@ -19,7 +19,7 @@ from fishmj.store import write_json
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
-from fishmj.train.build import policy_of
+from fishmj.train.build import pick_engine, policy_of
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.networks import mlp
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
@@ -308,6 +308,14 @@ def test_a_wrong_option_is_one_line_and_exit_2(line, said, tmp_path, capsys):
     error = capsys.readouterr().err
     assert said in error and len(error.splitlines()) == 1
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("water", "engine"), [("structured", "compiled"), ("swift-base", "compiled"), ("surrogate", "planar")])
+def test_an_engine_that_can_hold_the_water_is_picked(water, engine):
+    """Training in the fitted water was refused: the compiled engine has no learnt residual."""
+    pytest.importorskip("numba")
+    assert pick_engine(change(PRESETS["quick"], water=water)) == engine
+    assert pick_engine(change(PRESETS["quick"], water=water, engine="mjx")) == "mjx"
 
 
 def test_a_setting_that_does_not_exist_is_named():

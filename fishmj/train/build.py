@@ -9,6 +9,7 @@ import numpy as np
 
 from fishmj import plugins
 from fishmj.engines import in_water, with_effects
+from fishmj.engines.extensions import residual_of
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.mjcf.identity import observation_of, structure_of
@@ -21,19 +22,24 @@ from fishmj.train.settings import ALGORITHMS, Settings
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
 
-def pick_engine(name: str) -> str:
-    """`auto`: MJX on a GPU, else the compiled evaluator, else the closed form in JAX."""
-    if name != "auto":
-        return name
+def pick_engine(settings: Settings) -> str:
+    """The engine asked for; `auto`: MJX on a GPU, else compiled, or planar without numba or in a water with a learnt residual."""
+    if settings.engine != "auto":
+        return settings.engine
     import jax
 
     if jax.default_backend() != "cpu":
         return "mjx"
+    return "compiled" if has_numba() and residual_of(robot_for(settings)) is None else "planar"
+
+
+def has_numba() -> bool:
+    """Whether the compiled engine can be had."""
     try:
         import numba  # noqa: F401
     except ImportError:
-        return "planar"
-    return "compiled"
+        return False
+    return True
 
 
 def robot_for(settings: Settings):
@@ -49,7 +55,7 @@ def environment(settings: Settings, box: str = "train"):
     from fishmj.engines import make
     from fishmj.tasks.env import Options, StationHold
 
-    robot, name = robot_for(settings), pick_engine(settings.engine)
+    robot, name = robot_for(settings), pick_engine(settings)
     engine = make(name, robot)
     if not engine.jittable:
         raise ConfigError(
@@ -63,8 +69,6 @@ def algorithm(settings: Settings, env) -> Learner:
     config = config_of(settings)
     if settings.algo in ALGORITHMS:
         return referred(ALGORITHMS[settings.algo].learner)(env, config, settings.steps)
-    from fishmj.train.build import OwnAlgorithm
-
     return OwnAlgorithm(settings.algo, env, config, settings.steps, settings)
 
 

@@ -51,7 +51,7 @@ class FishVecEnv(VecEnv):
         self.memory, hide = task.pop("memory", 1), task.pop("hide", ())
         course = task.pop("course", "station_hold")
         options = {**task, **settings.reward, "robot": robot, "box": box}
-        self.fish = FishVectorEnv(n, course, engine=pick_engine(settings.engine), autoreset_mode="SameStep", **options)
+        self.fish = FishVectorEnv(n, course, engine=pick_engine(settings), autoreset_mode="SameStep", **options)
         self.joints, self.reward_scale = robot.n_joints, reward_scale
         self.factor = np.array(visible(self.joints, hide), np.float32) / scale(self.joints).astype(np.float32)
         one = observation_space(self.fish.rules).high / scale(self.joints)
@@ -144,7 +144,7 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
     config = from_table("setting of sb3-sac", SACConfig, {**asdict(paper_config()), **settings.algorithm})
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = StableSAC(shoal, config, settings.steps)
-    engine = pick_engine(settings.engine)
+    engine = pick_engine(settings)
     judge = change(settings, engine="planar" if engine == "batch" else engine)  # assessments run inside JAX
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
     run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess))

@@ -44,7 +44,7 @@ def seconds(settings: Settings) -> float:
     kind = _kind()
     cores = usable_cores() if kind == CPU else 1
     work = config_of(settings).operations(widths(settings))
-    return settings.steps * (1 / ENGINE[kind][pick_engine(settings.engine)] + work / ARITHMETIC[kind]) / cores
+    return settings.steps * (1 / ENGINE[kind][pick_engine(settings)] + work / ARITHMETIC[kind]) / cores
 
 
 def widths(settings: Settings) -> tuple[int, int, int]:

@@ -26,7 +26,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
-from fishmj.train.build import algorithm, environment, pick_engine, policy_of
+from fishmj.train.build import algorithm, environment, has_numba, pick_engine, policy_of
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
@@ -222,8 +222,10 @@ class TrainingRun:
         self._looked = False
         self.bar = console.Progress(settings.steps, "train", "steps")
         if not quiet:
-            if settings.engine == "auto" and pick_engine("auto") == "planar":
-                console.warn('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
+            if settings.engine == "auto" and pick_engine(settings) == "planar":
+                slower = "training on the slower engine planar"
+                advice = f'numba is not installed: {slower}; pip install "fishmj[fast]"'
+                console.warn(advice if not has_numba() else f"the water has a learnt residual: {slower}")
             self.bar.stage("compiling the fish and the networks")
         self.training = self.algorithm.init(jax.random.key(settings.seed))
         if resume:
@@ -368,7 +370,7 @@ class TrainingRun:
 
 def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) -> None:
     """Write a policy file that says how it was trained."""
-    made = {"engine": pick_engine(settings.engine), "preset": settings.preset, "task": as_dict(settings)["task"]}
+    made = {"engine": pick_engine(settings), "preset": settings.preset, "task": as_dict(settings)["task"]}
     policy_of(network, settings, {**made, **meta}).save(path)
 
 
@@ -379,7 +381,7 @@ def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best
         "folder": str(folder),
         "policy": str(policies[0] if policies[0].exists() else policies[1]),
         "algorithm": settings.algo,
-        "engine": pick_engine(settings.engine),
+        "engine": pick_engine(settings),
         "seed": settings.seed,
         "steps": done,
         "seconds": round(seconds, 2),
