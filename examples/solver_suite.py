@@ -4,7 +4,7 @@
 
 Task, observation and reward are the same; only the water differs. The solver fills a tank at the start of each episode and
 holds the fish for a second, until the stream has found its way round it. `laptop` is its smallest box: a preview, not a
-judgement, half a minute on two cores. Everything is synthetic.
+judgement, 13 s on two idle cores. Everything is synthetic.
 """
 
 import numpy as np

@@ -130,12 +130,17 @@ class Physics(dm_mujoco.Physics):
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
         rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
         physics.swim = Swim(
-            robot=robot, chain=ch, evaluate=None if free else evaluator(robot, ch), params=engines.nominal_params(robot, 1),
+            robot=robot, chain=ch, evaluate=None if free else cls._evaluator(robot, ch), params=engines.nominal_params(robot, 1),
             current=Flow().current(), attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
             pending=np.zeros((0, robot.n_joints)),
             steps=steps, keep=keep,
         )  # fmt: skip
         return physics
+
+    @classmethod
+    def _evaluator(cls, robot: Robot, ch: chain.Chain):
+        """The water's forces of a physics step."""
+        return evaluator(robot, ch)
 
     # ---- what a task does with it ----
 

@@ -12,9 +12,11 @@ import numpy as np
 from dm_control.rl import control
 
 from fishmj import engines
+from fishmj.dynamics.planar_chain import Chain
 from fishmj.engines import FishParams
 from fishmj.errors import ConfigError
 from fishmj.flow import BOXES, Current, Flow
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.suite.physics import Physics
 from fishmj.tasks.episode import TaskSpec
@@ -53,6 +55,10 @@ class SolverPhysics(Physics):
         physics._solver, physics._setting = options, rules.setting
         physics.begin(np.zeros(3), physics.swim.params, physics.swim.current)
         return physics
+
+    @classmethod
+    def _evaluator(cls, robot: Robot, ch: Chain) -> None:
+        """Nothing to compile: the solver has the forces."""
 
     def begin(self, pose, params: FishParams, current: Current) -> None:
         """Fill a tank with this flow, with this fish at rest at pose (3,) [m, rad]. Call inside `reset_context`."""
