@@ -84,12 +84,12 @@ class Engine:
     def _fill(self, q: np.ndarray, params: FishParams) -> ConcurrentRuns:
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        tanks = ConcurrentRuns([self._tank(i, q[i], params) for i in range(len(q))])
+        tanks = ConcurrentRuns([self.tank(i, q[i], params) for i in range(len(q))])
         asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
         streams = [flow.speed > 0 or flow.rms > 0 for flow in self.flows]
         if any(streams):
             for run in tanks.runs:
-                _turn_back(run, HELD)
+                set_clock(run, -HELD)
             for _ in range(round(HELD / self.robot.timing.bus_dt)):
                 tanks.tick(asked)
         for run, angles in zip(tanks.runs, asked, strict=True):
@@ -99,7 +99,7 @@ class Engine:
                 run.commands = [angles.copy()]
         return tanks
 
-    def _tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
+    def tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
         """Tank i with its own fish, at rest in undisturbed flow."""
         stage = SwimSetup(
             domain=self.domain, robot=self.robot, flow=self.flows[i], slip=self.slip, device=self.device,
@@ -119,12 +119,12 @@ class Engine:
         return Run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 
-def _turn_back(run: Run, seconds: float) -> None:
-    """Fish and water at -`seconds`, the undisturbed flow of that time everywhere."""
+def set_clock(run: Run, time: float) -> None:
+    """Fish and water at `time` s, the undisturbed flow of that time everywhere."""
     coupled = run.coupled
     fluid = coupled.fluid
     with coupled.scope():
-        fluid.restore(fluid.snapshot() | {"steps": np.array(-round(seconds / fluid.lattice.dt))})
+        fluid.restore(fluid.snapshot() | {"steps": np.array(round(time / fluid.lattice.dt))})
         fluid.settle()
-    coupled.body.data.time = -seconds
+    coupled.body.data.time = time
     run.begin()

@@ -13,7 +13,7 @@ from fishmj.controllers import Controller
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
 from fishmj.errors import ConfigError, FishmjError
-from fishmj.flow import Flow, sample
+from fishmj.flow import Flow, sample, shifted
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
@@ -98,10 +98,8 @@ class LiveSession:
         self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
         now = self.flow.current()
         if now.table.ndim == 4:  # frozen eddies ride on the mean: carry their phase over
-            shift = (now.mean - before.mean)[0] * self.time
-            c, s = now.turn[0]
-            moved = np.array([[c * shift[0] + s * shift[1], c * shift[1] - s * shift[0]]]) / now.cell
-            now = now._replace(offset=before.offset + moved)
+            turned = now._replace(mean=before.mean, offset=before.offset)
+            now = shifted(turned, now.mean - before.mean, self.loop.count * self.loop.ticks)
         self.loop.scenario = self.loop.scenario._replace(current=now)
 
     @property
