@@ -14,7 +14,9 @@ from fishmj.store import plain
 
 def robot_sha256(robot: Robot) -> str:
     """Hex digest of everything that a description says: links, servo, timing, water, effects. Equal for equal descriptions."""
-    return sha256(json.dumps(plain(asdict(robot)), sort_keys=True, default=str).encode()).hexdigest()
+    table = asdict(robot)
+    table["water"] = {"model": "structured", **table["water"]}  # a water that is not stated counts as its own coefficients
+    return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
 
 
 def identity(robot: Robot) -> dict:
