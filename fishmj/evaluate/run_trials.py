@@ -90,7 +90,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
         policy_sha256=getattr(controller, "sha256", ""),
         robot=robot,
         trials=trials,
-        engine=type(engine).__module__.rpartition(".")[2],
+        engine=getattr(engine, "name", type(engine).__module__.rpartition(".")[2]),
         t=np.arange(pose.shape[1]) * robot.timing.bus_dt,
         target=target,
         pose=pose,

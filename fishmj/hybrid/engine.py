@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 
 from fishmj import engines
-from fishmj.dynamics import planar_chain
 from fishmj.engines import FishParams, FishState, Trace, check_commands
 from fishmj.flow import Current, Flow
 from fishmj.hybrid.hybrid import Hybrid, HybridOptions
-from fishmj.hybrid.segment import Oracle
+from fishmj.hybrid.segment import Oracle, Replay
 from fishmj.mjcf.description import Robot
 
 
@@ -18,7 +17,7 @@ class Engine:
 
     Args:
         kind: a flow with the turbulence and box of the background. inner: engine that moves the fish, by name or as one.
-        oracle, chain: as of `Hybrid`.
+        oracle, replay: as of `Hybrid`.
 
     Attributes:
         name: what tables call it.
@@ -28,16 +27,14 @@ class Engine:
 
     def __init__(
         self, robot: Robot, kind: Flow | None = None, options: HybridOptions | None = None, *, inner: Any = "batch",
-        oracle: Oracle | None = None, chain: planar_chain.Chain | None = None,
+        oracle: Oracle | None = None, replay: Replay | None = None,
     ):  # fmt: skip
         self.robot = robot
         self.inner = engines.make(inner, robot) if isinstance(inner, str) else inner
-        self.hybrid = Hybrid(robot, options, kind=kind, oracle=oracle, chain=chain)
+        self.hybrid = Hybrid(robot, options, kind=kind, oracle=oracle, replay=replay)
         self.name = f"hybrid, {self.hybrid.domain}, slip {self.hybrid.options.slip:g}"
 
-    def advance(
-        self, state: FishState, commands, params: FishParams, current: Current, tick
-    ) -> tuple[FishState, Trace]:
+    def advance(self, state: FishState, commands, params: FishParams, current: Current, tick) -> tuple[FishState, Trace]:
         """As the engine's that moves the fish; `tick` is the same for all of them."""
         commands, tick = np.asarray(commands, float), np.asarray(tick)
         check_commands(commands, self.robot.n_joints)

@@ -9,21 +9,21 @@
                                  |.. solved ..|^  corrected from this tick on
 
 B fish are watched at once, each with a correction of its own (`hydro_fit.online_correction`). The swim itself is never moved, so
-that a corrected one has no jumps. MuJoCo does not wait: a worker thread has the solver and the comparison, and what it finds enters
-at the next bus tick; with `wait` everything happens between two ticks, the same in every run. A better water that is missing or
-fails is switched off with one warning; what was learnt stays.
+that a corrected one has no jumps. MuJoCo does not wait: a worker thread has the solver and the comparison, and what it finds
+enters at the next bus tick; with `wait` everything happens between two ticks, the same in every run. A better water that is
+missing or fails is switched off with one warning; what was learnt stays.
 """
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from fishmj import console
-from fishmj.dynamics import planar_chain
-from fishmj.engines import FishParams, FishState, flat_water
+from fishmj.engines import FishParams, FishState
 from fishmj.errors import ConfigError
 from fishmj.flow import Current, Flow, shifted
 from fishmj.hybrid.segment import Misses, Oracle, Replay, Segment, Swum
@@ -31,7 +31,6 @@ from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.online_correction import FACTORS, Correction
 from fishmj.mjcf.description import Robot
 from fishmj.water import choice
-from fishmj.water.prior import unflat
 
 OWN = 4.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/methods/fitted_water.md
 BOX = "window_coarse"  # where the water does not say which box it was fitted in
@@ -68,15 +67,14 @@ class HybridOptions:
     wait: bool = False
 
     def __post_init__(self):
-        if not (self.span > 0 and self.lead > 0 and self.first >= 0 and self.lead + self.span <= self.every):
+        if not (self.span > 0 and self.lead > 0 and self.first >= 0 and self.lead + self.span <= self.every + 1e-9):
             got = f"first {self.first}, lead {self.lead} and span {self.span} s"
             raise ConfigError(f"hybrid: {got}; expected first >= 0, lead and span > 0, and both within {self.every} s")
 
     def box(self, robot: Robot) -> str:
         """Name of the box of water."""
-        name = choice.label(robot)
-        fitted = None if name in choice.KINDS and name != choice.FITTED else choice.fitted_water(choice.chosen(robot).name)
-        return self.domain or (BOX if fitted is None else str(fitted.dataset.get("grid", BOX)))
+        name = robot.name if choice.label(robot) == choice.FITTED else choice.label(robot)
+        return self.domain or (BOX if name in choice.KINDS else str(choice.fitted_water(name).dataset.get("grid", BOX)))
 
 
 @dataclass
@@ -87,12 +85,11 @@ class _Recording:
     params: FishParams
     current: Current
     states: list = field(default_factory=list)  # (q, v) of the lead
-    start: FishState | None = None
+    start: Any = None  # FishState where the lead ends
     commands: list = field(default_factory=list)
 
     def segments(self, kind: Flow) -> list[Segment]:
-        """One of each fish."""
-        assert self.start is not None
+        """One of each fish that is still in its senses."""
         q, v = (np.stack(column, 1) for column in zip(*self.states, strict=True))
         commands = np.stack(self.commands, 1)
         made = []
@@ -120,7 +117,7 @@ class _Job:
         try:
             swum = oracle().swim(self.segments)
             self.found = [self._matched(one, seen, replay, own) for one, seen in zip(self.segments, swum, strict=True)]
-        except Exception as error:  # whatever becomes of the solver, its driver or its device: the fish swims on
+        except Exception as error:  # noqa: BLE001  whatever becomes of solver, driver or device: the fish swims on
             self.failed = " ".join(str(error).split()) or type(error).__name__
         self.wall, self.done = time.perf_counter() - self.began, True
 
@@ -140,19 +137,21 @@ class Hybrid:
 
     Args:
         kind: a flow with the turbulence and box of the background.
-        oracle: the better water; the flow solver by default. chain: what the simulation swims, where that is not the robot's own.
+        oracle: the better water; the flow solver by default.
+        replay: of what the simulation swims, where that is not the robot's own.
 
     Attributes:
-        states: the correction of each fish. rows: of each fish, what its segments said. off: why there are no more, "" while there are.
+        states: the correction of each fish. rows: of each fish, what its segments said.
+        off: why there are no more segments, "" while there are.
     """
 
     def __init__(
         self, robot: Robot, options: HybridOptions | None = None, *, kind: Flow | None = None, oracle: Oracle | None = None,
-        chain: planar_chain.Chain | None = None,
+        replay: Replay | None = None,
     ):  # fmt: skip
         self.robot, self.options, self.kind = robot, options or HybridOptions(), kind or Flow()
         self.domain = self.options.box(robot) if oracle is None else "its own"
-        self._oracle, self._replay, self._job = oracle, Replay(robot, chain), None
+        self._oracle, self._replay = oracle, replay or Replay(robot)
         self.size = robot.timing.bus_dt
         self.off, self._told = "", set[str]()
         self.reset()
@@ -161,7 +160,6 @@ class Hybrid:
         """Nothing swum and nothing corrected yet; a solver that was switched off stays so."""
         self.states: list[Correction] = []
         self.rows: list[list[dict]] = []
-        self._base: np.ndarray | None = None
         self._last = -1
         self._recording: _Recording | None = None
         self._job: _Job | None = None
@@ -180,8 +178,9 @@ class Hybrid:
             self.states = [online_correction.fresh() for _ in np.asarray(fish.q)]
             self.rows = [[] for _ in self.states]
         self._last = tick
-        self._watch(fish, params, current, tick)
         self._collect(tick)
+        self._watch(fish, params, current, tick)
+        self._collect(tick)  # where it has waited for a segment
         return self._corrected(params, current, tick)
 
     def close(self) -> None:
@@ -204,25 +203,23 @@ class Hybrid:
         """Note states and commands while a segment is under way; hand it over where it ends."""
         o = self.options
         lead, span, every, first = (round(s / self.size) for s in (o.lead, o.span, o.every, o.first))
-        at = (tick - first) % every
-        if at == 0 and tick >= first and not self.off:
-            if self._job is not None:
+        now = self._recording
+        if now is not None and tick > now.tick + lead:
+            now.commands.append(np.array(np.asarray(fish.buffer)[:, -1], float))
+            if tick == now.tick + lead + span:
+                self._recording = None
+                if np.array_equal(now.current.mean, current.mean):  # else somebody has turned the stream meanwhile
+                    self._hand_over(now.segments(self.kind))
+        if tick >= first and (tick - first) % every == 0 and not self.off:
+            if self._job is not None and not self._job.done:
                 self._say("slow", "the solver is still at work when the next segment is due, which is left out")
             else:
                 self._recording = _Recording(tick, params, current)
         now = self._recording
-        if now is None:
-            return
-        if at > lead:
-            now.commands.append(np.array(np.asarray(fish.buffer)[:, -1], float))
-        else:
+        if now is not None and tick <= now.tick + lead:
             now.states.append((np.array(fish.q, float), np.array(fish.v, float)))
-        if at == lead:
-            now.start = FishState(*(np.array(a, float) for a in fish))
-        if at == (lead + span) % every:
-            self._recording = None
-            if np.array_equal(now.current.mean, current.mean):  # else somebody has turned the stream meanwhile
-                self._hand_over(now.segments(self.kind))
+            if tick == now.tick + lead:
+                now.start = FishState(*(np.array(a, float) for a in fish))
 
     def _hand_over(self, segments: list[Segment]) -> None:
         idle = [self.options.every if rows else 0.0 for rows in self.rows]
@@ -269,9 +266,8 @@ class Hybrid:
         if all(not state.unknowns.any() for state in self.states):
             return params, current
         factors, stream = (np.stack([getattr(s, name) for s in self.states], -1) for name in ("factors", "stream"))
-        rows = np.asarray(params.water, float)
-        water = flat_water(online_correction.applied(unflat([rows[:, i] for i in range(rows.shape[1])]), factors))
-        return params._replace(water=np.stack(water, 1)), shifted(current, stream.T, np.full(len(rows), tick))
+        water = online_correction.applied_to_rows(params.water, factors)
+        return params._replace(water=water), shifted(current, stream.T, np.full(len(water), tick))
 
     def _say(self, what: str, text: str) -> None:
         """A warning, once of each kind."""

@@ -3,8 +3,8 @@
     |---- lead ----|---- span ----|        bus ticks
      the better water's fish is led along MuJoCo's own path, then swims the same commands by its servos
 
-During the lead the better water gets used to the fish: it begins undisturbed. What is compared is the span, swum from one state by
-the same commands in the same eddies: means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s.
+During the lead the better water gets used to the fish: it begins undisturbed. What is compared is the span, swum from one state
+by the same commands in the same eddies: means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s.
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,11 @@ import jax
 import numpy as np
 
 from fishmj.dynamics import planar_chain
-from fishmj.engines import FishParams, FishState, flat_water, planar
+from fishmj.engines import FishParams, FishState, planar
 from fishmj.flow import Current, Flow, shifted
 from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.fit.tolerance import WINDOW, of_movement
 from fishmj.mjcf.description import Robot
-from fishmj.water.prior import unflat
 
 WIDE = 12  # replays side by side; a batch of one size is compiled once
 
@@ -44,7 +43,7 @@ class Segment(NamedTuple):
 
 
 class Swum(NamedTuple):
-    """n ticks of free swimming, states after each, (n, 3 + J)."""
+    """n ticks of free swimming, states after each, (n, 3 + J); of B replays (B, n, 3 + J)."""
 
     q: np.ndarray
     v: np.ndarray
@@ -74,24 +73,26 @@ class Replay:
 
     def means(self, segment: Segment, factors: np.ndarray, stream: np.ndarray) -> np.ndarray:
         """(K, 3, B) velocity ahead, to the left, and yaw rate by windows; for factors (10, B) and streams (2, B)."""
-        count = factors.shape[1]
-        parts = [self._some(segment, factors[:, k : k + WIDE], stream[:, k : k + WIDE]) for k in range(0, count, WIDE)]
+        parts = []
+        for k in range(0, factors.shape[1], WIDE):
+            swum = self.swim(segment, factors[:, k : k + WIDE], stream[:, k : k + WIDE])
+            parts.append(windows(np.moveaxis(body_rates(swum.q, swum.v), 0, -1), self.tick))
         return np.concatenate(parts, -1)
 
-    def _some(self, segment: Segment, factors: np.ndarray, stream: np.ndarray) -> np.ndarray:
-        rows = np.minimum(np.arange(WIDE), factors.shape[1] - 1)
-        wide = lambda tree: type(tree)(*(np.repeat(np.asarray(a), WIDE, 0) for a in tree))
+    def swim(self, segment: Segment, factors: np.ndarray, stream: np.ndarray) -> Swum:
+        """States after each tick, (B, n, 3 + J); for factors (10, B) and streams (2, B), B at most `WIDE`."""
+        count = factors.shape[1]
+        rows, wide = np.minimum(np.arange(WIDE), count - 1), lambda a: np.repeat(np.asarray(a), WIDE, 0)
+        every = lambda tree: type(tree)(*map(wide, tree))
         c, tick = segment.current, np.full(WIDE, segment.span)
-        told = Current(*(np.repeat(np.asarray(a), WIDE, 0) for a in c[:5]), c.table, c.cell)
-        current = shifted(told, stream[:, rows].T, tick)
-        base = unflat(list(segment.params.water[0]))
-        water = [np.broadcast_to(value, WIDE) for value in flat_water(online_correction.applied(base, factors[:, rows]))]
-        params = wide(segment.params)._replace(water=np.stack(water, 1))
-        commands = np.repeat(segment.commands[None], WIDE, 0)
-        with jax.default_device(self._device):
-            _, trace = self.engine.advance(wide(segment.start), commands, params, current, tick)
-        moved = body_rates(np.asarray(trace.pose, float), np.asarray(trace.velocity, float))
-        return windows(np.moveaxis(moved, 0, -1), self.tick)[..., : factors.shape[1]]
+        current = shifted(Current(*map(wide, c[:5]), c.table, c.cell), stream[:, rows].T, tick)
+        params = every(segment.params)
+        params = params._replace(water=online_correction.applied_to_rows(params.water, factors[:, rows]))
+        arguments = (every(segment.start), wide(segment.commands[None]), params, current, tick)
+        with jax.enable_x64(True), jax.default_device(self._device):  # as the engine `batch`
+            _, trace = self.engine.advance(*arguments)
+        pose, joint, rate, velocity = (np.asarray(a, float)[:count] for a in trace[:4])
+        return Swum(np.concatenate([pose, joint + segment.params.zero[0]], -1), np.concatenate([velocity, rate], -1))
 
 
 class Misses:

@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.dynamics import strip_forces
+from fishmj.water.prior import unflat
 
 KINDS = ("added_mass", "cross_flow", "friction", "form", "edge")
 FACTORS = 2 * len(KINDS)  # unknowns 0 to 9; 10 and 11 are the stream
@@ -87,6 +88,12 @@ def applied(c: strip_forces.Coefficients, factors) -> strip_forces.Coefficients:
         ca_backward=c.ca_backward * form,
         ke=c.ke * edge,
     )
+
+
+def applied_to_rows(water: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """(B, P) flat coefficients of B fish times their factors (10, B)."""
+    c = applied(unflat(list(np.asarray(water, float).T)), factors)
+    return np.stack(np.broadcast_arrays(*c.k, *c.cn, *c[2:]), 1)
 
 
 def matched(state: Correction, misses: Misses, *, idle: float = 0.0) -> Correction:
