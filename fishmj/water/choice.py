@@ -153,7 +153,7 @@ def fitted_for(robot: Robot) -> str | None:
 def _replaced(robot: Robot, stated: str) -> bool:
     """Whether the coefficients of the description gave way to those of its water."""
     if stated == NONE:
-        return True
+        return not any(robot.water["k"])
     base = fitted_water(robot.name if stated == FITTED else stated).base
     return strip_forces.coefficients(robot.water, len(robot.links)) == base
 
