@@ -81,7 +81,9 @@ class Sim:
         chosen = choice.chosen(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water).within(can, "Sim")
         self.robot, corrected = chosen.robot, chosen.kind == choice.HYBRID
         if corrected and root != "planar":
-            raise ConfigError(f"Sim: water 'hybrid' acts on a fish with a planar root, got root = {root!r}; take 'planar', or fitted")
+            raise ConfigError(
+                f"Sim: water 'hybrid' acts on a fish with a planar root, got root = {root!r}; take 'planar', or fitted"
+            )
         model = ELLIPSOID if own_fluid else choice.label(self.robot)
         self.water_name = choice.HYBRID if corrected else model
         self.root = root

@@ -9,7 +9,7 @@ from fishmj import controllers, engines, suite
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import protocol, run_trials
 from fishmj.flow import Flow, stack
-from fishmj.hybrid import Hybrid, HybridOptions
+from fishmj.hybrid import HybridOptions
 from fishmj.hybrid import tanks as tanks_of_the_solver
 from fishmj.hybrid.engine import Engine
 from fishmj.hybrid.segment import Replay, Swum
@@ -24,7 +24,7 @@ GUSTY = Flow(speed=0.2, turbulence="default", intensity=0.05, seed=5)
 RIGHT = online_correction.fresh()
 FACTORS = np.array([1, 1, 3, 1, 1, 1, 0.5, 1, 1, 1.0])  # three times the friction, half the tail's cross-flow drag
 STILL, MORE = np.zeros(2), np.array([0.05, 0.0])
-QUICK = HybridOptions(first=1.0, every=3.0, lead=0.2, span=1.0, own=1.0, wait=True)
+QUICK = HybridOptions(first=1.0, every=3.0, lead=0.2, span=1.0, wait=True)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
             return super().swim(segments)
 
     go: list = []
-    options = HybridOptions(first=0.2, every=0.6, lead=0.2, span=0.4, own=1.0)
+    options = HybridOptions(first=0.2, every=1.2, lead=0.2, span=1.0)
     engine = Engine(STRIPS, GUSTY, options, oracle=Slow(replay, stream=MORE), replay=replay)
     np.testing.assert_array_equal(swum(engine), plain)
     hybrid = engine.hybrid
@@ -182,7 +182,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
 
 
 def test_an_answer_that_comes_too_late_is_dropped(replay, capsys):
-    options = HybridOptions(first=0.2, every=5.0, lead=0.2, span=0.4, own=1.0, patience=0.0)
+    options = HybridOptions(first=0.2, every=5.0, lead=0.2, span=1.0, patience=0.0)
     engine = Engine(STRIPS, GUSTY, options, oracle=Better(replay, stream=MORE), replay=replay)
     swum(engine)
     engine.hybrid.close()
@@ -234,7 +234,7 @@ def made_up(monkeypatch):
 @pytest.mark.slow
 def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
     """The fitted water with its residual, in a gusty current; twice the same, to the bit."""
-    options = HybridOptions(first=1.0, every=4.0, lead=0.2, span=1.0, wait=True, slip=0.98)
+    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=1.4, wait=True, slip=0.98)
     sims = [Sim("fish", water="hybrid", hybrid=options, flow=GUSTY, pose=(0, 0, np.pi)) for _ in range(2)]
     trials = [sim.run(lambda t: wave(round(t / 0.02)), 4.0) for sim in sims]
     np.testing.assert_array_equal(*(trial.tables["truth"]["x"] for trial in trials))
@@ -249,7 +249,7 @@ def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
 
 @pytest.mark.slow
 def test_a_suite_swims_corrected(made_up):
-    options = HybridOptions(first=1.0, every=4.0, lead=0.2, span=1.0, wait=True)
+    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=1.4, wait=True)
     setting = {"water": "hybrid", "hybrid": options, "random": 1, "flow_speed": 0.2}
     env = suite.load("fish", "station_hold", task_kwargs=setting)
     env.reset()
@@ -267,14 +267,14 @@ def test_a_free_root_is_refused():
 
 def test_a_policy_holds_station_for_a_minute_in_turbulence(replay):
     """The judge's own loop, a learned policy, a stream 0.05 m/s faster than told: it is found in every trial, and kept."""
-    options = HybridOptions(own=1.0, wait=True)
+    options = HybridOptions(wait=True)
     trials = protocol.trials(speeds=(0.2,), los_deg=(0, 120), repeats=1, turbulence="default")
     engine = Engine(STRIPS, trials.flows()[0], options, oracle=Better(replay, stream=MORE), replay=replay)
     result = run_trials.run(controllers.chosen("pilot", STRIPS), STRIPS, trials, engine)
     assert result.engine.startswith("hybrid") and result.water == "hybrid" and np.isfinite(result.distance).all()
     for i in range(2):
         told = engine.hybrid.report(i)
-        assert [row["t"] for row in told["segments"]] == [4.0, 24.0, 44.0] and told["solver_share"] == pytest.approx(0.1)
+        assert [row["t"] for row in told["segments"]] == [4.0, 34.0] and told["solver_share"] == pytest.approx(0.1)
         np.testing.assert_allclose(told["stream"], MORE, atol=0.015)
 
 
@@ -284,7 +284,7 @@ def test_a_policy_holds_station_for_a_minute_in_turbulence(replay):
 def linear(slopes, at):
     """Misses (R, B) that are linear in the logarithms of the free factors and in the stream, none at `at`."""
     at, free = np.asarray(at, float), online_correction.BELIEFS[2]
-    return lambda factors, stream: slopes @ (np.concatenate([np.log(factors), stream])[free] - at[:, None])
+    return lambda factors, stream: (slopes @ (np.concatenate([np.log(factors), stream])[free] - at[:, None])).reshape(4, 3, -1)
 
 
 @pytest.mark.parametrize(("size", "moves"), [(0.99, False), (1.01, True)])
@@ -301,11 +301,11 @@ def test_what_nine_of_ten_right_ones_stay_below_refutes_nothing(size, moves):
 @pytest.mark.parametrize(("unknown", "width"), [(1, online_correction.WRONG[1]), (7, online_correction.STREAM)])
 def test_unknowns_move_where_they_gain_more_than_by_chance(gain, moves, unknown, width):
     """Large misses, all but one of which nothing mends: that one against ln det(1 + J P J^T) of its unknown."""
-    slope = 1.5 / width
+    slope, column = 1.5 / width, online_correction.BELIEFS[2][unknown]
     spread = 1 + (slope * width) ** 2
     at = np.sqrt(gain * np.log(spread) * spread / (spread - 1)) / slope  # a^2 d^2 / (1 + d^2) = gain x ln(1 + d^2)
-    mended = linear(slope * np.eye(9)[[unknown]], at * np.eye(9)[unknown])
-    misses = lambda *x: np.concatenate([mended(*x), np.full((11, x[0].shape[1]), 2.0)])
+    mended = lambda factors, stream: slope * (np.concatenate([np.log(factors), stream])[[column]] - at)
+    misses = lambda *x: np.concatenate([mended(*x), np.full((11, x[0].shape[1]), 2.0)]).reshape(4, 3, -1)
     found = online_correction.matched(RIGHT, misses).unknowns[online_correction.BELIEFS[2]]
     expected = np.eye(9)[unknown] * (at * (spread - 1) / spread if moves else 0.0)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

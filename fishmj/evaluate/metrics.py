@@ -71,6 +71,7 @@ class Result(NamedTuple):
     action: np.ndarray | None  # (n, K, J) of policies
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
+    corrections: np.ndarray | None = None  # (n,) JSON of `fishmj.hybrid.Hybrid.report`, of the water hybrid
 
     @property
     def water(self) -> str:

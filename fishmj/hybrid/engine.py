@@ -32,7 +32,7 @@ class Engine:
         self.robot = robot
         self.inner = engines.make(inner, robot) if isinstance(inner, str) else inner
         self.hybrid = Hybrid(robot, options, kind=kind, oracle=oracle, replay=replay)
-        self.name = f"hybrid, {self.hybrid.domain}, slip {self.hybrid.options.slip:g}"
+        self.name = self.hybrid.options.label(robot)
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick) -> tuple[FishState, Trace]:
         """As the engine's that moves the fish; `tick` is the same for all of them."""

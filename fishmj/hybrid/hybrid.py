@@ -1,6 +1,6 @@
 """The water of a swimming fish, corrected by short segments in a better water.
 
-    hybrid = Hybrid(robot, HybridOptions(every=20.0), kind=flow)
+    hybrid = Hybrid(robot, HybridOptions(every=30.0), kind=flow)
     params, current = hybrid.tick(fish, params, current, k)     before bus tick k: the water and stream that MuJoCo takes then
     hybrid.report()                                             what was corrected, when, by how much and how sure
 
@@ -29,10 +29,11 @@ from fishmj.flow import Current, Flow, shifted
 from fishmj.hybrid.segment import Misses, Oracle, Replay, Segment, Swum
 from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.online_correction import FACTORS, Correction
+from fishmj.lbm_oracle.run.domain import PREVIEWS
 from fishmj.mjcf.description import Robot
 from fishmj.water import choice
 
-OWN = 4.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/methods/fitted_water.md
+OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/methods/fitted_water.md
 BOX = "window_coarse"  # where the water does not say which box it was fitted in
 
 
@@ -54,9 +55,9 @@ class HybridOptions:
     """
 
     first: float = 4.0
-    every: float = 20.0
+    every: float = 30.0
     lead: float = 1.0
-    span: float = 1.0
+    span: float = 2.0
     domain: str | None = None
     slip: float = 1.0
     device: str = "auto"
@@ -75,6 +76,10 @@ class HybridOptions:
         """Name of the box of water."""
         name = robot.name if choice.label(robot) == choice.FITTED else choice.label(robot)
         return self.domain or (BOX if name in choice.KINDS else str(choice.fitted_water(name).dataset.get("grid", BOX)))
+
+    def label(self, robot: Robot) -> str:
+        """One line for tables: all that a swim depends on."""
+        return f"hybrid, {self.box(robot)}, slip {self.slip:g}, {self.lead + self.span:g} of {self.every:g} s"
 
 
 @dataclass
@@ -150,7 +155,11 @@ class Hybrid:
         replay: Replay | None = None,
     ):  # fmt: skip
         self.robot, self.options, self.kind = robot, options or HybridOptions(), kind or Flow()
-        self.domain = self.options.box(robot) if oracle is None else "its own"
+        self.domain = self.options.box(robot)
+        if oracle is None and self.domain in PREVIEWS:
+            console.warn(
+                f"hybrid: the box {self.domain} is a preview: its coarse water is not the one that the robot's was fitted to"
+            )
         self._oracle, self._replay = oracle, replay or Replay(robot)
         self.size = robot.timing.bus_dt
         self.off, self._told = "", set[str]()

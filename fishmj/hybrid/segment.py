@@ -96,9 +96,9 @@ class Replay:
 
 
 class Misses:
-    """How differently the simulation moves from what was seen, in tolerances of a right water: (R, B).
+    """How differently the simulation moves from what was seen, over what a right water misses by: (K, 3, B).
 
-    own: mean square, in tolerances, that nine of ten segments of a right water stay below.
+    own: mean square, in tolerances and of the worst channel, that nine of ten segments of a right water stay below.
     """
 
     def __init__(self, replay: Replay, segment: Segment, seen: Swum, own: float):
@@ -110,7 +110,7 @@ class Misses:
         self.wide = np.stack([speed, speed, turn], 1)[..., None] * np.sqrt(own)
 
     def __call__(self, factors: np.ndarray, stream: np.ndarray) -> np.ndarray:
-        return ((self.replay.means(self.segment, factors, stream) - self.seen) / self.wide).reshape(-1, factors.shape[1])
+        return (self.replay.means(self.segment, factors, stream) - self.seen) / self.wide
 
 
 def body_rates(q: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -4,13 +4,14 @@
     P_k^-1 = prior + lambda (P_k-1^-1 - prior) + J^T J          lambda = exp(-t / MEMORY), t since the segment before
 
 x are the logarithms of ten factors on the coefficients, and the mean stream's offset from what the simulation is told, m/s.
-r (R,) are differences of movement over what a right surrogate misses by, whose error has no unknown that mends it. Four beliefs
-explain a segment. `right`: x stays where it is; or what is wrong is the factors, the stream, or both: they are somewhere in P.
-x moves by the belief of the greatest evidence, if with it
+r (K, C) are differences of movement in K windows and C channels over what a right surrogate misses by, whose error has no unknown
+that mends it. Four beliefs explain a segment. `right`: x stays where it is; or what is wrong is the factors, the stream, or both:
+they are somewhere in P. x moves by the belief of the greatest evidence, if with it
 
-    |r(x')|^2 > R    and    2 ln(p_wrong / p_right) = |r(x')|^2 - |r(x)|^2 - |x - x'|^2_P - ln det(1 + J P J^T) > 0
+    max_c mean_k r(x')^2 > 1    and    2 ln(p_wrong / p_right) = |r(x')|^2 - |r(x)|^2 - |x - x'|^2_P - ln det(1 + J P J^T) > 0
 
 The first, since a right surrogate is off the same way in window after window: within its own misses any pattern may be its own.
+By channel, since a stream, say, shows in one of them.
 The second is Laplace's approximation of both likelihoods: what is free must gain more than it could by chance, so that a stream
 is not explained by seven factors, nor a hull by a stream. A segment that a right surrogate could have swum moves nothing, to
 the bit, and P need not protect it: `WRONG` is how far a wrong one may have to move. Friction, which tells a hull that holds the
@@ -46,7 +47,7 @@ _LOW, _HIGH = ([*np.log(2 * [w if kind == "friction" else b for kind in KINDS]),
                for b, w, f in zip(BOUNDS, WIDER, (-FASTEST, FASTEST), strict=True))  # fmt: skip
 LIMITS = np.array([_LOW, _HIGH])[..., None]
 
-Misses = Callable[[np.ndarray, np.ndarray], np.ndarray]  # factors (10, B), stream (2, B) m/s -> (R, B)
+Misses = Callable[[np.ndarray, np.ndarray], np.ndarray]  # factors (10, B), stream (2, B) m/s -> (K, C, B)
 
 
 class Correction(NamedTuple):
@@ -100,22 +101,27 @@ def matched(state: Correction, misses: Misses, *, idle: float = 0.0) -> Correcti
     """Follow a segment that was swum by both: factors and stream with which the surrogate moves as the better water's fish did.
 
     Args:
-        misses: factors (10, B) and streams (2, B) of B surrogates -> (R, B) differences of movement over what a right one differs
-            by. idle: s since the segment before.
+        misses: factors (10, B) and streams (2, B) of B surrogates -> (K, C, B) differences of movement in K windows and C
+            channels over what a right one differs by. idle: s since the segment before.
     Returns:
         The state after it: where the segment does not refute them, the same unknowns, known as they were but for forgetting.
     """
     belief = _prior() + np.exp(-idle / MEMORY) * (state.information - _prior())
-    of = lambda x: misses(np.exp(x[:FACTORS]), x[FACTORS:])
     start = state.unknowns
-    first = of(start[:, None])[:, 0]
-    if not first @ first > len(first):
+    seen = misses(state.factors[:, None], state.stream[:, None])[..., 0]
+    if not refuted(seen):
         return state._replace(information=belief)
+    of, first = (lambda x: misses(np.exp(x[:FACTORS]), x[FACTORS:]).reshape(seen.size, -1)), seen.ravel()
     found = max((_fitted(start, free, belief, first, of) for free in BELIEFS), key=lambda fit: fit.gain)
     if not found.gain > 0:
         return state._replace(information=belief)
     belief[np.ix_(found.free, found.free)] += found.normal
     return Correction(np.exp(found.x[:FACTORS]), found.x[FACTORS:], belief)
+
+
+def refuted(misses: np.ndarray) -> bool:
+    """Whether misses (K, C) are more than those of a right surrogate, in any channel."""
+    return bool((misses**2).mean(0).max() > 1.0)
 
 
 class _Fit(NamedTuple):

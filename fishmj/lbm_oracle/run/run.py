@@ -8,7 +8,7 @@
     trial = run.trial()
 
 Driven by the servos, joints lag behind their commands as on the robot. `prescribed` joints follow a function of time to the
-letter, `tethered` holds the root, or leads it along `root`; the torques that this takes are the servo's and the tether's reaction.
+letter, `tethered` holds the root or leads it along `root`; the torques that this takes are the reaction of servos and tether.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
