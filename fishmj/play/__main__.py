@@ -139,8 +139,8 @@ def main(argv: list[str] | None = None) -> int:
     check_host(args.host)
     water = choice.chosen(load_robot(args.robot), args.water)
     robot = water.within(choice.SELF_MADE, "play").robot
-    console.say(f"water: {water.said}")
     controller = controller_of(args, robot)
+    console.say(f"water: {water.said}")
     session = LiveSession(controller, robot, flow, args.engine)
     alone = args.headless_seconds is not None
     with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
