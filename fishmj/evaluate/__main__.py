@@ -102,7 +102,6 @@ def main(argv: list[str]) -> int:
         raise MissingExtra("matplotlib", "all", "evaluate --plots")
     water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM, choice.HYBRID), "evaluate")
     robot = water.robot
-    console.say(f"water: {water.said}")
     for effect in joined:
         if effect.name not in {fitted.name for fitted in robot.effects}:
             console.warn(
@@ -121,6 +120,7 @@ def main(argv: list[str]) -> int:
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
     affordable(robot, trials, len(brains))
+    console.say(f"water: {water.said}")
     if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
 

@@ -191,7 +191,7 @@ def checked(robot: Robot) -> Robot:
         "fin": [_plain(vars(fin)) for fin in robot.fins],
         "servo": _plain(vars(robot.servo)),
         "timing": _plain(vars(robot.timing)),
-        "water": _plain(robot.water),
+        "water": _plain({key: value for key, value in robot.water.items() if key != "own"}),
     }
     notes = _examined(table, where)
     water, assumed = _water(robot.water, robot.links, where)

@@ -15,7 +15,8 @@ from fishmj.store import plain
 def robot_sha256(robot: Robot) -> str:
     """Hex digest of everything that a description says: links, servo, timing, water, effects. Equal for equal descriptions."""
     table = asdict(robot)
-    table["water"] = {"model": "structured", **table["water"]}  # a water that is not stated counts as its own coefficients
+    water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
+    table["water"] = {"model": "structured", **water}
     return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
 
 

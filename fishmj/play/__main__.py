@@ -142,8 +142,8 @@ def main(argv: list[str] | None = None) -> int:
     check_host(args.host)
     water = choice.chosen(load_robot(args.robot), args.water)
     robot = water.within((*choice.SELF_MADE, choice.HYBRID), "play").robot
-    console.say(f"water: {water.said}")
     controller = controller_of(args, robot)
+    console.say(f"water: {water.said}")
     engine = args.engine
     if water.kind == choice.HYBRID:
         from fishmj.hybrid.engine import Engine, HybridOptions

@@ -222,9 +222,9 @@ def main(argv: list[str]) -> int:
         for seed, folder in folders.items():
             if folder in there:
                 same(folder, change(settings, seed=seed), as_dict(there[folder]))
-    console.say(f"water: {water_for(settings).said}")
-    settings = settled(settings)
+    water, settings = water_for(settings).said, settled(settings)
     training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
+    console.say(f"water: {water}")
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
             shutil.rmtree(folder, ignore_errors=True)

@@ -26,6 +26,7 @@ from fishmj.mjcf.description import Robot
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
+OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
 HELP = (
@@ -69,27 +70,30 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
     Raises:
         UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
     """
-    name = canonical(water)
-    stated = canonical(robot.water.get("model"))
+    name, described = canonical(water), robot.water.get(OWN, robot.water)
+    stated, states = canonical(robot.water.get("model")), canonical(described.get("model"))
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
-    elif name == FITTED and stated not in (None, STRUCTURED, LBM, NONE, FITTED):
-        name = stated
+    elif name == FITTED and states not in (None, *KINDS):
+        name = states
     if name == STRUCTURED:
-        if stated not in (None, STRUCTURED, LBM) and _replaced(robot, stated):
-            raise ConfigError(f"water 'structured': the robot is in water {stated!r} already; choose for the robot as described")
-        own = {key: value for key, value in robot.water.items() if key != "model"}
         why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
-        return Choice(STRUCTURED, replace(robot, water={**own, "model": STRUCTURED}), f"structured, own coefficients{why}")
+        return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
     if name == LBM:
-        return Choice(LBM, replace(robot, water={**robot.water, "model": LBM}), "lbm, the flow solver itself")
+        return Choice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
     if name == NONE:
-        own = {key: value for key, value in robot.water.items() if key == "stations"}
-        return Choice(NONE, replace(robot, water={**_dry(robot), **own, "model": NONE}), "none, a bench in air")
+        return Choice(NONE, _with(robot, _dry(robot), name), "none, a bench in air")
     if name == HYBRID:
         fitted = chosen(robot, FITTED)
         return Choice(HYBRID, fitted.robot, f"hybrid, {fitted.said}, corrected by the flow solver")
     return _fitted(robot, name)
+
+
+def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
+    """The robot with other coefficients; those of its description stay with it: it can be told from others, and put back."""
+    described = robot.water.get(OWN, robot.water)
+    kept = {key: described[key] for key in ("stations",) if key in described}
+    return replace(robot, water={**coefficients, **kept, "model": name, OWN: described})
 
 
 def in_water(
@@ -150,14 +154,6 @@ def fitted_for(robot: Robot) -> str | None:
     return robot.name
 
 
-def _replaced(robot: Robot, stated: str) -> bool:
-    """Whether the coefficients of the description gave way to those of its water."""
-    if stated == NONE:
-        return not any(robot.water["k"])
-    base = fitted_water(robot.name if stated == FITTED else stated).base
-    return strip_forces.coefficients(robot.water, len(robot.links)) == base
-
-
 def _fitted(robot: Robot, name: str) -> Choice:
     if name == FITTED:
         if robot.name not in calib.waters():
@@ -166,8 +162,7 @@ def _fitted(robot: Robot, name: str) -> Choice:
             )
         name = robot.name
     model = fitted_water(name)
-    kept = {key: robot.water[key] for key in ("stations",) if key in robot.water}
-    made = replace(robot, water={**model.swimmer(robot).water._asdict(), **kept, "model": name})
+    made = _with(robot, model.swimmer(robot).water._asdict(), name)
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
     return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}){model.remark(robot)}")
 
