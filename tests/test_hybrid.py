@@ -1,5 +1,6 @@
 """A water that is corrected while MuJoCo swims in it. The better water is made up here: the same closed form, changed."""
 
+import json
 import time
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from fishmj import controllers, engines, suite
 from fishmj.errors import ConfigError, MissingExtra
+from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
 from fishmj.flow import Flow, stack
 from fishmj.hybrid import HybridOptions
@@ -14,9 +16,11 @@ from fishmj.hybrid import tanks as tanks_of_the_solver
 from fishmj.hybrid.engine import Engine
 from fishmj.hybrid.segment import Replay, Swum
 from fishmj.hydro_fit import online_correction
-from fishmj.log import read_trial, write_trial
+from fishmj.log import read_dataset, read_trial, write_trial
 from fishmj.mjcf import load_robot
+from fishmj.play.live_session import LiveSession
 from fishmj.sim import Sim
+from fishmj.studies.hybrid_trials import command
 from fishmj.water import choice
 
 STRIPS = choice.in_water(load_robot("fish"), "structured")
@@ -24,7 +28,7 @@ GUSTY = Flow(speed=0.2, turbulence="default", intensity=0.05, seed=5)
 RIGHT = online_correction.fresh()
 FACTORS = np.array([1, 1, 3, 1, 1, 1, 0.5, 1, 1, 1.0])  # three times the friction, half the tail's cross-flow drag
 STILL, MORE = np.zeros(2), np.array([0.05, 0.0])
-QUICK = HybridOptions(first=1.0, every=3.0, lead=0.2, span=1.0, wait=True)
+QUICK = HybridOptions(first=0.6, every=3.0, lead=0.2, span=2.0, wait=True)
 
 
 @pytest.fixture(scope="module")
@@ -79,10 +83,10 @@ def test_a_segment_is_what_mujoco_swam(replay):
     oracle = Look(replay)
     hybrid, poses = corrected(replay, oracle, flows=(GUSTY, GUSTY))
     one = oracle.seen[1]
-    assert (one.fish, one.tick, one.span) == (1, 50, 60) and oracle.asked == [(0, 11, 50), (1, 11, 50)]
-    np.testing.assert_allclose(one.q[1:, :3], poses[1, 50:60], atol=1e-12)
+    assert (one.fish, one.tick, one.span) == (1, 30, 40) and oracle.asked == [(0, 11, 100), (1, 11, 100)]
+    np.testing.assert_allclose(one.q[1:, :3], poses[1, 30:40], atol=1e-12)
     again = replay.swim(one, RIGHT.factors[:, None], STILL[:, None])
-    np.testing.assert_allclose(again.q[0, :, :3], poses[1, 60:110], atol=1e-6)
+    np.testing.assert_allclose(again.q[0, :, :3], poses[1, 40:140], atol=1e-6)
 
 
 def test_a_right_water_is_left_alone_to_the_bit(replay, plain):
@@ -90,7 +94,7 @@ def test_a_right_water_is_left_alone_to_the_bit(replay, plain):
     np.testing.assert_array_equal(poses, plain)
     np.testing.assert_array_equal(hybrid.states[0].unknowns, 0.0)
     row = hybrid.report()["segments"][0]
-    assert row["before"] < 1e-3 and not row["moved"] and row["t"] == 1.0 and row["applied"] == pytest.approx(2.2)
+    assert row["before"] < 1e-3 and not row["moved"] and row["t"] == 0.6 and row["applied"] == pytest.approx(2.8)
 
 
 def test_a_wrong_water_is_mended(replay):
@@ -98,11 +102,11 @@ def test_a_wrong_water_is_mended(replay):
     hybrid, poses = corrected(replay, Better(replay, FACTORS), seconds=6.0)
     true = engines.make("batch", STRIPS)
     water = online_correction.applied_to_rows(engines.nominal_params(STRIPS, 1).water, FACTORS[:, None])
-    wrong, right = swum(true, 6.0), None
+    wrong = swum(true, 6.0)
     state, given = engines.at_rest(STRIPS, [[0.0, 0.0, np.pi]]), engines.nominal_params(STRIPS, 1)._replace(water=water)
     rows = np.array([[wave(k) for k in range(300)]])
     right = true.advance(state, rows, given, stack([GUSTY]), np.zeros(1, int))[1].pose
-    speed = lambda p: np.linalg.norm(p[0, -1, :2] - p[0, 150, :2])
+    speed = lambda p: np.linalg.norm(p[0, -1, :2] - p[0, 249, :2])  # of the last second
     assert abs(speed(poses) - speed(right)) < 0.5 * abs(speed(wrong) - speed(right)), (speed(poses), speed(right), speed(wrong))
     assert np.linalg.norm(np.diff(poses[0, :, :2], axis=0), axis=-1).max() < 0.02 * 1.0  # 1 m/s
     row = hybrid.report()["segments"][0]
@@ -171,7 +175,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
             return super().swim(segments)
 
     go: list = []
-    options = HybridOptions(first=0.2, every=1.2, lead=0.2, span=1.0)
+    options = HybridOptions(first=0.2, every=2.4, lead=0.2, span=2.0, own=0.5)
     engine = Engine(STRIPS, GUSTY, options, oracle=Slow(replay, stream=MORE), replay=replay)
     np.testing.assert_array_equal(swum(engine), plain)
     hybrid = engine.hybrid
@@ -182,7 +186,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
 
 
 def test_an_answer_that_comes_too_late_is_dropped(replay, capsys):
-    options = HybridOptions(first=0.2, every=5.0, lead=0.2, span=1.0, patience=0.0)
+    options = HybridOptions(first=0.2, every=5.0, lead=0.2, span=2.0, patience=0.0)
     engine = Engine(STRIPS, GUSTY, options, oracle=Better(replay, stream=MORE), replay=replay)
     swum(engine)
     engine.hybrid.close()
@@ -234,7 +238,7 @@ def made_up(monkeypatch):
 @pytest.mark.slow
 def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
     """The fitted water with its residual, in a gusty current; twice the same, to the bit."""
-    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=1.4, wait=True, slip=0.98)
+    options = HybridOptions(first=0.4, every=4.0, lead=0.2, span=2.0, wait=True, slip=0.98)
     sims = [Sim("fish", water="hybrid", hybrid=options, flow=GUSTY, pose=(0, 0, np.pi)) for _ in range(2)]
     trials = [sim.run(lambda t: wave(round(t / 0.02)), 4.0) for sim in sims]
     np.testing.assert_array_equal(*(trial.tables["truth"]["x"] for trial in trials))
@@ -243,13 +247,13 @@ def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
     np.testing.assert_allclose(told["hybrid"]["stream"], MORE, atol=0.015)
     alone = Sim("fish", flow=GUSTY, pose=(0, 0, np.pi)).run(lambda t: wave(round(t / 0.02)), 4.0)
     x, y = (t.tables["truth"]["x"] for t in (trials[0], alone))
-    np.testing.assert_array_equal(x[:110], y[:110])
+    np.testing.assert_array_equal(x[:129], y[:129])
     assert x[-1] - y[-1] > 0.02
 
 
 @pytest.mark.slow
 def test_a_suite_swims_corrected(made_up):
-    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=1.4, wait=True)
+    options = HybridOptions(first=0.4, every=4.0, lead=0.2, span=2.0, wait=True)
     setting = {"water": "hybrid", "hybrid": options, "random": 1, "flow_speed": 0.2}
     env = suite.load("fish", "station_hold", task_kwargs=setting)
     env.reset()
@@ -260,22 +264,109 @@ def test_a_suite_swims_corrected(made_up):
     assert not env.physics.hybrid.report()["segments"]
 
 
+@pytest.mark.slow
+def test_evaluate_swims_corrected_and_says_what_was(made_up, tmp_path, capsys):
+    asked = "pilot --water hybrid --speeds 0.2 --los 0,90 --repeats 1 --duration 12 --every 10 --tanks 2 --log --out".split()
+    assert evaluate.main([*asked, str(tmp_path)]) == 0
+    told = json.loads((tmp_path / "results.json").read_text())
+    rows = told["hybrid"]["pilot"]
+    assert "water hybrid" in told["condition"] and [len(row["segments"]) for row in rows] == [1, 1]
+    assert sum(row["segments"][0]["moved"] for row in rows) and made_up[0]["side_by_side"] == 2
+    assert "stream [m/s]" in capsys.readouterr().out and "pilot: the water" in (tmp_path / "report.html").read_text()
+    assert all(trial.meta["hybrid"] == row for trial, row in zip(read_dataset(tmp_path / "logs"), rows, strict=True))
+
+
+@pytest.mark.slow
+def test_play_swims_corrected(made_up):
+    robot = choice.in_water(load_robot("fish"))
+    engine = Engine(robot, GUSTY, HybridOptions(first=1.0, lead=0.2, span=2.0, wait=True))
+    session = LiveSession("drift", robot, GUSTY, engine)
+    for _ in range(20):
+        session.step()
+    meta = session.trial().meta
+    assert (
+        meta["water"] == "hybrid" and meta["engine"].startswith("hybrid, window_coarse") and len(meta["hybrid"]["segments"]) == 1
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.oracle
+def test_the_flow_solver_agrees_with_the_water_that_was_fitted_to_it():
+    """One short segment of the real solver in a gusty stream, beside MuJoCo; its fish swims within reach of MuJoCo's."""
+    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=0.6, domain="laptop", device="cpu")
+    sim = Sim("fish", water="hybrid", hybrid=options, flow=GUSTY, pose=(0, 0, np.pi))
+    sim.run(lambda t: wave(round(t / 0.02)), 1.6)
+    sim.hybrid.close()
+    told = sim.hybrid.report()
+    assert not told["off"] and len(told["segments"]) == 1 and told["domain"] == "laptop"
+    assert 0 < told["segments"][0]["before"] < 3.0 and sim.hybrid._thread is not None
+
+
+# ---- the measurement ----
+
+
+def arguments(*more):
+    args = command.options().parse_args(["--device", "cpu", "--tanks", "1", *more])
+    return args, {name: command.condition(name, args) for name in command.WRONG}
+
+
+def test_what_is_wrong_is_wrong_about_the_water_or_the_tank_alone():
+    args, all_of_them = arguments()
+    right = all_of_them["none"]
+    for name, one in all_of_them.items():
+        assert one.options(args).box(one.robot) == "window_coarse" and one.options(args).slip == (0.98 if name == "slip" else 1.0)
+        assert choice.label(one.robot) == ("swift-noslip" if name == "tail" else "swift")
+    k, wrong = (np.array(one.robot.water["k"]) for one in (right, all_of_them["added_mass"]))
+    np.testing.assert_allclose(wrong / k, [1, 1, 1, 0.7])
+    short = all_of_them["tail"].chain
+    assert (
+        short._replace(strips=right.chain.strips) == right.chain and short.strips.mu[-1][0] < 0.95 * right.chain.strips.mu[-1][0]
+    )
+    assert all_of_them["stream"].options(args).tank.speed == pytest.approx(0.25)
+
+
+def test_the_trials_go_round_before_they_repeat():
+    args, _ = arguments("--episodes", "12")
+    items = command.trials_of(args).items
+    assert len({item.los for item in items[:8]}) == 8 and [item.repeat for item in items] == [0] * 8 + [1] * 4
+    told, tank = command.trials_of(args), command.TankTrials(**vars(command.trials_of(args)), faster=0.05)
+    points = np.random.default_rng(2).normal(size=(20, 3))
+    for slow, fast in zip(told.flows(), tank.flows(), strict=True):
+        np.testing.assert_allclose(fast.at(points, 0.0) - slow.at(points, 0.0), np.tile([0.05, 0, 0], (20, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("alone", "hybrid", "first", "ok"), [(0.1, 0.04, True, True), (0.1, 0.06, True, False), (0, 0, False, True)]
+)
+def test_a_verdict_asks_for_half_where_it_is_off_and_for_no_worse_where_not(alone, hybrid, first, ok):
+    noise = np.random.default_rng(4).normal(size=(3, 12)) * 0.01
+    rows = {}
+    for swim, more, wobble in zip(("solver", "alone", "hybrid"), (0.0, alone, hybrid), noise, strict=True):
+        rows[swim] = {"rmse": 0.2 + more + wobble, "speed": np.full(12, 0.3), "place": 0.5 + np.zeros(12)}
+    if not first:
+        rows["alone"]["rmse"] = rows["solver"]["rmse"][::-1]
+        rows["hybrid"]["rmse"] = 1.04 * rows["alone"]["rmse"]
+    found = command.verdict(rows)
+    assert (found["first_kind"], found["ok"]) == (first, ok)
+    rows["hybrid"]["place"] = 0.53 + np.zeros(12)
+    assert command.verdict(rows)["ok"] is (ok and first)
+
+
 def test_a_free_root_is_refused():
     with pytest.raises(ConfigError, match="planar root"):
         Sim("fish", water="hybrid", root="free")
 
 
 def test_a_policy_holds_station_for_a_minute_in_turbulence(replay):
-    """The judge's own loop, a learned policy, a stream 0.05 m/s faster than told: it is found in every trial, and kept."""
+    """The judge's own loop, a learned policy, a stream 0.05 m/s faster than told: it is found and kept."""
     options = HybridOptions(wait=True)
-    trials = protocol.trials(speeds=(0.2,), los_deg=(0, 120), repeats=1, turbulence="default")
+    trials = protocol.trials(speeds=(0.2,), los_deg=(120,), repeats=1, turbulence="default")
     engine = Engine(STRIPS, trials.flows()[0], options, oracle=Better(replay, stream=MORE), replay=replay)
     result = run_trials.run(controllers.chosen("pilot", STRIPS), STRIPS, trials, engine)
     assert result.engine.startswith("hybrid") and result.water == "hybrid" and np.isfinite(result.distance).all()
-    for i in range(2):
-        told = engine.hybrid.report(i)
-        assert [row["t"] for row in told["segments"]] == [4.0, 34.0] and told["solver_share"] == pytest.approx(0.1)
-        np.testing.assert_allclose(told["stream"], MORE, atol=0.015)
+    told = engine.hybrid.report()
+    assert [row["t"] for row in told["segments"]] == [4.0, 34.0] and told["solver_share"] == pytest.approx(0.1, rel=0.01)
+    np.testing.assert_allclose(told["stream"], MORE, atol=0.015)
 
 
 # ---- the estimator ----

@@ -14,6 +14,7 @@ enters at the next bus tick; with `wait` everything happens between two ticks, t
 missing or fails is switched off with one warning; what was learnt stays.
 """
 
+import atexit
 import threading
 import time
 from collections.abc import Callable
@@ -34,6 +35,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.water import choice
 
 OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/methods/fitted_water.md
+LEAVING = 10.0  # s that the end of the program waits for a tick of the solver
 BOX = "window_coarse"  # where the water does not say which box it was fitted in
 
 
@@ -163,6 +165,8 @@ class Hybrid:
         self._oracle, self._replay = oracle, replay or Replay(robot)
         self.size = robot.timing.bus_dt
         self.off, self._told = "", set[str]()
+        self._thread: threading.Thread | None = None
+        self._over = False
         self.reset()
 
     def reset(self) -> None:
@@ -194,8 +198,8 @@ class Hybrid:
 
     def close(self) -> None:
         """Wait for a segment that is under way, and take what it says."""
-        while self._job is not None and not self._job.done:
-            time.sleep(0.01)
+        if self._thread is not None:
+            self._thread.join()
         self._collect(self._last)
 
     def report(self, fish: int = 0) -> dict:
@@ -220,7 +224,7 @@ class Hybrid:
                 if np.array_equal(now.current.mean, current.mean):  # else somebody has turned the stream meanwhile
                     self._hand_over(now.segments(self.kind))
         if tick >= first and (tick - first) % every == 0 and not self.off:
-            if self._job is not None and not self._job.done:
+            if self._thread is not None and self._thread.is_alive():
                 self._say("slow", "the solver is still at work when the next segment is due, which is left out")
             else:
                 self._recording = _Recording(tick, params, current)
@@ -236,8 +240,17 @@ class Hybrid:
         arguments = (self._better, self._replay, self.options.own)
         if self.options.wait:
             job.run(*arguments)
-        else:
-            threading.Thread(target=job.run, args=arguments, daemon=True, name="fishmj-hybrid").start()
+            return
+        if self._thread is None:
+            atexit.register(self._leave)
+        self._thread = threading.Thread(target=job.run, args=arguments, daemon=True, name="fishmj-hybrid")
+        self._thread.start()
+
+    def _leave(self) -> None:
+        """The program ends: so does the solver, after its tick, before the interpreter goes from under it."""
+        self._over = True
+        if self._thread is not None:
+            self._thread.join(LEAVING)
 
     def _better(self) -> Oracle:
         """The better water, made when it is first asked."""
@@ -246,7 +259,7 @@ class Hybrid:
 
             o = self.options
             water = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
-            self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side)
+            self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side, go_on=lambda: not self._over)
         return self._oracle
 
     # ---- what came of it ----

@@ -4,7 +4,7 @@ Every segment gets a tank of its own in MuJoCo's background flow of that time: t
 the tank's own mean stream where that is given. The fish is MuJoCo's, with its masses, gains and latency, in MuJoCo's state.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -23,13 +23,14 @@ class Tanks:
     Args:
         domain: box of water by name. slip: of the hull there. device: auto, cpu or cuda.
         stream: its mean is that of the tanks; None: as MuJoCo is told. side_by_side: segments at a time.
+        go_on: asked before every tick; False gives the segments up.
     """
 
     def __init__(
         self, robot: Robot, *, domain: str, slip: float = 1.0, device: str = "auto", stream: Flow | None = None,
-        side_by_side: int = 12,
+        side_by_side: int = 12, go_on: Callable[[], bool] = lambda: True,
     ):  # fmt: skip
-        self.robot, self.stream, self.side_by_side = robot, stream, side_by_side
+        self.robot, self.stream, self.side_by_side, self.go_on = robot, stream, side_by_side, go_on
         self.water = {"domain": domain, "slip": slip, "device": device}
 
     def swim(self, segments: Sequence[Segment]) -> list["Swum | str"]:
@@ -48,14 +49,19 @@ class Tanks:
         runs = [self._seeded(segment) for segment in segments]
         tanks = ConcurrentRuns(runs)
         for _ in range(len(segments[0].q) - 1):
-            tanks.tick()
+            self._tick(tanks)
         for run, segment in zip(runs, segments, strict=True):
             run.tethered, run.root, run.prescribed = False, None, None
             run.commands, run.rows = list(segment.start.buffer[0]), []
             run.ticks = len(run.commands) - 1
         for commands in zip(*(segment.commands for segment in segments), strict=True):
-            tanks.tick(commands)
+            self._tick(tanks, commands)
         return [run.stopped or _swum(run) for run in runs]
+
+    def _tick(self, tanks: ConcurrentRuns, commands=None) -> None:
+        if not self.go_on():
+            raise RuntimeError("given up")
+        tanks.tick(commands)
 
     def _seeded(self, segment: Segment) -> Run:
         """A tank with the fish at the begin of its lead."""
