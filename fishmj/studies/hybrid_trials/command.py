@@ -46,6 +46,7 @@ from fishmj.water import choice
 
 SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.98  # of the tail's length, of its added mass; m/s; slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")
+RENAMED = {"both": "tail"}  # old names
 FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
 MUST, TARGET, WORSE, SHARE = (
     0.5,
@@ -66,11 +67,16 @@ def options() -> console.Parser:
     noslip = "of --wrong tail: that of a hull along which no water slides; default the model's name and -noslip"
     add("--noslip", type=console.text, help=noslip)
     add("--policy", type=console.text, default="fitted", help="controller, shipped policy, policy file or module:Name")
-    add("--wrong", choices=(*WRONG, "all"), default="none", help="what is wrong about MuJoCo's water, or about the tank")
+    add(
+        "--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help="what is wrong about MuJoCo's water, or about the tank"
+    )
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
     add("--seconds", type=console.number(8, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
     add("--every", type=console.number(3, 600), default=HybridOptions.every, help="s from segment to segment; each is 3 s")
+    add("--first", type=console.number(0, 600), default=HybridOptions.first, help="s before the first segment")
+    lead = f"s of a segment for which the fish is led along MuJoCo's path; {HybridOptions.span:g} s more are compared"
+    add("--lead", type=console.number(0, 60, above=True), default=HybridOptions.lead, help=lead)
     add("--own", type=console.number(0, 1e6, above=True), default=HybridOptions.own, help="mean square miss of a right water")
     add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
@@ -84,11 +90,14 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The verb `hybrid`; exit code 1 where the correction misses its aim."""
     args = options().parse_args(argv)
+    if args.wrong in RENAMED:
+        console.warn(f"--wrong {args.wrong} is now called {RENAMED[args.wrong]}; the old name is deprecated")
+        args.wrong = RENAMED[args.wrong]
     conditions = [condition(name, args) for name in (WRONG if args.wrong == "all" else (args.wrong,))]
     args.tanks = args.tanks or (ON_GPU if str(device_of(args.device)).startswith("cuda") else 1)
     trials = trials_of(args)
     box, solved = conditions[0].options(args).box(conditions[0].robot), {(c.slip, c.faster) for c in conditions}
-    share = HybridOptions.lead + HybridOptions.span
+    share = args.lead + HybridOptions.span
     water = len(trials) * args.seconds * (len(solved) + len(conditions) * share / args.every)
     less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
     solver_cost.agree("hydro_fit hybrid", args.device, [(preset(box), water)], instead=less, tanks=min(args.tanks, len(trials)))
@@ -118,7 +127,8 @@ class Condition:
         """Of the hybrid in this condition."""
         tank = Flow(speed=args.speed + self.faster) if self.faster else None
         water: dict[str, Any] = {"domain": args.domain or box_of(args), "slip": self.slip, "device": args.device, "tank": tank}
-        return HybridOptions(every=args.every, own=args.own, side_by_side=args.tanks or 1, wait=True, **water)
+        water |= {"first": args.first, "every": args.every, "lead": args.lead, "own": args.own}
+        return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water)
 
 
 def box_of(args) -> str:
