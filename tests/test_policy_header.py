@@ -2,8 +2,13 @@
 
 import copy
 import json
+import re
+import shlex
+import shutil
 import struct
 from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,24 +17,38 @@ from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from fishmj import console, controllers
+from fishmj.calib import WATERS, calib_folder
 from fishmj.controllers.learned import LearnedController
+from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.engines import in_water
 from fishmj.errors import ConfigError, FishmjError, StoreError
 from fishmj.evaluate.__main__ import main as evaluate
+from fishmj.evaluate.__main__ import options as evaluate_options
+from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
-from fishmj.mjcf.identity import observation_of, structure_of
-from fishmj.policy import SCHEMA, Policy, shipped
+from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.play.__main__ import main as play
+from fishmj.play.__main__ import options as play_options
+from fishmj.policy import FORMER, SCHEMA, SHIPPED, Policy, _renamed, one_line, shipped, structure_sha256
 from fishmj.store import write_tensors
 from fishmj.store.arrays import _digest
+from fishmj.water.identity import water_identity
 
 ROBOT = load_robot("fish")
-SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
+EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"
+SHORT = ["--water", "structured", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
 
 
 def header(**changes) -> dict:
     """A whole header as training writes it for the fish."""
     robot = ROBOT
+    if "structure" in changes:
+        changes = {"structure_sha256": None, **changes}
     return {
         "schema": SCHEMA, "robot": robot.name, "joints": robot.n_joints, "structure": structure_of(robot),
+        "structure_sha256": structure_sha256(structure_of(robot)), "constants_sha256": constants_sha256(robot),
+        "water": water_identity(robot), "command": None,
         "observation": observation_of(robot.n_joints), "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": [1.0] * (5 + 2 * robot.n_joints), "activation": "relu", "memory": 1, "control_dt": robot.timing.control_dt,
         "command_path": robot.timing.command_path, "algorithm": "ppo", "seed": 0, **changes,
@@ -58,6 +77,12 @@ def longer(factor: float):
     return replace(ROBOT, links=(replace(head, length=head.length * factor, sections=sections), *ROBOT.links[1:]))
 
 
+def heavy_head(factor: float):
+    """The fish with a heavier head: its reference point, the centre of mass, is nearer to the nose."""
+    head = ROBOT.links[0]
+    return replace(ROBOT, links=(replace(head, mass=head.mass * factor), *ROBOT.links[1:]))
+
+
 # which robot
 
 
@@ -67,7 +92,12 @@ def test_training_writes_the_whole_header():
     from fishmj.train.settings import preset
 
     network = PolicyLayers([(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))], "tanh")
-    meta = policy_of(network, preset("quick"), {}).meta
+    meta = policy_of(network, replace(preset("quick"), water="swift"), {}).meta
+    assert meta["structure_sha256"] == structure_sha256(meta["structure"]) and meta["constants_sha256"] == constants_sha256(ROBOT)
+    assert meta["structure"]["reference_point"] == round(geometry_of(ROBOT).reference, 6)
+    toml = next(path for folder in WATERS if (path := folder / "swift.toml").is_file())
+    assert meta["water"] == {"name": "swift", "kind": "fitted", "sha256": sha256(toml.read_bytes()).hexdigest()}
+    assert meta["command"] is None and meta["seed"] == 0, "called from Python"
     assert meta["structure"] == structure_of(ROBOT) and meta["observation"] == observation_of(3)
     assert (
         meta["robot"] == "swift" and meta["command_path"] == "linear" and meta["control_dt"] == 0.2 and len(meta["scale"]) == 11
@@ -90,7 +120,10 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
     links = tuple(replace(link, mass=1.1 * link.mass) for link in longer(1.05).links)
     robot = replace(ROBOT, name="swift.v2", links=links, servo=replace(ROBOT.servo, kp=9.0))
     (note,) = controllers.make(stored(tmp_path, header()), robot).notes
-    assert "made for robot swift, steers swift.v2" in note
+    assert note == (
+        "policy mine: not as trained: robot swift, here swift.v2; lengths or reference point off by less than 10 %; "
+        "other masses, sections, servo, timing or effects"
+    )
 
 
 @pytest.mark.parametrize(
@@ -103,40 +136,157 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
             "4 links (head, body1, body2, tail), the robot has 4 links (head, body2, body1, tail)",
         ),
         (replace(ROBOT, timing=replace(ROBOT.timing, control_dt=0.1)), "decides every 0.2 s, the robot every 0.1 s"),
+        (heavy_head(4.0), "made for a reference point 0.182 m behind the nose, the robot's is 0.141 m"),
         (load_robot("tendon_fish"), "takes 11 observations and gives 3 actions; robot tendon_fish has 9 and 2"),
     ],
 )
-@pytest.mark.parametrize("name", ["mine", "paper"])
-def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, name):
+@pytest.mark.parametrize("anyway", [False, True])
+@pytest.mark.parametrize("name", ["mine", "paper", "station"])
+def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, name, anyway):
     """Of the shipped `paper`, whose header is older, the structure of the robot that it names is known."""
     source = stored(tmp_path, header()) if name == "mine" else name
     with pytest.raises(ConfigError) as caught:
-        controllers.make(source, robot)
+        controllers.make(source, robot, anyway=anyway)
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_other_observations_are_refused(tmp_path):
+def test_a_structure_that_is_only_named_by_its_hash_is_compared(tmp_path):
+    bare = header(structure=None, structure_sha256=structure_sha256(structure_of(ROBOT)))
+    assert controllers.make(stored(tmp_path, bare), ROBOT).notes == ()
+    with pytest.raises(ConfigError, match="made for structure 882f7f326eef, the robot's is"):
+        controllers.make(stored(tmp_path, bare), longer(1.01), anyway=True)
+
+
+@pytest.mark.parametrize("anyway", [False, True])
+def test_other_observations_are_refused(tmp_path, anyway):
     rows = observation_of(3)
     rows[0], rows[1] = rows[1], rows[0]
     with pytest.raises(ConfigError, match=r"sees target_y \[m\], target_x \[m\], .*; the robot gives target_x \[m\], target_y"):
-        controllers.make(stored(tmp_path, header(observation=rows)), ROBOT)
+        controllers.make(stored(tmp_path, header(observation=rows)), ROBOT, anyway=anyway)
 
 
 def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_path):
-    old = {k: v for k, v in header(robot="another").items() if k not in ("structure",)} | {"observation": "target_x .., SI"}
-    assert "does not say which links" in controllers.make(stored(tmp_path, old), ROBOT).notes[0]
+    new = ("structure", "structure_sha256", "constants_sha256", "water", "command")
+    old = {k: v for k, v in header(robot="another").items() if k not in new} | {"observation": "target_x .., SI"}
+    lacks = "links, reference point, constants, water, observations, training command"
+    _, said = controllers.make(stored(tmp_path, old), ROBOT).notes
+    assert said == f"policy mine: its header does not say {lacks}; that is not compared"
     with pytest.raises(ConfigError, match="made for servos of"):
         controllers.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
     bare = {key: old[key] for key in ("schema", "scale", "activation")}
-    notes = " ".join(controllers.make(stored(tmp_path, bare), ROBOT).notes)
-    assert all(
-        said in notes for said in ("does not say which robot", "does not say which links", "does not say its command path")
-    )
+    (note,) = controllers.make(stored(tmp_path, bare), ROBOT).notes
+    assert "does not say robot, links, reference point, constants, water, command path, observations, seed, training" in note
+    four = header(structure={k: v for k, v in structure_of(ROBOT).items() if k != "reference_point"}, robot="another")
+    _, note = controllers.make(stored(tmp_path, four), ROBOT).notes
+    assert "does not say reference point;" in note, "as the version before this one wrote it"
+
+
+LACKING = {"pilot": "water, training command", "station-sac": "training command"}  # what is documented nowhere
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_shipped_policies_fit_the_shipped_fish_without_a_note(name):
-    assert controllers.make(name, ROBOT).notes == ()
+def test_shipped_policies_say_their_water_and_what_they_lack(name):
+    water = {"paper": "structured", "paper-sac": "structured"}.get(name, "swift")
+    lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
+    assert controllers.make(name, in_water(ROBOT, water)).notes == lacks
+    other = "swift" if water == "structured" else "structured"
+    differs = () if name == "pilot" else (f"policy {name}: not as trained: water {water}, here {other}",)
+    assert controllers.make(name, in_water(ROBOT, other)).notes == differs + lacks
+
+
+def test_every_shipped_policy_has_its_line_in_the_help_and_its_row_in_the_guide():
+    assert sorted(SHIPPED) == shipped()
+    guide = (Path(__file__).parent.parent / "docs" / "guide" / "controllers.md").read_text(encoding="utf-8")
+    for options in (evaluate_options, play_options):
+        text = options().format_help()
+        assert all(f"  {name}  " in text and about in text for name, about in SHIPPED.items())
+    assert all(f"| `{name}` |" in guide for name in SHIPPED)
+
+
+@pytest.mark.parametrize(("old", "new"), FORMER.items())
+def test_an_old_name_goes_on_with_one_line(old, new, capsys):
+    _renamed.cache_clear()
+    assert controllers.make(old, ROBOT).name == new and Policy.load(old).meta == Policy.load(new).meta
+    assert capsys.readouterr().err.count(f"policy {old} is now called {new}") == 1
+
+
+# water and constants: said, never refused
+
+
+def structured(**changes):
+    """The fish with other coefficients in its own water."""
+    return replace(ROBOT, water={**ROBOT.water, **changes})
+
+
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        (in_water(ROBOT, "swift"), "water structured, here swift"),
+        (in_water(ROBOT, "swift-base"), "water structured, here swift-base"),
+        (structured(cf=0.5), "water structured (structured a7526ad5), here structured (structured"),
+        (replace(ROBOT, servo=replace(ROBOT.servo, kp=9.0)), "other masses, sections, servo, timing or effects"),
+        (replace(ROBOT, timing=replace(ROBOT.timing, command_latency=0.1)), "other masses, sections, servo, timing or effects"),
+        (replace(ROBOT, effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),)), "other masses"),
+    ],
+)
+def test_another_water_or_other_constants_are_one_line(tmp_path, robot, said):
+    (note,) = controllers.make(stored(tmp_path, header()), robot).notes
+    assert note.startswith(f"policy mine: not as trained: {said}") and "\n" not in note
+
+
+def test_an_effect_at_its_null_and_a_colour_are_no_other_constants(tmp_path):
+    links = tuple(replace(link, colour=(1.0, 0.0, 0.0)) for link in ROBOT.links)
+    robot = replace(ROBOT, links=links, title="red", effects=(FittedEffect("coulomb_friction", {}),))
+    assert controllers.make(stored(tmp_path, header()), robot).notes == ()
+
+
+def test_what_differs_stands_in_table_page_results_and_log(tmp_path, capsys):
+    """The water of `station` is another one here; `paper` swims in its own, and `dob` was not trained."""
+    argv = ["station", "paper", "dob", *SHORT, "--json", "--log", "--out", str(tmp_path)]
+    assert console.run(evaluate, argv) == console.OK
+    out, err = capsys.readouterr()
+    assert err.count("policy station: not as trained: water swift, here structured\n") == 1 and "policy paper:" not in err
+    said = "station is not judged as trained: water swift, here structured"
+    assert said in out.splitlines() and said in (tmp_path / "report.html").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in out.splitlines() if line.startswith("|")]
+    assert rows[0] == ["controller", "not as trained"] and rows[2:5] == [["station", "water"], ["paper", "-"], ["dob", "-"]]
+    found = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    station, paper, dob = (one["policy"] for one in found["results"])
+    assert station["differs"] == {"water": ["swift", "structured"]} and paper["differs"] == {} and dob is None
+    assert station["water"]["name"] == "swift" and station["command"].startswith("fishmj train --preset paper")
+    trial = read_trial(tmp_path / "logs" / "station_u0.2_los000_r0")
+    assert trial.value("policy.differs.water") == ["swift", "structured"] and trial.value("water") == "structured"
+    assert trial.value("policy.constants_sha256") == constants_sha256(ROBOT)
+
+
+def test_the_flow_solver_is_another_water_too():
+    brain = controllers.make("station", ROBOT, water="lbm")
+    assert brain.notes == ("policy station: not as trained: water swift, here lbm",)
+    assert brain.trained()["differs"] == {"water": ["swift", "lbm"]}
+    assert controllers.make("station", in_water(ROBOT, "swift")).trained("lbm")["said"] == "water swift, here lbm"
+
+
+def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):
+    argv = ["--controller", "paper", "--headless-seconds", "0.4", "--save", str(tmp_path / "a"), "--robot"]
+    shutil.copy(calib_folder() / "fish.toml", tmp_path / "stiff.toml")
+    text = (tmp_path / "stiff.toml").read_text(encoding="utf-8")
+    (tmp_path / "stiff.toml").write_text(re.sub(r"(?m)^kp = [0-9.]+", "kp = 9.5", text), encoding="utf-8")
+    assert console.run(play, [*argv, str(tmp_path / "stiff.toml")]) == console.OK
+    assert capsys.readouterr().err.count("policy paper: not as trained: other masses") == 1
+    assert "constants" in read_trial(tmp_path / "a").value("policy.differs")
+
+
+def test_a_trained_policy_keeps_the_command_as_it_was_typed(tmp_path):
+    from fishmj.train.__main__ import main as train
+
+    argv = ["--preset", "quick", "--envs", "8", "--steps", "300", "--hidden", "8", "--engine", "planar", "--water", "structured"]
+    assert console.run(train, [*argv, "--out", str(tmp_path / "a run")]) == console.OK
+    policy = Policy.load(tmp_path / "a run")
+    assert policy.meta["command"] == f"fishmj train {' '.join(argv)} --out {shlex.quote(str(tmp_path / 'a run'))}"
+    assert (
+        policy.meta["water"] == water_identity(ROBOT) and controllers.make(tmp_path / "a run", ROBOT).policy.meta == policy.meta
+    )
+    assert one_line("fishmj train --out 'a\nb\x1b'") == "fishmj train --out 'a?b?'" and len(one_line("x" * 9999)) == 4000
 
 
 # command path
@@ -146,16 +296,25 @@ HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
 
 def test_another_command_path_is_refused_unless_it_was_asked_for():
     with pytest.raises(
-        ConfigError, match="trained on command path linear, the robot's is hold: --command-path linear, or --any-c"
+        ConfigError, match="trained on command path linear, the robot's is hold: steer on linear, or add --anyway"
     ):
         controllers.make("paper", HELD)
-    (note,) = controllers.make("paper", HELD, any_command_path=True).notes
-    assert note == "policy paper: trained on command path linear, steers on hold as asked"
+    (note,) = controllers.make("paper", HELD, anyway=True).notes
+    assert note == "policy paper: not as trained: command path linear, here hold"
 
 
-def test_a_command_path_on_the_command_line_is_consent_and_one_line_says_so(capsys):
-    assert console.run(evaluate, ["paper", "--command-path", "hold", *SHORT]) == console.OK
-    assert capsys.readouterr().err.count("trained on command path linear, steers on hold as asked") == 1
+def test_the_former_name_of_anyway_goes_on_with_one_line(capsys):
+    assert controllers.several(["paper"], HELD, any_command_path=True)[0].notes
+    assert capsys.readouterr().err.count("any_command_path= is now anyway=") == 1
+    with pytest.raises(ConfigError, match="command path"):
+        controllers.make("paper", HELD, any_command_path=False)
+
+
+def test_a_command_path_on_the_command_line_is_no_consent(capsys):
+    assert console.run(evaluate, ["paper", "--command-path", "hold", *SHORT]) == console.BAD_INPUT
+    assert "add --anyway" in capsys.readouterr().err
+    assert console.run(evaluate, ["paper", "--command-path", "hold", "--anyway", *SHORT]) == console.OK
+    assert capsys.readouterr().err.count("not as trained: command path linear, here hold") == 1
 
 
 def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys):
@@ -169,6 +328,7 @@ def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys)
     assert console.run(evaluate, argv) == console.BAD_INPUT
     assert "the robot's is hold" in capsys.readouterr().err
     assert console.run(evaluate, [*argv, "--any-command-path"]) == console.OK
+    assert capsys.readouterr().err.count("--any-command-path is now --anyway") == 1
 
 
 # hostile files
@@ -210,6 +370,19 @@ BAD = [
     ({"observation": [3] * 11}, "observation [3"),
     ({"observation": "x" * 100_000}, "observation 'xxx"),
     ({"algorithm": "<img>"}, "algorithm '<img>'"),
+    ({"structure_sha256": "0" * 64}, "structure and structure_sha256 do not belong together"),
+    ({"structure_sha256": "<b>"}, "structure_sha256 '<b>'; expected 64 hex digits"),
+    ({"constants_sha256": ["0" * 64]}, "constants_sha256 ['000"),
+    ({"structure": structure_of(ROBOT) | {"reference_point": -1}}, "a reference point in m"),
+    ({"structure": structure_of(ROBOT) | {"more": 1}}, "expected links, lengths, joints, servo_range, reference_point"),
+    ({"water": "swift"}, "water 'swift'; expected {name, kind}"),
+    ({"water": {"name": "<b>", "kind": "fitted"}}, "water {'name': '<b>'"),
+    ({"water": {"name": "swift", "kind": "a b"}}, "'kind': 'a b'"),
+    ({"water": {"name": "swift", "kind": "fitted", "sha256": 3}}, "'sha256': 3}"),
+    ({"water": {"name": "swift", "kind": "fitted", "more": 3}}, "'more': 3}"),
+    ({"command": "a\nb"}, "command 'a\\nb'; expected one line"),
+    ({"command": "x" * 5000}, "command 'xxx"),
+    ({"command": ["fishmj"]}, "command ['fishmj']"),
 ]
 
 
@@ -221,6 +394,19 @@ def test_a_bad_key_is_one_short_line_with_the_file(tmp_path, change, said):
     text = str(caught.value)
     assert path in text and said in text and "\n" not in text and "<script>" not in text.replace(repr(change.get("robot")), "")
     assert len(text) < 400
+
+
+def test_a_hostile_command_is_text_on_every_page(tmp_path):
+    """The one key that is free text; page and log hold it as text, the terminal not at all."""
+    brain = LearnedController(replace(ROBOT, name="x"), stored(tmp_path, header(command=EVIL_COMMAND)))
+    assert brain.trained()["command"] == EVIL_COMMAND and EVIL_COMMAND not in " ".join(brain.notes)
+    argv = [stored(tmp_path, header(command=EVIL_COMMAND, water={"name": "x", "kind": "y"})), *SHORT, "--log", "--out"]
+    assert console.run(evaluate, [*argv, str(tmp_path / "out")]) == console.OK
+    for page in ("report.html", "worst.html"):
+        text = (tmp_path / "out" / page).read_text(encoding="utf-8")
+        assert "<script>alert(1)" not in text and "<img src=x" not in text
+    assert "water x, here structured" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert read_trial(tmp_path / "out" / "logs" / "mine_u0.2_los000_r0").value("policy.command") == EVIL_COMMAND
 
 
 def test_memory_null_is_no_memory(tmp_path):
@@ -322,6 +508,6 @@ def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
         from fishmj.controllers.learned import body_of
         from fishmj.policy import fit
 
-        fit(policy.meta, body_of(ROBOT), any_path=False, known={})
+        assert all("\n" not in note for note in fit(policy.meta, body_of(ROBOT), anyway=False, known={}).notes)
     except FishmjError as error:
         assert "\n" not in str(error) and len(str(error)) < 1200
