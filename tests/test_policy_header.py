@@ -283,11 +283,9 @@ def test_a_trained_policy_keeps_the_command_as_it_was_typed(tmp_path):
     assert console.run(train, [*argv, "--out", str(tmp_path / "a run")]) == console.OK
     policy = Policy.load(tmp_path / "a run")
     assert policy.meta["command"] == f"fishmj train {' '.join(argv)} --out {shlex.quote(str(tmp_path / 'a run'))}"
-    assert (
-        policy.meta["water"] == water_identity(ROBOT)
+    assert policy.meta["water"] == water_identity(ROBOT)
     said = [note for note in controllers.make(tmp_path / "a run", ROBOT).notes if "taken from" not in note]
     assert said == [], "it swims where it was trained, and lacks nothing"
-    )
     assert one_line("fishmj train --out 'a\nb\x1b'") == "fishmj train --out 'a?b?'" and len(one_line("x" * 9999)) == 4000
 
 
