@@ -276,17 +276,40 @@ def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):
     assert "constants" in read_trial(tmp_path / "a").value("policy.differs")
 
 
-def test_a_trained_policy_keeps_the_command_as_it_was_typed(tmp_path):
+class Recorded:
+    """A training run that only remembers how it was called."""
+
+    command = ""
+
+    def __init__(self, settings, folder, **options):
+        self.folder, Recorded.command = folder, options["command"]
+
+    def go(self) -> dict:
+        told = {"algorithm": "ppo", "seed": 0, "steps": 1, "seconds": 1.0, "engine": "planar", "policy": str(self.folder)}
+        return told | {"stopped": False, "folder": str(self.folder)}
+
+
+def test_the_command_line_tells_a_training_its_words(tmp_path, monkeypatch):
+    from fishmj.train import training_run
+    from fishmj.train.__main__ import main as train
+
+    monkeypatch.setattr(training_run, "TrainingRun", Recorded)
+    monkeypatch.setattr(training_run, "learner_of", lambda settings: None)
+    argv = ["--preset", "quick", "--steps", "300", "--engine", "planar", "--out", str(tmp_path / "a run")]
+    assert console.run(train, argv) == console.OK
+    assert Recorded.command == f"fishmj train {' '.join(argv[:-1])} {shlex.quote(argv[-1])}"
+    assert one_line("fishmj train --out 'a\nb\x1b'") == "fishmj train --out 'a?b?'" and len(one_line("x" * 9999)) == 4000
+
+
+@pytest.mark.slow
+def test_a_policy_that_was_just_trained_lacks_nothing_and_swims_where_it_was_trained(tmp_path):
     from fishmj.train.__main__ import main as train
 
     argv = ["--preset", "quick", "--envs", "8", "--steps", "300", "--hidden", "8", "--engine", "planar", "--water", "structured"]
-    assert console.run(train, [*argv, "--out", str(tmp_path / "a run")]) == console.OK
-    policy = Policy.load(tmp_path / "a run")
-    assert policy.meta["command"] == f"fishmj train {' '.join(argv)} --out {shlex.quote(str(tmp_path / 'a run'))}"
-    assert policy.meta["water"] == water_identity(ROBOT)
-    said = [note for note in controllers.make(tmp_path / "a run", ROBOT).notes if "taken from" not in note]
-    assert said == [], "it swims where it was trained, and lacks nothing"
-    assert one_line("fishmj train --out 'a\nb\x1b'") == "fishmj train --out 'a?b?'" and len(one_line("x" * 9999)) == 4000
+    assert console.run(train, [*argv, "--out", str(tmp_path / "a")]) == console.OK
+    meta = Policy.load(tmp_path / "a").meta
+    assert meta["command"] == f"fishmj train {' '.join(argv)} --out {tmp_path / 'a'}" and meta["water"] == water_identity(ROBOT)
+    assert [note for note in controllers.make(tmp_path / "a", ROBOT).notes if "taken from" not in note] == []
 
 
 # command path
