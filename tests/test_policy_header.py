@@ -2,72 +2,29 @@
 
 import copy
 import json
-import re
-import shlex
-import shutil
 import struct
 from dataclasses import replace
 from hashlib import sha256
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from safetensors.numpy import save
+from policy_files import ROBOT, SHORT, arrays, header, stored
 
 from fishmj import console, controllers
 from fishmj.calib import WATERS, calib_folder
 from fishmj.controllers.learned import LearnedController
-from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.engines import in_water
 from fishmj.errors import ConfigError, FishmjError, StoreError
 from fishmj.evaluate.__main__ import main as evaluate
-from fishmj.evaluate.__main__ import options as evaluate_options
 from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
-from fishmj.play.__main__ import main as play
-from fishmj.play.__main__ import options as play_options
-from fishmj.policy import FORMER, SCHEMA, SHIPPED, Policy, _renamed, one_line, shipped, structure_sha256
+from fishmj.policy import Policy, structure_sha256
 from fishmj.store import write_tensors
-from fishmj.store.arrays import _digest
-from fishmj.water.identity import water_identity
 
-ROBOT = load_robot("fish")
 EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"
-SHORT = ["--water", "structured", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
-
-
-def header(**changes) -> dict:
-    """A whole header as training writes it for the fish."""
-    robot = ROBOT
-    if "structure" in changes:
-        changes = {"structure_sha256": None, **changes}
-    return {
-        "schema": SCHEMA, "robot": robot.name, "joints": robot.n_joints, "structure": structure_of(robot),
-        "structure_sha256": structure_sha256(structure_of(robot)), "constants_sha256": constants_sha256(robot),
-        "water": water_identity(robot), "command": None,
-        "observation": observation_of(robot.n_joints), "action": f"joint angle over {robot.servo.range:.6f} rad",
-        "scale": [1.0] * (5 + 2 * robot.n_joints), "activation": "relu", "memory": 1, "control_dt": robot.timing.control_dt,
-        "command_path": robot.timing.command_path, "algorithm": "ppo", "seed": 0, **changes,
-    }  # fmt: skip
-
-
-def arrays() -> dict:
-    """Weights of a small policy."""
-    rng, sizes = np.random.default_rng(0), [(8, 11), (3, 8)]
-    made = {f"w{i}": rng.normal(size=size).astype(np.float32) for i, size in enumerate(sizes)}
-    return made | {f"b{i}": np.zeros(size[0], np.float32) for i, size in enumerate(sizes)}
-
-
-def stored(path, meta, some=None):
-    """A policy file with any header, NaN and all, and its right checksum."""
-    some, text, path = arrays() if some is None else some, json.dumps(meta), path / "mine.safetensors"
-    some = {name: np.array(value, order="C") for name, value in some.items()}
-    path.write_bytes(save(some, {"fishmj": text, "sha256": _digest(some, text)}))
-    return str(path)
 
 
 def longer(factor: float):
@@ -181,137 +138,6 @@ def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_pa
     assert "does not say reference point;" in note, "as the version before this one wrote it"
 
 
-LACKING = {"pilot": "water, training command", "station-sac": "training command"}  # what is documented nowhere
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_shipped_policies_say_their_water_and_what_they_lack(name):
-    water = {"paper": "structured", "paper-sac": "structured"}.get(name, "swift")
-    lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
-    assert controllers.make(name, in_water(ROBOT, water)).notes == lacks
-    other = "swift" if water == "structured" else "structured"
-    differs = () if name == "pilot" else (f"policy {name}: not as trained: water {water}, here {other}",)
-    assert controllers.make(name, in_water(ROBOT, other)).notes == differs + lacks
-
-
-def test_every_shipped_policy_has_its_line_in_the_help_and_its_row_in_the_guide():
-    assert sorted(SHIPPED) == shipped()
-    guide = (Path(__file__).parent.parent / "docs" / "guide" / "controllers.md").read_text(encoding="utf-8")
-    for options in (evaluate_options, play_options):
-        text = options().format_help()
-        assert all(f"  {name}  " in text and about in text for name, about in SHIPPED.items())
-    assert all(f"| `{name}` |" in guide for name in SHIPPED)
-
-
-@pytest.mark.parametrize(("old", "new"), FORMER.items())
-def test_an_old_name_goes_on_with_one_line(old, new, capsys):
-    _renamed.cache_clear()
-    assert controllers.make(old, ROBOT).name == new and Policy.load(old).meta == Policy.load(new).meta
-    assert capsys.readouterr().err.count(f"policy {old} is now called {new}") == 1
-
-
-# water and constants: said, never refused
-
-
-def structured(**changes):
-    """The fish with other coefficients in its own water."""
-    return replace(ROBOT, water={**ROBOT.water, **changes})
-
-
-@pytest.mark.parametrize(
-    ("robot", "said"),
-    [
-        (in_water(ROBOT, "swift"), "water structured, here swift"),
-        (in_water(ROBOT, "swift-base"), "water structured, here swift-base"),
-        (structured(cf=0.5), "water structured (structured a7526ad5), here structured (structured"),
-        (replace(ROBOT, servo=replace(ROBOT.servo, kp=9.0)), "other masses, sections, servo, timing or effects"),
-        (replace(ROBOT, timing=replace(ROBOT.timing, command_latency=0.1)), "other masses, sections, servo, timing or effects"),
-        (replace(ROBOT, effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),)), "other masses"),
-    ],
-)
-def test_another_water_or_other_constants_are_one_line(tmp_path, robot, said):
-    (note,) = controllers.make(stored(tmp_path, header()), robot).notes
-    assert note.startswith(f"policy mine: not as trained: {said}") and "\n" not in note
-
-
-def test_an_effect_at_its_null_and_a_colour_are_no_other_constants(tmp_path):
-    links = tuple(replace(link, colour=(1.0, 0.0, 0.0)) for link in ROBOT.links)
-    robot = replace(ROBOT, links=links, title="red", effects=(FittedEffect("coulomb_friction", {}),))
-    assert controllers.make(stored(tmp_path, header()), robot).notes == ()
-
-
-def test_what_differs_stands_in_table_page_results_and_log(tmp_path, capsys):
-    """The water of `station` is another one here; `paper` swims in its own, and `dob` was not trained."""
-    argv = ["station", "paper", "dob", *SHORT, "--json", "--log", "--out", str(tmp_path)]
-    assert console.run(evaluate, argv) == console.OK
-    out, err = capsys.readouterr()
-    assert err.count("policy station: not as trained: water swift, here structured\n") == 1 and "policy paper:" not in err
-    said = "station is not judged as trained: water swift, here structured"
-    assert said in out.splitlines() and said in (tmp_path / "report.html").read_text(encoding="utf-8")
-    rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in out.splitlines() if line.startswith("|")]
-    assert rows[0] == ["controller", "not as trained"] and rows[2:5] == [["station", "water"], ["paper", "-"], ["dob", "-"]]
-    found = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
-    station, paper, dob = (one["policy"] for one in found["results"])
-    assert station["differs"] == {"water": ["swift", "structured"]} and paper["differs"] == {} and dob is None
-    assert station["water"]["name"] == "swift" and station["command"].startswith("fishmj train --preset paper")
-    trial = read_trial(tmp_path / "logs" / "station_u0.2_los000_r0")
-    assert trial.value("policy.differs.water") == ["swift", "structured"] and trial.value("water") == "structured"
-    assert trial.value("policy.constants_sha256") == constants_sha256(ROBOT)
-
-
-def test_the_flow_solver_is_another_water_too():
-    brain = controllers.make("station", ROBOT, water="lbm")
-    assert brain.notes == ("policy station: not as trained: water swift, here lbm",)
-    assert brain.trained()["differs"] == {"water": ["swift", "lbm"]}
-    assert controllers.make("station", in_water(ROBOT, "swift")).trained("lbm")["said"] == "water swift, here lbm"
-
-
-def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):
-    argv = ["--controller", "paper", "--headless-seconds", "0.4", "--save", str(tmp_path / "a"), "--robot"]
-    shutil.copy(calib_folder() / "fish.toml", tmp_path / "stiff.toml")
-    text = (tmp_path / "stiff.toml").read_text(encoding="utf-8")
-    (tmp_path / "stiff.toml").write_text(re.sub(r"(?m)^kp = [0-9.]+", "kp = 9.5", text), encoding="utf-8")
-    assert console.run(play, [*argv, str(tmp_path / "stiff.toml")]) == console.OK
-    assert capsys.readouterr().err.count("policy paper: not as trained: other masses") == 1
-    assert "constants" in read_trial(tmp_path / "a").value("policy.differs")
-
-
-class Recorded:
-    """A training run that only remembers how it was called."""
-
-    command = ""
-
-    def __init__(self, settings, folder, **options):
-        self.folder, Recorded.command = folder, options["command"]
-
-    def go(self) -> dict:
-        told = {"algorithm": "ppo", "seed": 0, "steps": 1, "seconds": 1.0, "engine": "planar", "policy": str(self.folder)}
-        return told | {"stopped": False, "folder": str(self.folder)}
-
-
-def test_the_command_line_tells_a_training_its_words(tmp_path, monkeypatch):
-    from fishmj.train import training_run
-    from fishmj.train.__main__ import main as train
-
-    monkeypatch.setattr(training_run, "TrainingRun", Recorded)
-    monkeypatch.setattr(training_run, "learner_of", lambda settings: None)
-    argv = ["--preset", "quick", "--steps", "300", "--engine", "planar", "--out", str(tmp_path / "a run")]
-    assert console.run(train, argv) == console.OK
-    assert Recorded.command == f"fishmj train {' '.join(argv[:-1])} {shlex.quote(argv[-1])}"
-    assert one_line("fishmj train --out 'a\nb\x1b'") == "fishmj train --out 'a?b?'" and len(one_line("x" * 9999)) == 4000
-
-
-@pytest.mark.slow
-def test_a_policy_that_was_just_trained_lacks_nothing_and_swims_where_it_was_trained(tmp_path):
-    from fishmj.train.__main__ import main as train
-
-    argv = ["--preset", "quick", "--envs", "8", "--steps", "300", "--hidden", "8", "--engine", "planar", "--water", "structured"]
-    assert console.run(train, [*argv, "--out", str(tmp_path / "a")]) == console.OK
-    meta = Policy.load(tmp_path / "a").meta
-    assert meta["command"] == f"fishmj train {' '.join(argv)} --out {tmp_path / 'a'}" and meta["water"] == water_identity(ROBOT)
-    assert [note for note in controllers.make(tmp_path / "a", ROBOT).notes if "taken from" not in note] == []
-
-
 # command path
 
 HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
@@ -341,7 +167,6 @@ def test_a_command_path_on_the_command_line_is_no_consent(capsys):
 
 
 def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys):
-    from fishmj.calib import calib_folder
 
     text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
     head, _, rest = text.partition("[timing]\n")
