@@ -15,7 +15,7 @@ followed by m - 1 pairs (action, observation) back in time; the policy keeps tha
     seed, command     of the training; the command as it was typed, null where Python called it
 
 What an older file does not say is not compared, and that is said; its servo range and joint count are read from `action` and
-`joints`. Of shipped files that keep their bytes, headers.json beside them holds what they do not say.
+`joints`. For the shipped files that keep their bytes, headers.json beside them says it.
 """
 
 import json
@@ -351,7 +351,7 @@ class Policy:
         schema = meta.get("schema") if isinstance(meta, dict) else meta
         if schema != SCHEMA:
             raise ConfigError(f"{path}: schema {shown(schema)}, expected {SCHEMA!r}: this is not a policy file")
-        if path.parent == FOLDER:
+        if path.resolve().parent == FOLDER:
             meta = meta | read_json(FOLDER / ALSO).get(path.stem, {})
         layers = len(arrays) // 2
         if layers == 0 or set(arrays) != {f"{kind}{i}" for kind in "wb" for i in range(layers)}:

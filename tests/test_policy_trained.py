@@ -1,6 +1,7 @@
 """How a policy was trained: its water, constants and command; what is not so here is said, in table, page, results and logs."""
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -20,7 +21,7 @@ from fishmj.log import read_trial
 from fishmj.mjcf.identity import constants_sha256
 from fishmj.play.__main__ import main as play
 from fishmj.play.__main__ import options as play_options
-from fishmj.policy import FORMER, SHIPPED, Policy, _renamed, one_line, shipped
+from fishmj.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, one_line, shipped
 from fishmj.water.identity import water_identity
 
 LACKING = {"pilot": "water, training command", "station-sac": "training command"}  # what is documented nowhere
@@ -31,6 +32,8 @@ def test_shipped_policies_say_their_water_and_what_they_lack(name):
     water = {"paper": "structured", "paper-sac": "structured"}.get(name, "swift")
     lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
     assert controllers.make(name, in_water(ROBOT, water)).notes == lacks
+    by_path = os.path.relpath(FOLDER / f"{name}.safetensors")
+    assert controllers.make(by_path, in_water(ROBOT, water)).notes == lacks, "the same file, named by its path"
     other = "swift" if water == "structured" else "structured"
     differs = () if name == "pilot" else (f"policy {name}: not as trained: water {water}, here {other}",)
     assert controllers.make(name, in_water(ROBOT, other)).notes == differs + lacks

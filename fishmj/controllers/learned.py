@@ -34,7 +34,7 @@ class LearnedController:
     def __init__(self, robot: Robot, source: str, anyway: bool = False, water: str = ""):
         self.robot, self.policy = robot, Policy.load(source)
         path, of_a_run = file_of(source), os.path.isdir(source)
-        shipped = path.parent == FOLDER
+        shipped = path.resolve().parent == FOLDER
         self.name = path.stem if shipped else nearest(path.parent.resolve().name if of_a_run else path.stem) or "policy"
         self.sha256 = sha256(path.read_bytes()).hexdigest()
         wanted = (5 + 2 * robot.n_joints, robot.n_joints)
