@@ -2,8 +2,8 @@
 
     command -> clamp, quantise -> bus (latency) -> [ servo target -> remember -> water.step ] x 5 -> record
 
-The water is one of three behind one interface (`engines.single.Water`): strips in MuJoCo's callback, the closed form with
-effects and a learnt residual, or MuJoCo alone.
+The water stands behind one interface (`engines.single.Water`): strips and learnt residual in MuJoCo's callback or as a wrench on
+every link, the closed form with effects, or MuJoCo alone.
 
     sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
@@ -28,6 +28,7 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.names import split_member
 
 WATERS = ("structured", "ellipsoid", "none")
 ENGINES = ("mujoco",)
@@ -39,13 +40,16 @@ class Sim:
 
     Args:
         robot: description, TOML path or shipped name.
-        water: "structured" (strip model with added mass), "surrogate" (the shipped fitted one; another by the path of its TOML),
-            "ellipsoid" (MuJoCo's own fluid) or "none".
+        water: "structured" (strip model with added mass), "surrogate" (the shipped fitted one; another by the path of its TOML;
+            "#2" behind it: member 2 of its ensemble alone), "ellipsoid" (MuJoCo's own fluid) or "none".
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
         swimmer: this fish's own constants; the nominal ones by default.
         latency: of commands, s; the robot's nominal one by default.
+        injection: how the water gets into MuJoCo: "callback" (mjcb_passive; one thread a process), "xfrc" (a wrench on every
+            link in `xfrc_applied`; any thread) or "qfrc" (the closed form in `qfrc_applied`; planar root). The swim is the same
+            to round-off. Default "qfrc" for a robot with effects, else "callback".
         rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
 
     Raises:
@@ -63,9 +67,11 @@ class Sim:
         pose=(0.0, 0.0, 0.0),
         swimmer: planar_chain.Swimmer | None = None,
         latency: float | None = None,
+        injection: str | None = None,
         rescue_folder: Path | None = None,
     ):
-        fitted = water == SURROGATE or str(water).endswith(".toml")
+        named, _ = split_member(str(water))
+        fitted = named == SURROGATE or named.endswith(".toml")
         for kind, name, known in (("water", water, (*WATERS, *[water] * fitted)), ("engine", engine, ENGINES)):
             if name not in known:
                 raise UnknownName(kind, name, known)
@@ -89,7 +95,7 @@ class Sim:
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
-        self.water = water_of(water, self.robot, root, self.model, self.swimmer, self.added)
+        self.water = water_of(water, self.robot, root, self.model, self.swimmer, self.added, injection)
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)

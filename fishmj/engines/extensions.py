@@ -23,6 +23,7 @@ from fishmj.dynamics.hooks import Effects
 from fishmj.effects.calibration import FittedEffect, activate
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
+from fishmj.names import split_member
 
 STRUCTURED, SURROGATE = "structured", "surrogate"  # waters: strips alone; the shipped fitted one
 
@@ -118,29 +119,36 @@ def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
 def in_water(robot: Robot, water: "str | Path") -> Robot:
     """The robot in another water: "structured" is its own, "surrogate" the one fitted for it, else a fitted one by name or file.
 
+    "#2" behind a fitted one is member 2 of its ensemble: its coefficients and its residual alone.
+
     Raises:
         UnknownName, StoreError: no such water. ConfigError: it was fitted for another robot or another time step.
     """
     if water == STRUCTURED:
         return robot
-    from fishmj.water.hydro_model import shipped
-
-    if water == SURROGATE and robot.name in shipped():
-        water = robot.name
-    model = fitted_water(str(water))
+    water = _own(robot, str(water))
+    model = fitted_water(water)
     kept = {key: robot.water[key] for key in ("stations",) if key in robot.water}
     base = model.swimmer(robot).water._asdict()
-    return replace(robot, water={**base, **kept, "model": str(water)})
+    return replace(robot, water={**base, **kept, "model": water})
+
+
+def _own(robot: Robot, water: str) -> str:
+    """The name of a fitted water, with "surrogate" as the robot's own where one is shipped; a member (`NAME#2`) stays one."""
+    from fishmj.water.hydro_model import shipped
+
+    name, member = split_member(water)
+    if name != SURROGATE or robot.name not in shipped():
+        return water
+    return robot.name if member is None else f"{robot.name}#{member}"
 
 
 def residual_of(robot: Robot):
     """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
-    from fishmj.water.hydro_model import shipped
-
     name = str(robot.water.get("model", STRUCTURED))
     if name == STRUCTURED:
         return None
-    model = fitted_water(robot.name if name == SURROGATE and robot.name in shipped() else name)
+    model = fitted_water(_own(robot, name))
     if (links := len(model.base.k)) != len(robot.links):
         raise ConfigError(
             f"robot {robot.name!r} [water] model: got {name!r}, fitted for {model.robot!r} of {links} links, expected one for"

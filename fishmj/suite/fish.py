@@ -89,7 +89,7 @@ def in_water(setting: TaskOptions, water: str, root: str) -> TaskOptions:
     """
     if water != LBM:
         setting = replace(setting, robot=engines.in_water(load_robot(setting.robot), water))
-    if root == "free" and (water == LBM or engines.Extensions.of(setting.robot).learnt is not None):
+    elif root == "free":
         raise ConfigError(f"suite: water = {water!r} acts on a fish with a planar root; choose root = 'planar', or another water")
     return setting
 
