@@ -1,5 +1,7 @@
 """Every way of putting the water into an engine takes the same step as the closed form."""
 
+from contextlib import nullcontext
+
 import jax
 import mujoco
 import numpy as np
@@ -12,6 +14,7 @@ from fishmj.errors import ConfigError, InjectionError, MissingExtra
 from fishmj.flow import Flow, stack
 from fishmj.mjcf.model import reference_pose, reference_qpos
 from fishmj.water.injection import inject
+from fishmj.water.link_wrench import LinkWrench
 from fishmj.water.planar_water import PlanarWater
 from fishmj.water.spatial_water import FreeWater
 
@@ -32,8 +35,9 @@ def closed_form(robot, q, v, attached, seconds, flow, ambient):
     return np.array(rows)
 
 
+@pytest.mark.parametrize("way", ["callback", "xfrc"])
 @pytest.mark.parametrize("name", ["fish", "tendon_fish"])
-def test_callback_equals_closed_form(name):
+def test_callback_and_wrenches_equal_closed_form(name, way):
     """2 s of swimming from a random state in a random flow: the same to 1e-11 after 500 steps."""
     robot = mjcf.load_robot(name)
     model = mjcf.build(robot)
@@ -46,7 +50,7 @@ def test_callback_equals_closed_form(name):
     reference = closed_form(robot, data.qpos, data.qvel, 0.5, 2.0, [tuple(r) for r in flow], tuple(ambient))
     water.set_flow(flow, ambient)
     rows = []
-    with inject(model, water) as fish:
+    with inject(model, water) if way == "callback" else nullcontext(LinkWrench(model, water)) as fish:
         for _ in range(len(reference)):
             data.ctrl[:] = gait(data.time, n - 1)
             fish.step(data)
