@@ -131,6 +131,14 @@ def test_every_engine_and_every_way_into_mujoco_is_one_water(reference, name, wa
     assert mujoco.get_mjcb_passive() is None
 
 
+@pytest.mark.xfail(raises=ConfigError, reason="the compiled engine refuses a learnt residual", strict=True)
+@pytest.mark.parametrize("water", WATERS)
+def test_the_compiled_engine_is_the_same_water(reference, water):
+    """Once it holds the residual this fails as expected no longer: it then belongs into PATHS."""
+    pytest.importorskip("numba")
+    assert_same(batched(engines.make("compiled", in_water(water)), in_water(water)), reference[water], 1e-8)
+
+
 def test_the_swim_has_the_learnt_force_and_a_wake_and_a_member_is_not_the_mean(reference):
     mean, member = (reference[water] for water in WATERS)
     strips = in_sim("swift-base")
