@@ -251,6 +251,22 @@ class Flow:
         return np.concatenate([_turned(np, value, cos, sin), value[:, 2:]], -1)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrawnFlow(Flow):
+    """A background flow that was drawn already, in place of one drawn from a seed; speed and direction are those of its mean."""
+
+    drawn: Current  # a batch of one
+
+    @property
+    def rms(self) -> float:
+        """u_rms of each component, m/s."""
+        return float(self.drawn.rms[0])
+
+    def current(self) -> Current:
+        """The flow as drawn."""
+        return self.drawn
+
+
 def stack(flows: list[Flow]) -> Current:
     """Several flows of one preset and box as one batch. Raises ConfigError: presets or boxes differ."""
     kinds = {(f.turbulence, f.box) for f in flows}
