@@ -114,9 +114,9 @@ def in_air(robot, swimmer):
     return sim.run(beat(), TICKS / 50), getattr(sim.water, "memory", [])
 
 
-def in_dry_tank(robot, params, flow=Flow()):
+def in_dry_tank(robot, params):
     """State and trace of the same fish in a tank without water."""
-    engine, state = lbm.Engine(robot, [flow]), engines.at_rest(robot, POSE[None])
+    engine, state = lbm.Engine(robot, [Flow()]), engines.at_rest(robot, POSE[None])
     state.q[:, 3:] = params.zero
     return engine.advance(state, beat()[None], params, None, np.zeros(1, int))
 

@@ -220,8 +220,8 @@ def _gear(effect: Effect, p) -> str:
     rng = np.random.default_rng(0)
     state = {name: rng.normal(size=STATES) for name in ("drive", "angle", "rate", "torque")}
     ask = lambda wet: effect.gear(np, p, Gear(**state, resist=0.0, wet=wet, kb=0.3, limit=1.6), effect.memory, 0.004)
-    (dry, _), (wet, _) = ask(0.0), ask(1.0)
-    return "" if all(map(_same, dry._replace(wet=0.0), wet._replace(wet=0.0))) else f"it is a drag of water on the joints, {WATER}"
+    (dry, kept), (wet, other) = ask(0.0), ask(1.0)
+    return "" if _same((*dry._replace(wet=1.0), *kept), (*wet, *other)) else f"it is a drag of water on the joints, {WATER}"
 
 
 def _flow(effect: Effect, p) -> str:
