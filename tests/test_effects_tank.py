@@ -12,7 +12,8 @@ from fishmj.dynamics import planar_chain
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.engines import FishState, Trace, lbm, tank_effects
-from fishmj.engines.tank_effects import EffectServos, in_tank, refused, without
+from fishmj.engines.tank_effects import in_tank, refused, without
+from fishmj.engines.tank_run import EffectServos
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.body import ImmersedBody

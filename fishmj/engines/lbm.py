@@ -17,10 +17,10 @@ import numpy as np
 from fishmj.dynamics import planar_chain
 from fishmj.effects.calibration import activate
 from fishmj.engines import FishParams, FishState, Trace, check_commands, ticks_per
-from fishmj.engines.tank_effects import EffectRun, TankEffects, check_effects
+from fishmj.engines.tank_effects import check_effects
+from fishmj.engines.tank_run import EffectRun, TankEffects
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.immersed.driven_body import DrivenBody
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
@@ -113,20 +113,18 @@ class Engine:
     def _tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray) -> Run:
         """Tank i with its own fish, at rest in undisturbed flow."""
         own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
-        flow, added, body = self.flows[i], None, None
+        flow, added = self.flows[i], None
         if self.active is not None:
             swimmer = planar_chain.nominal(self.robot)._replace(**{name: value.tolist() for name, value in own.items()})
             added = TankEffects(self.robot, self.active, np.asarray(params.effects)[i], memory, swimmer)
-            flow, body = added.stream(flow), DrivenBody.of(self.robot, dt=self.domain.dt)
+            flow = added.stream(flow)
         stage = SwimSetup(
             domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
         )  # fmt: skip
-        coupled = stage.coupled(body)
+        coupled = stage.coupled(None if added is None else added.body(self.domain.dt))
         if added is None:
             personalise(coupled.body.model, **own)
-        else:
-            added.shape(coupled.body)
         coupled.body.forward()
         edge = DomainWatch(self.domain, float(q[2]))
         steps, _ = ticks_per(self.robot)

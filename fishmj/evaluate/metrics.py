@@ -70,6 +70,7 @@ class Result(NamedTuple):
     action: np.ndarray | None  # (n, K, J) of policies
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
+    left_out: tuple[str, ...] = ()  # effects of the description that the judged robot has not
 
     @property
     def water(self) -> str:
