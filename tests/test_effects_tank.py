@@ -1,5 +1,6 @@
 """Effects in the flow solver's tanks: each acts as in `Sim`, or is refused by name because the solver is the water."""
 
+import json
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,20 +8,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import effects, engines
+from fishmj import console, controllers, effects, engines, evaluate
+from fishmj.calib import resolve
 from fishmj.dynamics import planar_chain
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.calibration import FittedEffect, Interval, write
 from fishmj.effects.effect import Effect, Parameter
-from fishmj.engines import FishState, Trace, lbm, tank_effects
+from fishmj.engines import FishState, Trace, lbm, tank_effects, tank_run
 from fishmj.engines.tank_effects import in_tank, refused, without
 from fishmj.engines.tank_run import EffectServos
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.evaluate import __main__ as command
+from fishmj.evaluate import run_trials
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
-from fishmj.log import stacked
+from fishmj.log import read_trial, stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.sim import Sim
@@ -56,7 +60,8 @@ class Dry:
     def __init__(self, stage: SwimSetup, body: ImmersedBody):
         self.body, self.steps, self.slip = body, 1, 1.0  # step 1 for good: nobody looks after the water
         body.place(reference_qpos(body.model, stage.pose, np.array(stage.joints)))
-        self.fluid = SimpleNamespace(flow=stage.flow, lattice=SimpleNamespace(sound=np.inf, dt=body.dt), steps=1)
+        lattice, idle = SimpleNamespace(sound=np.inf, dt=body.dt), dict.fromkeys(("restore", "settle"), lambda *_: None)
+        self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, snapshot=dict, **idle)
         self.boundary = SimpleNamespace(corners=Corners(np.zeros((body.links, 8, 3)), body.water.centre))
         self.place_markers = self.assemble_response = self.push_water = self.join_stream = lambda: None
 
@@ -280,3 +285,50 @@ def test_what_is_the_waters_is_refused_by_name_and_can_be_left_out():
     with pytest.raises(UnknownName, match="wake_memory"):
         without(robot, ["wake_memry"])
     assert tank_effects.check_effects(PLAIN) is None
+
+
+def patched(tmp_path, *names: str) -> str:
+    """A description file with these effects."""
+    path = tmp_path / "patched.toml"
+    path.write_text(resolve("fish").read_text(encoding="utf-8"), encoding="utf-8")
+    return str(write(path, robot_with(*names).effects))
+
+
+QUICK = ("--speeds", "0", "--turbulence", "none", "--los", "180", "--repeats", "1", "--duration", "1")
+
+
+def test_the_command_refuses_what_is_the_waters_and_judges_without_it(dry, tmp_path, capsys):
+    path, out = patched(tmp_path, "quadratic_drag", "coulomb_friction"), tmp_path / "out"
+    judge = lambda *more: console.run(command.main, ["drift", "--robot", path, "--water", "lbm", *QUICK, *more])
+    assert judge() == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "quadratic_drag: " in said and "--leave-out quadratic_drag" in said and "coulomb_friction" not in said
+    assert judge("--leave-out", "quadratic_drg") == console.BAD_INPUT
+    assert "Did you mean 'quadratic_drag'" in capsys.readouterr().err
+    less = ("--leave-out", "quadratic_drag", "--domain", "laptop", "--device", "cpu", "--out", str(out), "--log")
+    assert judge(*less) == console.OK
+    said = "without the effects quadratic_drag"
+    assert said in capsys.readouterr().out and said in (out / "report.html").read_text(encoding="utf-8")
+    found = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert found["left_out"] == ["quadratic_drag"] and said in found["condition"]
+    assert read_trial(out / "logs" / "drift_u0_los180_r0").value("left_out") == ["quadratic_drag"]
+
+
+def test_a_kept_trial_belongs_to_the_effects_that_it_was_swum_with():
+    brain, plan = controllers.make("drift", PLAIN), evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=1.0)
+    robots = (PLAIN, robot_with("coulomb_friction"), robot_with("coulomb_friction", torque=0.01), robot_with("servo_gain"))
+    assert len({run_trials.fingerprint(brain, robot, plan, "paper", 1.0) for robot in robots}) == len(robots)
+
+
+def test_a_dm_control_fish_in_the_solver_has_its_effects_and_those_drawn_for_the_episode(dry):
+    suite = pytest.importorskip("fishmj.suite")
+    given = {"robot": robot_with("coulomb_friction"), "effects": ("viscous_friction",), "seconds": 0.4, "water": "lbm"}
+    env = suite.load("fish", "station_hold", task_kwargs={"random": 1, **given})
+    env.reset()
+    env.step(np.array([0.5, 0.0, 0.0]))
+    (run,), params = env.physics.engine.tanks.runs, env.task.scenario.params
+    assert run.added.row == params.effects[0].tolist() and 0.02 <= params.effects[0, 1] <= 0.15
+    np.testing.assert_array_equal(env.physics.swim.memory[0], run.added.memory)
+    assert run.added.memory[tank_run.CLOCK] == pytest.approx(0.2), "the held second before is not part of the session"
+    with pytest.raises(ConfigError, match="wake_memory"):
+        suite.load("fish", "station_hold", task_kwargs={**given, "effects": ("wake_memory",)})

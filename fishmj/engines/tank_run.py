@@ -39,6 +39,7 @@ class TankEffects:
         self.robot, self.active, self.row = robot, active, [float(x) for x in row]
         self.memory = [float(x) for x in memory][: len(active.memory)]
         self.chain, self.swimmer = active.begin(np, self.row, self.memory).fish(Constants(planar_chain.chain_of(robot), swimmer))
+        self._pushed = any(effect.body is not None for effect in active.effects)
         self._still = [(0.0, 0.0)] * self.chain.n
         self._begun, self._tick, self._kept = self.memory[CLOCK], -1, list(self.memory)
 
@@ -78,12 +79,15 @@ class TankEffects:
         ch, sw = self.chain._replace(dt=body.dt), self.swimmer
         hooks = Commanded(np, self.active, self.row, self.memory, 0.0)
         drive, resist = hooks.servos(ch, sw, q, v, list(target))
-        rhs, mass = [0.0] * (ch.n + 2), [[0.0] * (r + 1) for r in range(ch.n + 2)]
-        hooks.body(ch, sw, q, planar_chain.kinematics(np, ch, q, v, self._still), rhs, mass)
-        applied = np.array(planar_chain.generalised(np, ch, q[2], rhs), float)
-        applied[3:] += drive
-        if hooks.session.acts("body"):
+        applied = np.zeros(body.dofs)
+        if self._pushed:
+            rhs, mass = [0.0] * (ch.n + 2), [[0.0] * (r + 1) for r in range(ch.n + 2)]
+            hooks.body(ch, sw, q, planar_chain.kinematics(np, ch, q, v, self._still), rhs, mass)
+            applied[:] = planar_chain.generalised(np, ch, q[2], rhs)
             body.added_mass = _generalised_mass(ch, q[2], mass)
+            applied[3:] += drive
+        else:
+            applied[3:] = np.add(drive, hooks.passive)
         body.drive(applied, np.add(sw.kb, resist))
         self.memory = list(hooks.end(ch, sw, v, drive))
         return float(planar_chain.electrical_power(np, sw, v, drive))

@@ -61,7 +61,7 @@ def options() -> console.Parser:
     add("--command-path", choices=COMMAND_PATHS, help=path)
     add("--any-command-path", action="store_true", help="policies steer on the robot's command path, not on theirs")
     own_effects.option(parser)
-    left = "judge the robot without these of its effects, which the table says; --water lbm refuses those that are the water's"
+    left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
     add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
