@@ -276,6 +276,17 @@ def test_in_water_a_tether_pulls_friction_holds_back_and_a_null_does_nothing(tin
     assert np.abs(trace.rate[0, :, 0]).max() < 0.9 * np.abs(plain.rate[0, :, 0]).max()
 
 
+@pytest.mark.slow
+def test_in_water_a_steady_current_is_a_stream_of_that_speed(tiny):
+    drift = []
+    for robot, flow in ((robot_with("steady_current", x=0.1, y=0.0), Flow()), (PLAIN, Flow(speed=0.1))):
+        engine, params = lbm.Engine(robot, [flow], domain="laptop", device="cpu"), engines.nominal_params(robot, 1)
+        state = engines.at_rest(robot, np.zeros((1, 3)))
+        drift.append(engine.advance(state, np.zeros((1, 10, 3)), params, None, np.zeros(1, int))[1].pose[0])
+    np.testing.assert_allclose(drift[0], drift[1], atol=1e-6)
+    assert drift[0][-1, 0] > 1e-4
+
+
 def test_what_is_the_waters_is_refused_by_name_and_can_be_left_out():
     robot = robot_with("wake_memory", "coulomb_friction", "swirl")
     assert list(refused(robot)) == ["wake_memory", "swirl"]
