@@ -253,9 +253,15 @@ class Flow:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnFlow(Flow):
-    """A background flow that was drawn already, in place of one drawn from a seed; speed and direction are those of its mean."""
+    """A background flow that has been drawn already, in place of one drawn from a seed."""
 
     drawn: Current  # a batch of one
+
+    @classmethod
+    def of(cls, drawn: Current, kind: Flow) -> "DrawnFlow":
+        """This draw, a batch of one, of the turbulence and box of `kind`."""
+        u, v = (float(component) for component in drawn.mean[0])
+        return cls(speed=np.hypot(u, v), direction=np.arctan2(v, u), turbulence=kind.turbulence, box=kind.box, drawn=drawn)
 
     @property
     def rms(self) -> float:

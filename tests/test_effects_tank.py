@@ -241,7 +241,7 @@ def test_a_steady_current_joins_the_stream_of_the_tank(tiny):
     flow = Flow(speed=0.2, direction=1.0, turbulence="shear", intensity=0.1, seed=3)
     engine, params = lbm.Engine(robot, [flow] * 2), engines.nominal_params(robot, 2)
     params.effects[1] = 0.0  # each fish has its own parameters
-    runs = [engine._tank(i, np.zeros(6), params, np.zeros(2)) for i in range(2)]
+    runs = [engine.tank(i, np.zeros(6), params, np.zeros(2)) for i in range(2)]
     more, same = (run.coupled.fluid.flow for run in runs)
     np.testing.assert_allclose(more.mean, flow.mean + [0.05, -0.02, 0.0], atol=1e-12)
     assert more.rms == flow.rms and same is flow

@@ -13,10 +13,11 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.dynamics import planar_chain
-from fishmj.engines.extensions import Extensions, bus_rows, in_water, with_effects
+from fishmj.engines.extensions import Extensions, bus_rows, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.choice import in_water
 from fishmj.water.prior import flat as flat_water
 from fishmj.water.prior import unflat
 

@@ -95,12 +95,12 @@ class Engine:
         q = np.asarray(state.q)
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        tanks = ConcurrentRuns([self._tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))])
+        tanks = ConcurrentRuns([self.tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))])
         asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
         streams = [flow.speed > 0 or flow.rms > 0 for flow in (run.coupled.fluid.flow for run in tanks.runs)]
         if any(streams):
             for run in tanks.runs:
-                _turn_back(run, HELD)
+                set_clock(run, -HELD)
             for _ in range(round(HELD / self.robot.timing.bus_dt)):
                 tanks.tick(asked)
         for run, angles in zip(tanks.runs, asked, strict=True):
@@ -110,13 +110,14 @@ class Engine:
                 run.commands = [angles.copy()]
         return tanks
 
-    def _tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray) -> Run:
-        """Tank i with its own fish, at rest in undisturbed flow."""
+    def tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray | None = None) -> Run:
+        """Tank i with its own fish, at rest in undisturbed flow; `memory` (M,) of its effects, as at their start by default."""
         own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
         flow, added = self.flows[i], None
         if self.active is not None:
             swimmer = planar_chain.nominal(self.robot)._replace(**{name: value.tolist() for name, value in own.items()})
-            added = TankEffects(self.robot, self.active, np.asarray(params.effects)[i], memory, swimmer)
+            kept = self.active.memory if memory is None else memory
+            added = TankEffects(self.robot, self.active, np.asarray(params.effects)[i], kept, swimmer)
             flow = added.stream(flow)
         stage = SwimSetup(
             domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
@@ -137,12 +138,12 @@ class Engine:
         return run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 
-def _turn_back(run: Run, seconds: float) -> None:
-    """Fish and water at -`seconds`, the undisturbed flow of that time everywhere."""
+def set_clock(run: Run, time: float) -> None:
+    """Fish and water at `time` s, the undisturbed flow of that time everywhere."""
     coupled = run.coupled
     fluid = coupled.fluid
     with coupled.scope():
-        fluid.restore(fluid.snapshot() | {"steps": np.array(-round(seconds / fluid.lattice.dt))})
+        fluid.restore(fluid.snapshot() | {"steps": np.array(round(time / fluid.lattice.dt))})
         fluid.settle()
-    coupled.body.data.time = -seconds
+    coupled.body.data.time = time
     run.begin()

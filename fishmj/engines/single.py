@@ -120,19 +120,20 @@ class HookedWater(SingleFish):
 def water_of(
     name: str, robot: Robot, root: str, model: mujoco.MjModel, swimmer: planar_chain.Swimmer, added: Extensions
 ) -> Water:
-    """The water `name`: "structured", "ellipsoid" or "none".
+    """The water `name`: "ellipsoid", "none", else the strips and the learnt force that the robot's water has.
 
     Raises:
         ConfigError: effects or a learnt water with a free root or in MuJoCo's own fluid.
     """
-    if added.active is not None or (added.learnt is not None and name == "structured"):
+    wet = name not in ("none", "ellipsoid")
+    if added.active is not None or (added.learnt is not None and wet):
         if root != "planar" or name == "ellipsoid":
             raise ConfigError(
                 f"{robot.name}: effects and a learnt water act on a fish with a planar root in structured water or none, got"
                 f" root = {root!r}, water = {name!r}; take those, or a robot without [[effect]]"
             )
-        return HookedWater(robot, added, swimmer, wet=name == "structured")
-    if name == "structured":
+        return HookedWater(robot, added, swimmer, wet=wet)
+    if wet:
         strips = {"planar": PlanarWater, "free": FreeWater}[root]
         return StripWater(model, strips(robot, swimmer))
     return MujocoWater(model, swimmer, wind=name == "ellipsoid")

@@ -50,11 +50,7 @@ class TankEffects:
         if (found.u, found.v) == (0.0, 0.0):
             return flow
         drawn = flow.current()
-        u, v = (float(c) for c in drawn.mean[0] + [found.u, found.v])
-        return DrawnFlow(
-            speed=float(np.hypot(u, v)), direction=float(np.arctan2(v, u)), drawn=drawn._replace(mean=np.array([[u, v]])),
-            turbulence=flow.turbulence, intensity=flow.intensity, seed=flow.seed, box=flow.box,
-        )  # fmt: skip
+        return DrawnFlow.of(drawn._replace(mean=drawn.mean + np.array([found.u, found.v])), flow)
 
     def body(self, dt: float) -> DrivenBody:
         """A new body with this fish's masses, for steps of dt [s]."""

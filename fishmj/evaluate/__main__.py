@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects, tank_effects
-from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
+from fishmj.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
 from fishmj.evaluate.report import REST, STARRED, by_condition, condition, overall, paired, save, unbounded, write
@@ -15,9 +15,8 @@ from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, ru
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
-from fishmj.water.hydro_model import shipped
+from fishmj.water import choice
 
-WATERS = ("structured", "surrogate", "lbm")
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
@@ -36,9 +35,7 @@ def options() -> console.Parser:
     brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
-    water = "structured: the description's own coefficients; surrogate: the shipped water fitted for this robot; a fitted one by"
-    water += " name (NAME-base: without its residual) or TOML file; lbm: the flow solver itself, hours without a GPU"
-    add("--water", type=console.text, default="structured", help=water)
+    add("--water", type=console.text, help=f"{choice.HELP}; lbm: the flow solver itself, hours without a GPU")
     add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
     add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in --water lbm: 1 slides, 0 sticks")
     add("--device", type=console.device, default="auto", help="of --water lbm: auto, cpu, cuda or cuda:N")
@@ -80,13 +77,12 @@ def main(argv: list[str]) -> int:
     if unused and args.water != "lbm":
         raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
     joined = own_effects.join(args.effects)
-    if args.water.removesuffix("-base") not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
-        raise UnknownName("water", args.water, (*WATERS, *shipped()))
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
     if args.plots and find_spec("matplotlib") is None:
         raise MissingExtra("matplotlib", "all", "evaluate --plots")
-    robot = load_robot(args.robot) if args.water == "lbm" else engines.in_water(load_robot(args.robot), args.water)
+    water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM), "evaluate")
+    robot = water.robot
     for effect in joined:
         if effect.name not in {fitted.name for fitted in robot.effects}:
             console.warn(
@@ -94,7 +90,7 @@ def main(argv: list[str]) -> int:
                 f' [[effect]] name = "{effect.name}"'
             )
     robot = tank_effects.without(robot, args.leave_out)
-    if args.water == "lbm":
+    if water.kind == choice.LBM:
         tank_effects.check_effects(robot)
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
@@ -108,7 +104,8 @@ def main(argv: list[str]) -> int:
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
     affordable(robot, trials, len(brains))
-    if args.water == "lbm":
+    console.say(f"water: {water.said}")
+    if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"

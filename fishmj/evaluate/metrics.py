@@ -31,6 +31,7 @@ from fishmj.errors import ConfigError
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.description import Robot
 from fishmj.units import G, wrap
+from fishmj.water.choice import LBM, label
 
 BEAT = 1.0  # s, averaging window
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
@@ -74,8 +75,8 @@ class Result(NamedTuple):
 
     @property
     def water(self) -> str:
-        """`lbm` for the flow solver, else the robot's model: `structured`, `surrogate` or the file of a fitted one."""
-        return "lbm" if self.engine.startswith("tanks") else str(self.robot.water.get("model", "structured"))
+        """`lbm` for the flow solver, else as `fishmj.water.choice.label`."""
+        return LBM if self.engine.startswith("tanks") else label(self.robot)
 
 
 def arrival_tick(result: Result) -> np.ndarray:

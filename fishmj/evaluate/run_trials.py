@@ -25,6 +25,7 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import package_sha256
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
+from fishmj.water.choice import files_of, in_water
 
 KEPT = "lbm"  # folder of finished trials in the flow solver
 OF_A_TRIAL = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
@@ -52,7 +53,7 @@ def run(
     Raises:
         SimDiverged: names the trial.
     """
-    robot = load_robot(robot)
+    robot = in_water(load_robot(robot)) if isinstance(engine, str) else load_robot(robot)
     trials = protocol.trials(seed=seed) if trials is None else trials
     controller = controllers.make(controller, robot) if isinstance(controller, str) else controller
     loop = ControlLoop(robot, engine)
@@ -198,8 +199,7 @@ class FinishedTrials:
 
 def water_of(robot: Robot) -> list[str]:
     """Hashes of the files of a fitted water."""
-    path = Path(str(robot.water.get("model", "")))
-    return [store.sha256(file) for file in sorted(path.parent.glob(f"{path.stem}*")) if path.is_file() and file.is_file()]
+    return [store.sha256(file) for file in files_of(robot)]
 
 
 class Variation(NamedTuple):

@@ -14,7 +14,10 @@ from fishmj.store import plain
 
 def robot_sha256(robot: Robot) -> str:
     """Hex digest of everything that a description says: links, servo, timing, water, effects. Equal for equal descriptions."""
-    return sha256(json.dumps(plain(asdict(robot)), sort_keys=True, default=str).encode()).hexdigest()
+    table = asdict(robot)
+    water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
+    table["water"] = {"model": "structured", **water}
+    return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
 
 
 def identity(robot: Robot) -> dict:

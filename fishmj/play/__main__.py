@@ -20,6 +20,7 @@ from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.play.live_session import Keyboard, LiveSession, press
 from fishmj.replay.live_view import LOCAL, LiveView, check_host
+from fishmj.water import choice
 
 FRAME = 0.04  # s between two pictures
 BEST = "paper"  # of the shipped controllers
@@ -98,6 +99,7 @@ def options() -> console.Parser:
     add("--controller", type=console.text, help=steered)
     add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
     add("--robot", type=console.text, default="fish", help="description, name or TOML")
+    add("--water", type=console.text, help=choice.HELP)
     add("--engine", default="batch", choices=engines.NAMES, help="what moves the fish")
     add("--speed", type=console.number(0, 1), default=0.2, metavar="M/S", help="of the current at the start")
     add("--direction", type=console.number(-360, 360), default=180.0, metavar="DEG", help="the water moves towards it")
@@ -135,8 +137,10 @@ def main(argv: list[str] | None = None) -> int:
     direction = float(np.radians(args.direction))
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     check_host(args.host)
-    robot = load_robot(args.robot)
+    water = choice.chosen(load_robot(args.robot), args.water)
+    robot = water.within(choice.SELF_MADE, "play").robot
     controller = controller_of(args, robot)
+    console.say(f"water: {water.said}")
     session = LiveSession(controller, robot, flow, args.engine)
     alone = args.headless_seconds is not None
     with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:

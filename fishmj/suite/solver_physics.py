@@ -14,7 +14,7 @@ from fishmj import engines
 from fishmj.dynamics.planar_chain import Chain
 from fishmj.engines import FishParams
 from fishmj.errors import ConfigError
-from fishmj.flow import BOXES, Current, DrawnFlow
+from fishmj.flow import BOXES, Current, DrawnFlow, Flow
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.suite.physics import Physics
@@ -48,9 +48,7 @@ class SolverPhysics(Physics):
         from fishmj.engines.lbm import Engine
 
         super().begin(pose, params, current)
-        u, v = (float(component) for component in current.mean[0])
-        kind = {"turbulence": self._setting.turbulence, "box": BOXES[self._setting.box]}
-        flow = DrawnFlow(speed=np.hypot(u, v), direction=np.arctan2(v, u), drawn=current, **kind)
+        flow = DrawnFlow.of(current, Flow(turbulence=self._setting.turbulence, box=BOXES[self._setting.box]))
         self.engine = Engine(self.swim.robot, [flow], **self._solver)
         self.fish = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
         self.fish.q[:, 3:] = params.zero  # the encoders read zero

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from fishmj import plugins
-from fishmj.engines import in_water, with_effects
-from fishmj.engines.extensions import residual_of
+from fishmj.engines import with_effects
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.mjcf.identity import observation_of, structure_of
@@ -18,6 +17,7 @@ from fishmj.tasks.station_hold import visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, Settings
+from fishmj.water.choice import SELF_MADE, Choice, chosen, residual_of
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -46,8 +46,19 @@ def robot_for(settings: Settings):
     """The robot in the run's water, with its command path and the effects that it draws. Raises UnknownName, ConfigError."""
     if settings.command_path not in COMMAND_PATHS:
         raise UnknownName("command path", settings.command_path, COMMAND_PATHS)
-    robot = with_effects(in_water(load_robot(settings.robot), settings.water), settings.task.get("effects", ()))
+    robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
     return replace(robot, timing=replace(robot.timing, command_path=settings.command_path))
+
+
+def water_for(settings: Settings) -> Choice:
+    """The water of a run. Raises ConfigError: one that needs the flow solver; and as `choice.chosen`."""
+    water = None if settings.water == "auto" else settings.water
+    return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")
+
+
+def settled(settings: Settings) -> Settings:
+    """The settings with their water by name, whatever is fitted later."""
+    return replace(settings, water=water_for(settings).kind) if settings.water == "auto" else settings
 
 
 def environment(settings: Settings, box: str = "train"):

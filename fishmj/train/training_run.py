@@ -26,7 +26,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
-from fishmj.train.build import algorithm, environment, has_numba, pick_engine, policy_of
+from fishmj.train.build import algorithm, environment, has_numba, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
@@ -209,7 +209,7 @@ class TrainingRun:
     """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict."""
 
     def __init__(self, settings: Settings, folder, *, resume: bool = False, quiet: bool = False, learner=None):
-        self.settings, self.folder, self.quiet = settings, Path(folder), quiet
+        self.settings, self.folder, self.quiet = settled(settings), Path(folder), quiet
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
         self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
         self.done, self.seconds = 0, 0.0
