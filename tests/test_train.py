@@ -310,7 +310,7 @@ def test_a_wrong_option_is_one_line_and_exit_2(line, said, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(("water", "engine"), [("structured", "compiled"), ("swift-base", "compiled"), ("surrogate", "planar")])
+@pytest.mark.parametrize(("water", "engine"), [("structured", "compiled"), ("swift-base", "compiled"), ("fitted", "compiled")])
 def test_an_engine_that_can_hold_the_water_is_picked(water, engine):
     """Training in the fitted water was refused: the compiled engine has no learnt residual."""
     pytest.importorskip("numba")

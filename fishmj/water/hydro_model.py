@@ -42,7 +42,7 @@ def robot_hash(robot: Robot) -> str:
 def body_hash(robot: Robot) -> str:
     """sha256 of what the water meets of a robot: lengths, sections, fins, water's density; not servo, masses or timing."""
     links = [(link.length, link.sections, link.fin_from) for link in robot.links]
-    parts = (links, robot.fins, robot.density_water, robot.water.get("stations"))
+    parts = (links, robot.fins, robot.density_water, robot.water.get("stations", 6))
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
