@@ -39,7 +39,9 @@ def in_tank(effect: Effect) -> str:
     for row in _sizes(effect):
         for site, judge in (("fish", _fish), ("body", _body), ("gear", _gear), ("flow", _flow)):
             act = getattr(effect, site)
-            if act is not None and (why := judge(act, effect.memory, row)):
+            with np.errstate(all="ignore"):  # random states meet the bounds of parameters
+                why = "" if act is None else judge(act, effect.memory, row)
+            if why:
                 return why
     return ""
 
