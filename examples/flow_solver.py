@@ -23,7 +23,7 @@ waters = {
 }
 nearer = {}
 for name, (robot, engine) in waters.items():
-    result = evaluate.run("fitted", robot, trial, engine)
+    result = evaluate.run("station", robot, trial, engine)
     nearer[name] = 100 * float(result.distance[0, 0] - result.distance[0, -1])
     print(f"{name:<14} {nearer[name]:5.1f} cm nearer after {trial.duration:.0f} s, {np.mean(result.power[0]):.1f} W")
 assert solver.stopped == [""], solver.stopped

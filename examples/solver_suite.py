@@ -15,7 +15,7 @@ from fishmj.policy import Policy
 WATERS = {"lbm": {"solver": {"domain": "laptop", "device": "cpu"}}, "fitted": {}}
 SETTING = {"random": 2, "flow_speed": 0.2, "turbulence": "none", "randomisation": 0.0, "noise": 0.0, "seconds": 1.0}
 
-policy, found = Policy.load("fitted"), {}
+policy, found = Policy.load("station"), {}
 for water, more in WATERS.items():
     env = suite.load("fish", "station_hold", SETTING | {"water": water} | more, {"flat_observation": True})
     step = env.reset()

@@ -17,12 +17,15 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fishmj import calib, console
 from fishmj.dynamics import strip_forces
 from fishmj.errors import ConfigError, FishmjError, UnknownName
 from fishmj.mjcf.description import Robot
+
+if TYPE_CHECKING:
+    from fishmj.water.hydro_model import HydroModel
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
@@ -80,8 +83,7 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
         why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
         return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
     if name == LBM:
-        # no engine but the tanks swims in it, and a description states no such water: beside the solver the body is its own
-        return Choice(LBM, _with(robot, described, STRUCTURED), "lbm, the flow solver itself")
+        return Choice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
     if name == NONE:
         return Choice(NONE, _with(robot, _dry(robot), name), "none, a bench in air")
     if name == HYBRID:
@@ -128,10 +130,12 @@ def canonical(water: "str | Path | None") -> str | None:
 _TOLD: set[str] = set()
 
 
-def files_of(robot: Robot) -> list[Path]:
-    """The files of the robot's fitted water, none where it has its own coefficients."""
+def model_of(robot: Robot) -> "HydroModel | None":
+    """The fitted water that the robot swims in, or None. Raises UnknownName, StoreError, ConfigError: it cannot be read."""
     name = label(robot)
-    return [] if name in KINDS and name != FITTED else fitted_water(robot.name if name == FITTED else name).files
+    if name in (STRUCTURED, LBM, NONE):
+        return None
+    return fitted_water(robot.name if name == FITTED and robot.name in calib.waters() else name)
 
 
 def label(robot: Robot) -> str:
@@ -178,20 +182,19 @@ def _dry(robot: Robot) -> dict[str, Any]:
 
 def residual_of(robot: Robot):
     """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
-    name = label(robot)
-    if name in (STRUCTURED, LBM, NONE):
+    model = model_of(robot)
+    if model is None:
         return None
-    model = fitted_water(robot.name if name == FITTED and robot.name in calib.waters() else name)
     if (links := len(model.base.k)) != len(robot.links):
         raise ConfigError(
-            f"robot {robot.name!r} [water] model: got {name!r}, fitted for {model.robot!r} of {links} links, expected one for"
-            f" {len(robot.links)} links; 'structured' fits every robot"
+            f"robot {robot.name!r} [water] model: got {label(robot)!r}, fitted for {model.robot!r} of {links} links, expected"
+            f" one for {len(robot.links)} links; 'structured' fits every robot"
         )
     return model.learnt
 
 
 @lru_cache(8)
-def fitted_water(name: str):
+def fitted_water(name: str) -> "HydroModel":
     """A fitted water by name or file."""
     from fishmj.water.hydro_model import HydroModel, shipped
 

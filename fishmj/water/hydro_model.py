@@ -147,7 +147,6 @@ class HydroModel:
 
     Attributes:
         body_sha256: of the body alone; "" in an older file, which holds for that very robot only.
-        files: that it was read from.
         base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
@@ -173,7 +172,6 @@ class HydroModel:
     calibration: dict = field(default_factory=dict)
     notes: str = ""
     body_sha256: str = ""
-    files: tuple[Path, ...] = ()
 
     @property
     def base_only(self) -> "HydroModel":
@@ -182,6 +180,14 @@ class HydroModel:
             return self
         water = unflat(self.alone[0].tolist())
         return replace(self, name=f"{self.name}-base", learnt=None, base=water, members=self.alone[1:], band=self.band_alone)
+
+    @property
+    def sha256(self) -> str:
+        """Hex digest of what acts on a fish: coefficients and weights."""
+        digest = hashlib.sha256(repr([self.base, self.dt]).encode())
+        for key, value in sorted(({} if self.learnt is None else residual_hooks.packed(self.learnt)).items()):
+            digest.update(key.encode() + np.ascontiguousarray(value, np.float32).tobytes())
+        return digest.hexdigest()
 
     @property
     def calibrated(self) -> dict[str, float]:
@@ -269,7 +275,7 @@ def _read(path: Path) -> HydroModel:
         given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}
         if table["weights"]["residual"]:
             given["learnt"] = residual_hooks.unpacked({key: value.astype(float) for key, value in arrays.items()})
-        return HydroModel(**given, files=(path, weights))
+        return HydroModel(**given)
     except FishmjError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
