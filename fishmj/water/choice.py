@@ -5,7 +5,7 @@
     hybrid       `fitted`, corrected by the flow solver while the fish swims
     lbm          the flow solver itself
     none         no water: a bench in air
-    NAME         a fitted water by name or .toml file; NAME-base: its strips alone
+    NAME         a fitted water by name or .toml file; NAME-base: its strips alone; NAME#2: member 2 of its ensemble alone
 
     choice = chosen(robot, None)      Choice(kind, robot in that water, one line that says which it is)
 
@@ -23,6 +23,7 @@ from fishmj import calib, console
 from fishmj.dynamics import strip_forces
 from fishmj.errors import ConfigError, FishmjError, UnknownName
 from fishmj.mjcf.description import Robot
+from fishmj.names import split_member
 
 if TYPE_CHECKING:
     from fishmj.water.hydro_model import HydroModel
@@ -74,11 +75,9 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
         UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
     """
     name, described = canonical(water), robot.water.get(OWN, robot.water)
-    stated, states = canonical(robot.water.get("model")), canonical(described.get("model"))
+    stated = canonical(robot.water.get("model"))
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
-    elif name == FITTED and states not in (None, *KINDS):
-        name = states
     if name == STRUCTURED:
         why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
         return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
@@ -118,13 +117,18 @@ def canonical(water: "str | Path | None") -> str | None:
     """The name as it is written today; an old one is said once."""
     if water is None:
         return None
-    name = str(water)
-    if name in RENAMED:
-        if name not in _TOLD:
-            _TOLD.add(name)
-            console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
-        return RENAMED[name]
-    return name
+    name, member = split_member(str(water))
+    if name not in RENAMED:
+        return str(water)
+    if name not in _TOLD:
+        _TOLD.add(name)
+        console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
+    return _joined(RENAMED[name], member)
+
+
+def _joined(name: str, member: str | None) -> str:
+    """The inverse of `split_member`."""
+    return name if member is None else f"{name}#{member}"
 
 
 _TOLD: set[str] = set()
@@ -135,7 +139,26 @@ def model_of(robot: Robot) -> "HydroModel | None":
     name = label(robot)
     if name in (STRUCTURED, LBM, NONE):
         return None
-    return fitted_water(robot.name if name == FITTED and robot.name in calib.waters() else name)
+    return fitted_water(_own(robot, name))
+
+
+def _own(robot: Robot, name: str) -> str:
+    """`fitted` as the fitted water that the description states, else as the one of the robot's name; other names as they are.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    kind, member = split_member(name)
+    if kind != FITTED:
+        return name
+    states = canonical(robot.water.get(OWN, robot.water).get("model"))
+    if states not in (None, *KINDS):
+        return _joined(split_member(states)[0], member or split_member(states)[1])
+    if robot.name not in calib.waters():
+        raise ConfigError(
+            f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
+        )
+    return _joined(robot.name, member)
 
 
 def label(robot: Robot) -> str:
@@ -160,12 +183,7 @@ def fitted_for(robot: Robot) -> str | None:
 
 
 def _fitted(robot: Robot, name: str) -> Choice:
-    if name == FITTED:
-        if robot.name not in calib.waters():
-            raise ConfigError(
-                f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
-            )
-        name = robot.name
+    name = _own(robot, name)
     model = fitted_water(name)
     made = _with(robot, model.swimmer(robot).water._asdict(), name)
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
@@ -198,6 +216,7 @@ def fitted_water(name: str) -> "HydroModel":
     """A fitted water by name or file."""
     from fishmj.water.hydro_model import HydroModel, shipped
 
-    if name not in shipped() and name.removesuffix("-base") not in shipped() and not name.endswith(".toml"):
+    plain, _ = split_member(name)
+    if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
         raise UnknownName("water", name, (*KINDS, *shipped()))
     return HydroModel.load(name)

@@ -1,6 +1,6 @@
 """A fitted water: strip coefficients, the learnt residual with its range, and where both come from. TOML and safetensors.
 
-    model = HydroModel.load("swift")            a shipped one, or a path to its .toml
+    model = HydroModel.load("swift")            a shipped one, or a path to its .toml; "swift#2" is its member 2
     sw = model.swimmer(robot)                   the robot in this water
     model.learnt                                the residual, None where there is none; `residual_hooks` puts it into a step
     model.base_only                             the strip model fitted by itself, a water of its own
@@ -236,11 +236,15 @@ class HydroModel:
 
     @classmethod
     def load(cls, source: "str | Path") -> "HydroModel":
-        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual.
+        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual, `NAME#2` its member 2.
 
         Raises:
-            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model.
+            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model, or
+            no such member.
         """
+        whole, number = names.split_member(str(source))
+        if number is not None:
+            return member_of(cls.load(whole), number)
         path = Path(source)
         if path.suffix != ".toml":
             plain_name = str(source).removesuffix("-base")
@@ -250,6 +254,22 @@ class HydroModel:
             model = cls.load(found[0])
             return model.base_only if str(source).endswith("-base") else model
         return _read(path)
+
+
+def member_of(model: HydroModel, number: "str | int") -> HydroModel:
+    """One member of the ensemble as a water of its own: its strip coefficients and its residual, which then has no spread.
+
+    Raises:
+        ConfigError: `number` is not one of 0 to E - 1.
+    """
+    count = len(model.members)
+    if not str(number).isdecimal() or not int(number) < count:
+        raise ConfigError(f"water '{model.name}#{number}': got member {number!r}, expected a number from 0 to {count - 1}")
+    e = int(number)
+    learnt = None if model.learnt is None else residual_hooks.member(model.learnt, e)
+    return replace(
+        model, name=f"{model.name}#{e}", base=unflat(model.members[e].tolist()), learnt=learnt, members=model.members[e : e + 1]
+    )
 
 
 def _read(path: Path) -> HydroModel:
