@@ -251,6 +251,28 @@ class Flow:
         return np.concatenate([_turned(np, value, cos, sin), value[:, 2:]], -1)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrawnFlow(Flow):
+    """A background flow that has been drawn already, in place of one drawn from a seed."""
+
+    drawn: Current  # a batch of one
+
+    @classmethod
+    def of(cls, drawn: Current, kind: Flow) -> "DrawnFlow":
+        """This draw, a batch of one, of the turbulence and box of `kind`."""
+        u, v = (float(component) for component in drawn.mean[0])
+        return cls(speed=np.hypot(u, v), direction=np.arctan2(v, u), turbulence=kind.turbulence, box=kind.box, drawn=drawn)
+
+    @property
+    def rms(self) -> float:
+        """u_rms of each component, m/s."""
+        return float(self.drawn.rms[0])
+
+    def current(self) -> Current:
+        """The flow as drawn."""
+        return self.drawn
+
+
 def stack(flows: list[Flow]) -> Current:
     """Several flows of one preset and box as one batch. Raises ConfigError: presets or boxes differ."""
     kinds = {(f.turbulence, f.box) for f in flows}

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fishmj import console, controllers, cost, engines, interrupt
-from fishmj.engines import own_effects
+from fishmj.engines import own_effects, tank_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
@@ -60,6 +60,8 @@ def options() -> console.Parser:
     add("--command-path", choices=COMMAND_PATHS, help=path)
     controllers.anyway_option(parser)
     own_effects.option(parser)
+    left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
+    add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
     out = "folder for report.html, results.json, trials.csv; those that are there are replaced; by default nothing is written"
@@ -89,6 +91,9 @@ def main(argv: list[str]) -> int:
                 f"{effect.name} is in the catalogue now, and not in robot {robot.name}: it acts where the description has"
                 f' [[effect]] name = "{effect.name}"'
             )
+    robot = tank_effects.without(robot, args.leave_out)
+    if water.kind == choice.LBM:
+        tank_effects.check_effects(robot)
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
     trials = protocol.trials(
@@ -108,7 +113,7 @@ def main(argv: list[str]) -> int:
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
-                results.append(judge_in_tanks(brain, robot, trials, args))
+                results.append(judge_in_tanks(brain, robot, trials, args)._replace(left_out=tuple(args.leave_out)))
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
@@ -145,7 +150,7 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
                     bar.stage(f"compiling the engine {args.engine}")
                     engine = choose_engine(args.engine, robot)
             found = judge(brain, robot, trials, engine)
-        results.append(kept.keep(brain, found))
+        results.append(kept.keep(brain, found)._replace(left_out=tuple(args.leave_out)))
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
             save(args.out, results, findings(results) | {"unfinished": kept.unfinished})
     return results
@@ -202,6 +207,7 @@ def findings(results: list[Result]) -> dict:
     a = results[0]
     return {
         "condition": condition(a),
+        **({"left_out": list(a.left_out)} if a.left_out else {}),
         "results": [summary(r) for r in results],
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }

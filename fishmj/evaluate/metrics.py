@@ -72,6 +72,7 @@ class Result(NamedTuple):
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
     policy: dict | None = None  # of a policy: how it was trained, and what is different here (`LearnedController.trained`)
+    left_out: tuple[str, ...] = ()  # effects of the description that the judged robot has not
 
     @property
     def water(self) -> str:

@@ -96,6 +96,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
         "randomisation": r.trials.randomisation,
         "excitation": "station holding",
+        **({"left_out": list(r.left_out)} if r.left_out else {}),
         **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
         **made_by("numpy", "mujoco"),
         "source": "fishmj.evaluate",
@@ -150,10 +151,11 @@ def condition(result: Result) -> str:
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
     switch = lambda on: "on" if on else "off"
+    without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
     return (
         f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
         f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
-        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}"
+        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
 
 

@@ -191,7 +191,7 @@ class FinishedTrials:
             return None
         what = {
             "controller": [brain.name, getattr(brain, "sha256", "")],
-            "robot": repr(self.robot),
+            "robot": [repr(self.robot), repr(self.robot.effects)],
             "water": water_identity(self.robot),
             "trials": asdict(self.trials),
             "engine": self.engine,
@@ -313,5 +313,6 @@ def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -
         "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
         "seed": trials.items[0].seed[:2],
         "water": [domain, slip, HELD],
+        **({"effects": repr(robot.effects)} if robot.effects else {}),
     }
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]
