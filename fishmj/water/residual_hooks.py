@@ -119,7 +119,7 @@ class LearnedResidual:
         k = _batched(k)
         m = residual_network.motion(xp, p, k)
         z = [value + 0.0 * m.speed for value in self.z]
-        g = residual_network.coefficients(xp, self.learnt.net, m, z)
+        g, self.z = residual_network.step(xp, self.learnt.net, m, z, dt)
         mean, self.spread = _mean_and_spread(g)
         gamma: Any = 1.0
         outside: Any = 0.0
@@ -128,7 +128,6 @@ class LearnedResidual:
             gamma = fade / (1.0 + self.spread / reach.spread**2)
         forces = [residual_network.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
         scale, self.store = bounded(xp, forces, residual_network.dissipated(xp, s, c, k), k, self.store, dt)
-        self.z = residual_network.wake_step(xp, self.learnt.net, m, z, dt)
         self.guarded = self.guarded + outside
         return [tuple(scale * value for value in f) for f in forces]
 

@@ -11,10 +11,14 @@ P holds the products of two features that mirror as the force does: in a frictio
 products (Lamb 1932, ch. VI), within a link and between links, so that water turned at a joint needs no hidden unit.
 
 Only velocities relative to the water in link axes enter, so the force is Galilean and rotation invariant; both branches of
-the mirror are run, so it mirrors to round-off; it grows with speed squared, is bounded by c, and is zero at rest. N has E
+the mirror are taken, so it mirrors to the bit; it grows with speed squared, is bounded by c, and is zero at rest. N has E
 members (an ensemble); phi and P are shared by them. The wake is advanced exactly over a step with frozen speed.
+
+With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A_e e + A_o o = p + q and A S s = p - q. Of D,
+h+ + h- meets the rows of F_t alone, h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -130,32 +134,77 @@ def motion(xp, p: Panels, k: Links) -> Motion:
     return Motion([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
 
 
-def wake_step(xp, net: Net, m: Motion, z: list, dt: float) -> list:
+class Halves(NamedTuple):
+    """The weights of a `Net` by what a mirror does to what they act on. M = E H + G rows, those of N first."""
+
+    even: Any  # (M, features and wake states that a mirror leaves alone)
+    odd: Any  # (M, those that it turns)
+    bias: Any  # (M, 1)
+    forward: Any  # (E, N, H), half of what gives F_t
+    forward_bias: Any  # (E, N, 1)
+    aside: Any  # (E, 2 N, H), half of what gives F_n and the couple
+    squares: Any  # (N, products that a mirror leaves alone)
+    crossed: Any  # (2 N, products that it turns)
+    length: Any  # (G, 1) l, m
+
+
+def halves(xp, net: "Net | Halves") -> Halves:
+    """The weights sorted by parity; those of one net in NumPy arrays are sorted once. `Halves` come back as they are."""
+    global _sorted
+    if isinstance(net, Halves):
+        return net
+    known = all(isinstance(part, np.ndarray) for part in net)
+    if known:
+        xp, (last, made) = np, _sorted
+        if last is net:
+            return made
+    links, members, units = len(net.even), *net.inner.shape[:2]
+    whole = xp.concatenate([xp.reshape(net.inner, (members * units, -1)), net.wake])
+    bias = xp.concatenate([xp.reshape(net.inner_bias, -1), net.wake_bias])[:, None]
+    ends = 0, links + 1, 3 * links + 1, 3 * links + 1 + WAKES // 2, 3 * links + 1 + WAKES
+    x_even, x_odd, z_even, z_odd = (whole[:, a:b] for a, b in pairwise(ends))
+    made = Halves(
+        even=xp.concatenate([x_even, z_even], 1),
+        odd=xp.concatenate([x_odd, z_odd], 1),
+        bias=bias,
+        # the half of a mean over two branches; the bias of what turns is the same in both and cancels
+        forward=0.5 * net.outer[:, :links],
+        forward_bias=net.outer_bias[:, :links, None],
+        aside=0.5 * net.outer[:, links:],
+        squares=net.even,
+        crossed=net.odd,
+        length=xp.exp(net.reach)[:, None],
+    )
+    if known:
+        _sorted = net, made
+    return made
+
+
+_sorted: tuple[Any, Any] = (None, None)  # the last net in NumPy arrays and its halves
+
+
+def wake_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> list:
     """Wake states dt later, from z: lists of `WAKES`."""
-    both, shape, _ = _branches(xp, m.x, z)
-    # the mirrored input through the same weights, averaged with its signs: the symmetry holds exactly, whatever was learnt
-    out = xp.tanh(net.wake @ both.reshape(len(both), -1) + net.wake_bias[:, None]).reshape(len(z), 2, -1)
-    signs = np.array(WAKE, dtype=out.dtype)[:, None]
-    target, before = 0.5 * (out[:, 0] + signs * out[:, 1]), both[len(m.x) :, 0]
-    # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
-    decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / xp.exp(net.reach)[:, None])
-    return list((target + (before - target) * decay).reshape(len(z), *shape))
+    weights, rows = halves(xp, net), _rows(xp, m.x, z)
+    units = len(weights.bias) - WAKES
+    only = weights._replace(even=weights.even[units:], odd=weights.odd[units:], bias=weights.bias[units:])
+    return _moved(xp, weights, rows, _hidden(xp, only, rows), m, dt)
 
 
-def coefficients(xp, net: Net, m: Motion, z: list):
+def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
     """Force coefficients g of every member, (E, 3, N, ..): F_t, F_n, couple of every link."""
-    both, shape, links = _branches(xp, m.x, z)
-    members, units, _ = net.inner.shape
-    hidden = (net.inner.reshape(members * units, -1) @ both.reshape(len(both), -1)).reshape(members, units, -1)
-    hidden = xp.tanh(hidden + net.inner_bias[:, :, None])
-    out = (net.outer @ hidden + net.outer_bias[:, :, None]).reshape(members, 3 * links, 2, -1)
-    signs = np.array([1.0] * links + [-1.0] * (2 * links), dtype=out.dtype)[:, None]
-    x = both[: len(m.x), 0]
-    # potential-flow forces are such products: given as they are, hidden units are left for what is not potential
-    pairs = [weights @ (x[i] * x[j]) for weights, (i, j) in zip((net.even, net.odd), products(links), strict=True)]
-    whole = 0.5 * (out[:, :, 0] + signs * out[:, :, 1]) + xp.concatenate(pairs)
-    # bounded smoothly: a clip has no gradient, and a motion outside the data must not make a large force
-    return (BOUND * xp.tanh(whole / BOUND)).reshape(members, 3, links, *shape)
+    weights, rows = halves(xp, net), _rows(xp, m.x, z)
+    units = len(weights.bias) - WAKES
+    only = weights._replace(even=weights.even[:units], odd=weights.odd[:units], bias=weights.bias[:units])
+    return _bounded(xp, weights, rows, _hidden(xp, only, rows))
+
+
+def step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple[Any, list]:
+    """`coefficients` and `wake_step` of one instant, whose input goes through the weights together."""
+    weights, rows = halves(xp, net), _rows(xp, m.x, z)
+    units, (plus, minus) = len(weights.bias) - WAKES, _hidden(xp, weights, rows)
+    g = _bounded(xp, weights, rows, (plus[:units], minus[:units]))
+    return g, _moved(xp, weights, rows, (plus[units:], minus[units:]), m, dt)
 
 
 def load(p: Panels, rho: float, m: Motion, i: int, g) -> tuple:
@@ -174,11 +223,56 @@ def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Link
     return total - strip_forces.head_form(xp, s, c, k.u[0]) * k.u[0]
 
 
-def _branches(xp, x: list, z: list):
-    """(F + G, 2, B) with the mirrored inputs beside the true ones, the batch shape, and the number of links."""
-    links = (len(x) - 1) // 3
-    rows = xp.stack([*x, *z])
-    shape = rows.shape[1:]
-    rows = rows.reshape(len(rows), 1, -1)
-    signs = np.array([*[1.0] * (links + 1), *[-1.0] * (2 * links), *WAKE], dtype=rows.dtype).reshape(-1, 1, 1)
-    return xp.concatenate([rows, signs * rows], 1), shape, links
+class _Rows(NamedTuple):
+    """The input of an instant by parity, and the shape of its batch."""
+
+    even: Any  # (N + 1 + G / 2, B)
+    odd: Any  # (2 N + G / 2, B)
+    shape: tuple
+
+
+def _rows(xp, x: list, z: list) -> _Rows:
+    links, half = (len(x) - 1) // 3, WAKES // 2
+    even, odd = xp.stack([*x[: links + 1], *z[:half]]), xp.stack([*x[links + 1 :], *z[half:]])
+    return _Rows(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
+
+
+def _hidden(xp, weights: Halves, rows: _Rows) -> tuple:
+    """tanh of both branches, (M, B) each.
+
+    A mirrored input differs by the sign of its odd half alone: A S s = A_e e - A_o o. So both branches are the sum and the
+    difference of what one costs, and exchanged, to the bit, where the input is mirrored.
+    """
+    p, q = _times(xp, weights.even, rows.even) + weights.bias, _times(xp, weights.odd, rows.odd)
+    return xp.tanh(p + q), xp.tanh(p - q)
+
+
+def _bounded(xp, weights: Halves, rows: _Rows, hidden: tuple):
+    """Bounded coefficients (E, 3, N, ..) from the hidden units of N."""
+    members, links, units = weights.forward.shape
+    plus, minus = (xp.reshape(branch, (members, units, -1)) for branch in hidden)
+    e, o = rows.even[: links + 1], rows.odd[: 2 * links]
+    # potential-flow forces are such products: given as they are, hidden units are left for what is not potential
+    squares = xp.concatenate([part[i] * part[i:] for part in (e, o) for i in range(len(part))])
+    crossed = xp.reshape(e[:, None] * o, (len(e) * len(o), -1))
+    forward = _times(xp, weights.forward, plus + minus) + weights.forward_bias + _times(xp, weights.squares, squares)
+    aside = _times(xp, weights.aside, plus - minus) + _times(xp, weights.crossed, crossed)
+    # bounded smoothly: a clip has no gradient, and a motion outside the data must not make a large force
+    g = BOUND * xp.tanh(xp.concatenate([forward, aside], 1) / BOUND)
+    return xp.reshape(g, (members, 3, links, *rows.shape))
+
+
+def _moved(xp, weights: Halves, rows: _Rows, hidden: tuple, m: Motion, dt: float) -> list:
+    """The wake dt later from its hidden units."""
+    plus, minus = hidden
+    half = WAKES // 2
+    target = 0.5 * xp.concatenate([plus[:half] + minus[:half], plus[half:] - minus[half:]])
+    before = xp.concatenate([rows.even[-half:], rows.odd[-half:]])
+    # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
+    decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / weights.length)
+    return list(xp.reshape(target + (before - target) * decay, (WAKES, *rows.shape)))
+
+
+def _times(xp, a, b):
+    """a @ b in the precision of its operands: JAX on a GPU would round float32 to ten bits."""
+    return a @ b if xp is np else xp.matmul(a, b, precision="highest")
