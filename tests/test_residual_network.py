@@ -7,7 +7,7 @@ import pytest
 from test_hydro_model import CHAIN, N, states, step, wild
 
 from fishmj.dynamics.planar_chain import Links
-from fishmj.water import residual_hooks, residual_network
+from fishmj.water import residual_hooks, residual_kernel, residual_network
 from fishmj.water.hydro_model import HydroModel
 
 SIGNS = np.array([*[1.0] * (N + 1), *[-1.0] * (2 * N)])
@@ -104,3 +104,40 @@ def test_weights_sorted_before_give_the_same():
         np.testing.assert_array_equal(one, other)
     changed = net._replace(outer=2.0 * net.outer)  # another net in between: nothing of the first one is left
     assert np.abs(residual_network.coefficients(np, changed, m, z) - residual_network.coefficients(np, net, m, z)).max() > 0.1
+
+
+def small(seed):
+    """A net of two members with three units each, and five fish: what the kernel does needs no more to show."""
+    net = wild(seed, 2, 3).net
+    m, z = drawn(seed, 5)
+    single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
+    return net, *single((m._replace(push=[], square=[], middle=[]), z))
+
+
+def test_the_kernel_gives_what_the_products_give(monkeypatch):
+    """Five fish do not fill a block of eight; three units and two members are odd numbers for it."""
+    monkeypatch.setattr(residual_kernel, "BLOCK", 8)
+    net, m, z = small(9)
+    got = residual_kernel.step(residual_network.halves(np, net), m, z, 0.02, interpret=True)
+    expected = residual_network.mean_by_products(np, net, *jax.tree.map(lambda a: np.asarray(a, float), (m, z)), 0.02)
+    for one, other, scale in zip(got, expected, (1.0, 10.0, 1.0), strict=True):
+        np.testing.assert_allclose(np.array(one), np.array(other), rtol=0, atol=2e-6 * scale)
+    assert np.asarray(got[0]).shape == (3, N, 5) and np.asarray(got[1]).shape == (5,) and len(got[2]) == residual_network.WAKES
+
+
+def test_the_kernel_is_for_single_precision_on_a_graphics_card_and_its_gradient_that_of_the_products(monkeypatch):
+    net, m, z = small(10)
+    assert "custom_vjp" not in str(jax.make_jaxpr(lambda *a: residual_network.mean_step(jnp, net, *a, 0.02))(m, z))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    taken = lambda given: str(jax.make_jaxpr(lambda *a: residual_network.mean_step(jnp, net, *a, 0.02))(*given))
+    assert "pallas_call" in taken((m, z)) and "pallas_call" not in taken(jax.tree.map(lambda a: a[0], (m, z)))
+    with jax.enable_x64(True):
+        assert "pallas_call" not in taken(jax.tree.map(lambda a: jnp.asarray(np.asarray(a, float)), (m, z)))
+
+    def total(way):
+        """Gradient of all that comes out, by the speed."""
+        return jax.grad(lambda v: sum(jnp.sum(a) for a in jax.tree.leaves(way(net, m._replace(speed=v), z))))(m.speed)
+
+    by_rule = total(lambda net, m, z: residual_kernel.mean_step(0.02, residual_network.halves(np, net), m, z))
+    plain = total(lambda net, m, z: residual_network.mean_by_products(jnp, net, m, z, 0.02))
+    np.testing.assert_allclose(np.asarray(by_rule), np.asarray(plain), rtol=1e-5)

@@ -185,7 +185,7 @@ _sorted: tuple[Any, Any] = (None, None)  # the last net in NumPy arrays and its 
 
 def wake_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> list:
     """Wake states dt later, from z: lists of `WAKES`."""
-    weights, rows = halves(xp, net), _rows(xp, m.x, z)
+    weights, rows = _given(xp, net, m, z)
     units = len(weights.bias) - WAKES
     only = weights._replace(even=weights.even[units:], odd=weights.odd[units:], bias=weights.bias[units:])
     return _moved(xp, weights, rows, _hidden(xp, only, rows), m, dt)
@@ -193,7 +193,7 @@ def wake_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> list:
 
 def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
     """Force coefficients g of every member, (E, 3, N, ..): F_t, F_n, couple of every link."""
-    weights, rows = halves(xp, net), _rows(xp, m.x, z)
+    weights, rows = _given(xp, net, m, z)
     units = len(weights.bias) - WAKES
     only = weights._replace(even=weights.even[:units], odd=weights.odd[:units], bias=weights.bias[:units])
     return _bounded(xp, weights, rows, _hidden(xp, only, rows))
@@ -201,7 +201,7 @@ def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
 
 def step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple[Any, list]:
     """`coefficients` and `wake_step` of one instant, whose input goes through the weights together."""
-    weights, rows = halves(xp, net), _rows(xp, m.x, z)
+    weights, rows = _given(xp, net, m, z)
     units, (plus, minus) = len(weights.bias) - WAKES, _hidden(xp, weights, rows)
     g = _bounded(xp, weights, rows, (plus[:units], minus[:units]))
     return g, _moved(xp, weights, rows, (plus[units:], minus[units:]), m, dt)
@@ -223,7 +223,31 @@ def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Link
     return total - strip_forces.head_form(xp, s, c, k.u[0]) * k.u[0]
 
 
-class _Rows(NamedTuple):
+def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
+    """(mean of the members' coefficients (3, N, ..), the variance between them (..), wake states dt later)."""
+    g, z = step(xp, net, m, z, dt)
+    mean = g.mean(0)
+    if len(g) == 1:
+        return mean, 0.0 * mean[0, 0], z
+    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1), z
+
+
+def mean_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
+    """As `mean_by_products`; a batch in single precision on an NVIDIA GPU goes through one kernel."""
+    if kernel and getattr(xp, "__name__", "") == "jax.numpy" and np.ndim(m.speed) and m.speed.dtype == np.float32:
+        import jax
+
+        if jax.default_backend() == "gpu":
+            from fishmj.water import residual_kernel
+
+            return residual_kernel.mean_step(dt, halves(xp, net), Motion(m.x, m.speed, [], [], []), z)
+    return mean_by_products(xp, net, m, z, dt)
+
+
+kernel, PRECISION = True, "highest"  # False: by matrix products there, too; of these products in JAX
+
+
+class Rows(NamedTuple):
     """The input of an instant by parity, and the shape of its batch."""
 
     even: Any  # (N + 1 + G / 2, B)
@@ -231,13 +255,20 @@ class _Rows(NamedTuple):
     shape: tuple
 
 
-def _rows(xp, x: list, z: list) -> _Rows:
+def rows_of(xp, x: list, z: list) -> Rows:
+    """Features and wake states by parity."""
     links, half = (len(x) - 1) // 3, WAKES // 2
     even, odd = xp.stack([*x[: links + 1], *z[:half]]), xp.stack([*x[links + 1 :], *z[half:]])
-    return _Rows(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
+    return Rows(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
 
 
-def _hidden(xp, weights: Halves, rows: _Rows) -> tuple:
+def _given(xp, net: "Net | Halves", m: Motion, z: list) -> tuple[Halves, Rows]:
+    """Weights and rows of one instant; JAX gets the weights in the precision of the rows."""
+    weights, rows = halves(xp, net), rows_of(xp, m.x, z)
+    return weights if xp is np else Halves._make(xp.asarray(part, rows.even.dtype) for part in weights), rows
+
+
+def _hidden(xp, weights: Halves, rows: Rows) -> tuple:
     """tanh of both branches, (M, B) each.
 
     A mirrored input differs by the sign of its odd half alone: A S s = A_e e - A_o o. So both branches are the sum and the
@@ -247,7 +278,7 @@ def _hidden(xp, weights: Halves, rows: _Rows) -> tuple:
     return xp.tanh(p + q), xp.tanh(p - q)
 
 
-def _bounded(xp, weights: Halves, rows: _Rows, hidden: tuple):
+def _bounded(xp, weights: Halves, rows: Rows, hidden: tuple):
     """Bounded coefficients (E, 3, N, ..) from the hidden units of N."""
     members, links, units = weights.forward.shape
     plus, minus = (xp.reshape(branch, (members, units, -1)) for branch in hidden)
@@ -262,7 +293,7 @@ def _bounded(xp, weights: Halves, rows: _Rows, hidden: tuple):
     return xp.reshape(g, (members, 3, links, *rows.shape))
 
 
-def _moved(xp, weights: Halves, rows: _Rows, hidden: tuple, m: Motion, dt: float) -> list:
+def _moved(xp, weights: Halves, rows: Rows, hidden: tuple, m: Motion, dt: float) -> list:
     """The wake dt later from its hidden units."""
     plus, minus = hidden
     half = WAKES // 2
@@ -275,4 +306,4 @@ def _moved(xp, weights: Halves, rows: _Rows, hidden: tuple, m: Motion, dt: float
 
 def _times(xp, a, b):
     """a @ b in the precision of its operands: JAX on a GPU would round float32 to ten bits."""
-    return a @ b if xp is np else xp.matmul(a, b, precision="highest")
+    return a @ b if xp is np else xp.matmul(a, b, precision=PRECISION)
