@@ -155,10 +155,10 @@ def halves(xp, net: "Net | Halves") -> Halves:
         return net
     known = all(isinstance(part, np.ndarray) for part in net)
     if known:
-        xp, (last, made) = np, _sorted
-        if last is net:
-            return made
-    links, members, units = len(net.even), *net.inner.shape[:2]
+        xp, before = np, _sorted  # read once: another thread may put another net there
+        if before[0] is net:
+            return before[1]
+    links, (members, units) = len(net.even), net.inner.shape[:2]
     whole = xp.concatenate([xp.reshape(net.inner, (members * units, -1)), net.wake])
     bias = xp.concatenate([xp.reshape(net.inner_bias, -1), net.wake_bias])[:, None]
     ends = 0, links + 1, 3 * links + 1, 3 * links + 1 + WAKES // 2, 3 * links + 1 + WAKES

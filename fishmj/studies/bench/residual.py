@@ -98,7 +98,7 @@ def main(argv: list[str] | None = None) -> int:
     with chosen(kernel=False):
         exact = places(double=True)
     off = {}
-    for way, settings in todo[1:]:
+    for way, settings in ways(device.platform == "gpu").items():
         try:
             with chosen(**settings):
                 off[way] = f"{1e3 * np.abs(places(double=False) - exact)[:, :2].max():.3g}"
@@ -107,11 +107,11 @@ def main(argv: list[str] | None = None) -> int:
     for engine in args.engine:
         for fish in args.fish:
             for unroll in args.unroll:
-                for way, settings in todo:
+                for way, setting in todo:
                     row = {"engine": engine, "fish": fish, "unroll": unroll, "way": way, "off, mm": off.get(way, "")}
                     try:
-                        with chosen(**settings) if settings else nullcontext():
-                            row |= timed(engine, settings is not None, fish, unroll, args.rounds)
+                        with chosen(**setting) if setting else nullcontext():
+                            row |= timed(engine, setting is not None, fish, unroll, args.rounds)
                     except Exception as error:  # noqa: BLE001
                         row["failed"] = f"{type(error).__name__}: {str(error)[:200]}"
                     console.say(", ".join(f"{key} {value}" for key, value in row.items()))
