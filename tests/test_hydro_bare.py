@@ -40,6 +40,12 @@ class Toys:
                 return
 
 
+@pytest.fixture(scope="module")
+def swims():
+    """Free swims in a water that the model does not know."""
+    return hidden.swim(hidden.gaits(24, 4.0, 1))
+
+
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     """Two cores, no accelerator, own folders for data and waters, a pool of toys in place of the solver."""
@@ -163,10 +169,8 @@ def test_a_label_names_its_plan(label):
 class Recorded:
     """A pool that gives out made records in place of solving: swims in the hidden water for free fish, chirps for held ones."""
 
-    def __init__(self):
-        swims, seconds = hidden.gaits(24, 4.0, 1), 4.0
-        self.free = hidden.swim(swims)
-        self.held = hidden.hold(hidden.chirps(6, seconds, 1))
+    def __init__(self, swims):
+        self.free, self.held = swims, hidden.hold(hidden.chirps(6, 4.0, 1))
 
     def run(self, waiting, setup, go_on):
         for number, segment in enumerate(waiting):
@@ -184,9 +188,9 @@ class Recorded:
 
 
 @pytest.mark.part("the bare hydro_fit")
-def test_the_bare_verb_from_nothing_to_a_report(home, monkeypatch, capsys):
+def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys):
     """Preview solved, fitted, marked, checked and reported; the shipped water, fitted to a whole plan, stays."""
-    monkeypatch.setattr(at_hand, "Local", lambda tanks: Recorded())
+    monkeypatch.setattr(at_hand, "Local", lambda tanks: Recorded(swims))
     assert console.run(verb.main, ["--budget", "400", "--base", "--swims", "0", "--json"]) == console.OK
     out = capsys.readouterr().out
     found = json.loads(out.splitlines()[-1])
@@ -217,10 +221,9 @@ def test_lost_segments_are_told_and_fail_nothing(home, monkeypatch, capsys):
     assert before == {path.name: path.stat().st_mtime_ns for path in (shipped / MANIFEST, shipped / SPLIT)}
 
 
-def test_too_few_segments_are_one_clear_error(home, capsys):
+def test_too_few_segments_are_one_clear_error(home, swims, capsys):
     """Of a data set that says it is complete: no test gait, then too few swims."""
-    records = hidden.swim(hidden.gaits(3, 4.0, 1))
-    data = hidden.write_dataset(home / "set", records)
+    data = hidden.write_dataset(home / "set", swims[:3])
     assert console.run(verb.main, ["--data", str(data)]) == console.BAD_INPUT
     assert "no test swim of a gait at slip 1" in capsys.readouterr().err
     assert console.run(verb.main, ["fit", "--data", str(data), "--out", str(home / "out")]) == console.BAD_INPUT
@@ -228,8 +231,8 @@ def test_too_few_segments_are_one_clear_error(home, capsys):
     assert "2 free swims of 2 s or more to fit and 1 to validate at slip 1; expected 4 and 1 at least" in said
 
 
-def test_the_slip_comes_from_the_data_or_the_model(home):
-    sticky = [replace(r, meta=r.meta | {"grid": {"slip": 0.0}}) for r in hidden.swim(hidden.gaits(3, 4.0, 1))]
+def test_the_slip_comes_from_the_data_or_the_model(home, swims):
+    sticky = [replace(r, meta=r.meta | {"grid": {"slip": 0.0}}) for r in swims[:3]]
     one = hidden.write_dataset(home / "one", sticky)
     for path in (one / SEGMENTS).glob("*.json"):
         write_json(path, read_json(path) | {"grid": {"domain": "synthetic", "dx": 0.0, "dt": hidden.CHAIN.dt, "slip": 0.0}})

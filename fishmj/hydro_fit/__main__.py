@@ -74,8 +74,8 @@ def gathered(robot: Robot, args) -> Path:
         for meta in data.about.values()
     ):
         raise DatasetError(
-            f"{data.folder}: no test swim of a gait at slip {slip:g} to check a fit by; solve more segments (--budget SECONDS),"
-            " or fit without a check: python -m fishmj.hydro_fit fit"
+            f"{data.folder}: no test swim of a gait at slip {slip:g} to check a fit by; {_more(data)}, or fit without a check:"
+            " python -m fishmj.hydro_fit fit"
         )
     return data.folder
 
@@ -87,7 +87,7 @@ def data_of(robot: Robot, args) -> Path:
         return Path(args.data or own)
     for shipped in SHIPPED:
         if (shipped / MANIFEST).is_file() and open_dataset(shipped).robot["name"] == robot.name:
-            console.say(f"no data set in {own}: using the shipped {shipped}, made on a coarse grid (preview)")
+            console.say(f"no data set in {own}: using the shipped {shipped}")
             return shipped
     preview = DATA / f"{robot.name}{PREVIEW}"
     return preview if (preview / MANIFEST).is_file() else own
@@ -168,9 +168,16 @@ def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[
     if swims[0] < FEWEST or not swims[1]:
         raise DatasetError(
             f"{data.folder}: {swims[0]} free swims of {SHORTEST:g} s or more to fit and {swims[1]} to validate at slip {slip:g};"
-            f" expected {FEWEST} and 1 at least. Solve more segments: python -m fishmj.hydro_fit --budget SECONDS, or collect"
+            f" expected {FEWEST} and 1 at least; {_more(data)}"
         )
     return train, val
+
+
+def _more(data: SegmentDataset) -> str:
+    """How a data set that is too small gets larger."""
+    if missing := data.meta.get("missing", 0):
+        return f"{missing} segments of its plan are missing: the bare python -m fishmj.hydro_fit goes on with them"
+    return "solve more segments: python -m fishmj.hydro_fit collect"
 
 
 def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:

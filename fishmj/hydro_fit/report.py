@@ -52,7 +52,7 @@ def write(
         pictures.append(("Held fish: mean force by the second, in head axes", forces_figure(points)))
     grid, turns = gait_rows(swum)
     folder.mkdir(parents=True, exist_ok=True)
-    told = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
+    told: dict[str, Any] = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
     told |= {"preview": model.preview, "coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
     write_json(folder / "report.json", told)
     tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
