@@ -60,6 +60,15 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def tenth(monkeypatch):
+    """The whole plan with a tenth of its episodes."""
+    real = plan.full
+    small = lambda robot, *, seed=0, **rest: replace(real(robot, seed=seed, scale=0.1), label="full")
+    monkeypatch.setattr(plan, "full", small)
+    return len(small(FISH).segments)
+
+
 def asked(**given) -> Path:
     return at_hand.segments_at_hand(at_hand.Request(**({"robot": FISH, "home": Path("data/hydro"), "quiet": True} | given)))
 
@@ -92,19 +101,19 @@ def test_a_larger_budget_makes_the_same_preview_larger(home):
     assert before < after and not set(Toys.seen[-1][1]) & before, "what is there is not solved again"
 
 
-def test_a_budget_that_the_whole_plan_fits_into_has_it_solved(home):
+def test_a_budget_that_the_whole_plan_fits_into_has_it_solved(home, tenth):
     folder = asked(budget=1e7)
     data = open_dataset(folder)
-    assert folder.name == "swift" and not data.preview and len(data.about) == len(plan.full(FISH).segments)
+    assert folder.name == "swift" and not data.preview and len(data.about) == tenth
     assert Toys.seen[0][0].domain.name == "window"
 
 
-def test_with_an_accelerator_the_whole_plan_is_solved_in_the_box_of_the_model(home, monkeypatch):
+def test_with_an_accelerator_the_whole_plan_is_solved_in_the_box_of_the_model(home, tenth, monkeypatch):
     monkeypatch.setattr(at_hand, "accelerator", lambda: True)
     monkeypatch.setattr(at_hand, "device_of", lambda name: "cuda:0")
     assert asked(grid="window_coarse").name == "swift"
     setup, ids = Toys.seen[0]
-    assert setup.domain.name == "window_coarse" and setup.device == "cuda:0" and len(ids) == len(plan.full(FISH).segments)
+    assert setup.domain.name == "window_coarse" and setup.device == "cuda:0" and len(ids) == tenth
 
 
 def test_a_budget_that_is_too_small_for_any_fit_is_refused_before_anything_begins(home):
@@ -113,15 +122,15 @@ def test_a_budget_that_is_too_small_for_any_fit_is_refused_before_anything_begin
     assert not (home / "data").exists()
 
 
-def test_a_data_set_that_is_cut_short_goes_on_in_its_own_box_or_is_used_as_it_is(home, capsys):
+def test_a_data_set_that_is_cut_short_goes_on_in_its_own_box_or_is_used_as_it_is(home, tenth, capsys):
     some = plan.full(FISH)
     folder = Path("data/hydro/swift")
     setup = at_hand.Request(robot=FISH, home=folder).setup(preset("window_coarse"))
     collect(some, folder, setup, pool=Toys(), budget=1e-9, quiet=True)
     assert asked() == folder and len(Toys.seen) == 1
-    assert "1 of 492 segments are there; the rest would take about" in capsys.readouterr().out
+    assert f"1 of {tenth} segments are there; the rest would take about" in capsys.readouterr().out
     (folder / MANIFEST).unlink()  # as a campaign that was interrupted leaves it
-    assert asked() == folder and open_dataset(folder).meta["missing"] == 491
+    assert asked() == folder and open_dataset(folder).meta["missing"] == tenth - 1
     assert asked(budget=1000.0) == folder and open_dataset(folder).meta["missing"] == 0
     assert Toys.seen[-1][0].domain == preset("window_coarse")
 
