@@ -18,6 +18,7 @@ from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.run import domain, solver_cost
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
+from fishmj.new.__main__ import main as describe
 from fishmj.store import Manifest, read_json, write_json
 from fishmj.store.manifest import MANIFEST
 from fishmj.water.hydro_model import FOLDERS, HydroModel
@@ -85,6 +86,15 @@ def test_without_data_and_accelerator_the_hours_are_said_and_a_preview_is_solved
     takes = solver_cost.cpu_seconds([(preset("laptop"), sum(s.water for s in planned(data).segments))], 2)
     assert 0.9 * at_hand.PREVIEW_TIME < takes <= at_hand.PREVIEW_TIME < 1800.0
     assert asked() == folder and len(Toys.seen) == 1, "complete: nothing is solved again"
+
+
+@pytest.mark.parametrize("links", [2, 8])
+def test_any_described_fish_has_its_preview(home, tenth, links):
+    """Which no shipped controller knows: every block but the on-policy one, on as many joints."""
+    assert console.run(describe, ["mine", "--links", str(links), "--yes"]) == console.OK
+    data = open_dataset(asked(robot=load_robot("mine.toml")))
+    assert data.folder.name == "mine-preview" and data.preview and data.robot["joints"] == links - 1
+    assert {meta["block"] for meta in data.about.values()} == set(plan.BLOCKS) - {"policy"}
 
 
 def planned(data) -> plan.Plan:
@@ -210,9 +220,46 @@ def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys
     assert "preview = true" in Path(found["fit"]["model"]).read_text(encoding="utf-8")
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert found["report"].endswith("swift-preview-report/report.html") and "preview, fitted to the first part" in page
-    # a whole fit takes the place of a preview, whatever their figures; here the preview is all there is
-    place, _ = verb.promote(replace(model, name="tiny"), home / "own", score=1.0, standing=None)
-    assert verb.standing_model(home / "own", "tiny", model.robot_sha256)[0].preview and place.name == "tiny.toml"
+
+
+class Fitted:
+    """In place of the pipeline: the shipped strips, worse than anything that stands."""
+
+    seconds, notes = {}, []
+
+    def __init__(self, *given, **more):
+        pass
+
+    def run(self) -> HydroModel:
+        return replace(HydroModel.load("swift-base"), scores={"validation": 2.0})
+
+    def score(self, water, learnt) -> float:
+        return 1.0
+
+    def kept_so_far(self) -> str:
+        return ""
+
+
+def test_a_preview_never_replaces_a_whole_model_and_a_whole_one_always_a_preview(home, swims, monkeypatch, capsys):
+    monkeypatch.setattr("fishmj.hydro_fit.fit.pipeline.FitPipeline", Fitted)
+    data = hidden.write_dataset(home / "set", swims)
+
+    def fitted(missing, out, name) -> dict:
+        Manifest.of(data, {"missing": missing}).write(data)
+        asked = ["fit", "--data", str(data), "--name", name, "--json", *(["--out", str(out)] if out else [])]
+        assert console.run(verb.main, asked) == console.OK
+        return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+    # the shipped water stands in the default place: a preview goes beside it, a whole model that is worse is rejected
+    first = fitted(3, None, "swift")
+    assert first["taken"] and first["preview"] and Path(first["place"]).name == "swift-preview.toml" and first["standing"] is None
+    worse = fitted(0, None, "swift")
+    assert not worse["taken"] and worse["standing"] == 1.0 and Path(worse["place"]) == FOLDERS[0] / "swift.toml"
+    # in a place of its own: a preview, a worse preview, then a whole model that takes its place unasked
+    own = home / "own"
+    assert fitted(3, own, "other")["taken"] and HydroModel.load(own / "other.toml").preview
+    assert not fitted(3, own, "other")["taken"]
+    assert fitted(0, own, "other")["taken"] and not HydroModel.load(own / "other.toml").preview
 
 
 def test_lost_segments_are_told_and_fail_nothing(home, monkeypatch, capsys):
@@ -256,8 +303,6 @@ def test_the_slip_comes_from_the_data_or_the_model(home, swims):
 @pytest.mark.oracle
 def test_the_bare_verb_end_to_end_in_the_flow_solver(tmp_path, monkeypatch, capsys):
     """A small two-link fish, described by `fishmj new`, segments of three seconds in a small box: solved, fitted and checked."""
-    from fishmj.new.__main__ import main as describe
-
     monkeypatch.chdir(tmp_path)
     assert console.run(describe, ["tiny", "--length", "0.3", "--links", "2", "--yes"]) == console.OK
     short = lambda parts, seconds: tuple(part._replace(seconds=seconds) for part in parts)
