@@ -97,6 +97,24 @@ def test_any_described_fish_has_its_preview(home, tenth, links):
     assert {meta["block"] for meta in data.about.values()} == set(plan.BLOCKS) - {"policy"}
 
 
+def test_a_preview_that_is_interrupted_goes_on_where_it_was(home, tenth, monkeypatch):
+    class Broken(Toys):
+        def run(self, waiting, setup, go_on):
+            for number, finished in enumerate(super().run(waiting, setup, go_on)):
+                if number == 5:
+                    raise KeyboardInterrupt
+                yield finished
+
+    monkeypatch.setattr(at_hand, "Local", lambda tanks: Broken())
+    with pytest.raises(KeyboardInterrupt):
+        asked()
+    kept = {path.stem for path in (home / "data/hydro/swift-preview" / SEGMENTS).glob("*.json")}
+    assert len(kept) == 5
+    monkeypatch.setattr(at_hand, "Local", lambda tanks: Toys())
+    data = open_dataset(asked())
+    assert kept | set(Toys.seen[-1][1]) == set(data.about) and not kept & set(Toys.seen[-1][1]) and not data.meta["missing"]
+
+
 def planned(data) -> plan.Plan:
     row = read_json(data.folder / SPLIT)["plans"][-1]
     return plan.planned(row["label"], FISH, row["seed"])
