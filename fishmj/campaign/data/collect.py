@@ -110,8 +110,10 @@ def collect(
     with console.Progress(max(total, 1e-9), "collect", unit="s", every=1e9 if quiet else None) as bar:
 
         def go_on(water: float) -> bool:
-            bar.update(before + water, segments=there + done, of=len(plan.segments))
-            return budget is None or time.perf_counter() - began < budget
+            left = float("inf") if budget is None else began + budget - time.perf_counter()
+            ends = {} if budget is None else {"ends_in": console.duration(max(left, 0.0))}
+            bar.update(before + water, segments=there + done, of=len(plan.segments), **ends)
+            return left > 0
 
         for finished in (pool or Local()).run(left, setup, go_on) if left else ():
             write_record(folder / SEGMENTS, finished.meta, finished.arrays)
