@@ -129,6 +129,13 @@ def test_a_larger_budget_makes_the_same_preview_larger(home):
     assert before < after and not set(Toys.seen[-1][1]) & before, "what is there is not solved again"
 
 
+def test_a_preview_of_another_slip(home):
+    data = open_dataset(asked(slip=0.0))
+    assert {meta["grid"]["slip"] for meta in data.about.values()} == {0.0} == {verb.slip_of(data, None)}
+    with pytest.raises(ConfigError, match="slip = 0.3; expected of this plan's 0, 0.95, 1"):
+        asked(slip=0.3, folder=home / "other")
+
+
 def test_a_budget_that_the_whole_plan_fits_into_has_it_solved(home, tenth):
     folder = asked(budget=1e7)
     data = open_dataset(folder)

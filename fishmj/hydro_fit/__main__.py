@@ -62,6 +62,7 @@ def gathered(robot: Robot, args) -> Path:
     standing = standing_model(out, args.name or robot.name, robot_hash(robot))
     grid = "" if standing is None or standing[0].preview else str(standing[0].dataset.get("grid", ""))
     given = {"device": args.device, "ray": args.ray or "", "budget": args.budget, "quiet": args.json}
+    given |= {} if args.slip is None else {"slip": args.slip}
     data = open_dataset(segments_at_hand(Request(robot=robot, home=DATA, folder=place, grid=grid, **given)))
     if lost := [meta["block"] for meta in data.about.values() if "file" not in meta]:
         blocks = ", ".join(sorted(set(lost)))

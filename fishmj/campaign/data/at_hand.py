@@ -6,7 +6,7 @@
 | cut short | accelerator or Ray | the rest of its plan, in its own box |
 | cut short | CPU | the rest, where that takes `CPU_TIME` at most or --budget asks for it |
 | none | accelerator or Ray | the whole plan, in the box of the model that stands, else `collect.BOX` |
-| none | CPU | a preview: the plan's first segments at slip 1, in a small box, `PREVIEW_TIME` on two idle cores |
+| none | CPU | a preview: the plan's first segments at one slip, in a small box, `PREVIEW_TIME` on two idle cores |
 
 On a CPU --budget sets how many segments a preview has; one that the whole plan fits into has the whole plan solved.
 """
@@ -45,6 +45,7 @@ class Request:
     """What was asked for.
 
     folder: the data set, or None for `home`/<robot>. grid: box of the model that stands, or empty. budget: s of wall clock.
+    slip: of a preview's segments.
     """
 
     robot: Robot
@@ -54,6 +55,7 @@ class Request:
     device: str = "auto"
     ray: str = ""
     budget: float | None = None
+    slip: float = plans.DEFAULT_SLIP
     seed: int = 0
     quiet: bool = False
 
@@ -100,7 +102,7 @@ def segments_at_hand(asked: Request) -> Path:
         f" on {usable_cores()} cores, and no accelerator is used"
     )
     box = preview_box(robot)
-    plan = preview(whole.at([plans.DEFAULT_SLIP]), box, budget)
+    plan = preview(whole.at([asked.slip]), box, budget)
     takes = solver_cost.cpu_seconds([(box, plan.water)])
     console.say(
         f"solving a preview instead: {_size(plan)} in the box {box.name}, about {console.duration(takes)} on idle cores,"
@@ -120,7 +122,7 @@ def preview(plan: Plan, box: Domain, budget: float | None = None, there: frozens
     time, cores = (PREVIEW_TIME, PREVIEW_CORES) if budget is None else (budget, usable_cores())
     cost: Callable[[Segment], float] = lambda s: 0.0 if s.id in there else solver_cost.cpu_seconds([(box, s.water)], cores)
     needed = sum(map(cost, plans.least(plan.segments)))
-    if needed > time:
+    if needed > time and not there:
         raise ConfigError(
             f"--budget {time:g}: the least that a water can be fitted to, {len(plans.least(plan.segments))} segments, takes about"
             f" {needed:.0f} s here; give {needed * 1.2:.0f} or more, or --data DIR with segments that are there"
