@@ -16,7 +16,7 @@ from dm_control import suite as dm_suite
 from dm_control.rl import control
 from dm_env import test_utils
 
-from fishmj import suite
+from fishmj import engines, suite
 from fishmj.engines.lbm import Engine as LbmEngine
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.suite import physics as fish_physics

@@ -187,7 +187,8 @@ def _fitted(robot: Robot, name: str) -> Choice:
     model = fitted_water(name)
     made = _with(robot, model.swimmer(robot).water._asdict(), name)
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
-    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}){model.remark(robot)}")
+    preview = ", a preview" if model.preview else ""
+    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
 
 
 def _dry(robot: Robot) -> dict[str, Any]:
