@@ -2,8 +2,8 @@
 
     command -> clamp, quantise -> bus (latency) -> [ servo target -> remember -> water.step ] x 5 -> record
 
-The water is one of three behind one interface (`engines.single.Water`): strips in MuJoCo's callback, the closed form with
-effects and a learnt residual, or MuJoCo alone.
+The water stands behind one interface (`engines.single.Water`): strips and learnt residual in MuJoCo's callback or as a wrench on
+every link, the closed form with effects, or MuJoCo alone.
 
     sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
@@ -43,13 +43,16 @@ class Sim:
     Args:
         robot: description, TOML path or shipped name.
         water: as `fishmj.water.choice` names them: by default "fitted" where this body has a fitted one; "structured", "none", a
-            fitted one by name or TOML; "hybrid", which the flow solver corrects while the fish swims; or "ellipsoid" (MuJoCo's
-            own fluid). `water_name` says which it became.
+            fitted one by name or TOML, "#2" behind it for member 2 of its ensemble; "hybrid", which the flow solver corrects
+            while the fish swims; or "ellipsoid" (MuJoCo's own fluid). `water_name` says which it became.
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
         swimmer: this fish's own constants; the nominal ones by default.
         latency: of commands, s; the robot's nominal one by default.
+        injection: how the water gets into MuJoCo: "callback" (mjcb_passive; one thread a process), "xfrc" (a wrench on every
+            link in `xfrc_applied`; any thread) or "qfrc" (the closed form in `qfrc_applied`; planar root). The swim is the same
+            to round-off. Default "qfrc" for a robot with effects, else "callback".
         rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
         hybrid: of the water "hybrid", `fishmj.hybrid.HybridOptions`, or a `fishmj.hybrid.Hybrid` of one's own.
 
@@ -71,6 +74,7 @@ class Sim:
         pose=(0.0, 0.0, 0.0),
         swimmer: planar_chain.Swimmer | None = None,
         latency: float | None = None,
+        injection: str | None = None,
         rescue_folder: Path | None = None,
         hybrid: Any = None,
     ):
@@ -102,7 +106,7 @@ class Sim:
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
-        self.water = water_of(model, self.robot, root, self.model, self.swimmer, self.added)
+        self.water = water_of(model, self.robot, root, self.model, self.swimmer, self.added, injection)
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)

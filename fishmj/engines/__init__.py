@@ -64,7 +64,9 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
 
     if name not in NAMES:
         raise UnknownName("engine", name, NAMES)
-    return import_module(f"fishmj.engines.{name}").Engine(load_robot(robot), **options)
+    robot = load_robot(robot)
+    robot = in_water(robot, who=f"the engine {name}") if "model" in robot.water else robot  # stated or chosen
+    return import_module(f"fishmj.engines.{name}").Engine(robot, **options)
 
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:

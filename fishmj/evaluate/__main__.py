@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fishmj import console, controllers, cost, engines, interrupt
-from fishmj.engines import own_effects
+from fishmj.engines import own_effects, tank_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
@@ -18,6 +18,7 @@ from fishmj.evaluate.report import (
     by_condition,
     condition,
     corrected,
+    not_as_trained,
     overall,
     paired,
     save,
@@ -35,11 +36,13 @@ EVERY = "--every"  # of hybrid alone
 FALLBACKS = ("compiled", "planar")
 BOX = "paper"  # of --water lbm
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
-EXAMPLES = """examples:
+EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the decided 72 trials
-  fishmj evaluate paper dob --turbulence gust --out runs/gust --plots     two, paired, with pictures
+  fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two, paired, with pictures
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
-  fishmj evaluate pilot --water hybrid --tanks 12 --device cuda           the water corrected by the solver while it swims
+  fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
+
+{controllers.shipped_lines()}
 """
 
 
@@ -73,10 +76,12 @@ def options() -> console.Parser:
     add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
     add("--seed", type=console.SEED, default=0, help="of all draws")
     add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
-    path = "servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too"
+    path = "servo commands between two decisions, as of train; default the robot's. Policies of another need --anyway"
     add("--command-path", choices=COMMAND_PATHS, help=path)
-    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, not on theirs")
+    controllers.anyway_option(parser)
     own_effects.option(parser)
+    left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
+    add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
     out = "folder for report.html, results.json, trials.csv; those that are there are replaced; by default nothing is written"
@@ -108,6 +113,9 @@ def main(argv: list[str]) -> int:
                 f"{effect.name} is in the catalogue now, and not in robot {robot.name}: it acts where the description has"
                 f' [[effect]] name = "{effect.name}"'
             )
+    robot = tank_effects.without(robot, args.leave_out)
+    if water.kind == choice.LBM:
+        tank_effects.check_effects(robot)
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
     trials = protocol.trials(
@@ -115,12 +123,8 @@ def main(argv: list[str]) -> int:
         intensity=args.intensity, heading=args.heading, randomisation=0.0 if args.no_randomisation else 1.0,
         noise=0.0 if args.no_noise else 1.0, duration=args.duration,
     )  # fmt: skip
-    asked = args.any_command_path or args.command_path is not None
-    brains = controllers.several(args.controllers, robot, any_command_path=asked)  # a wrong name fails before anything runs
-    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
-        console.warn(note)
+    brains = controllers.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
     affordable(robot, trials, len(brains))
-    console.say(f"water: {water.said}")
     if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
 
@@ -128,14 +132,16 @@ def main(argv: list[str]) -> int:
         args.domain = args.domain or BOX
         work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
+        begin(water, brains)
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
-                results.append(judge_in_tanks(brain, robot, trials, args))
+                results.append(judge_in_tanks(brain, robot, trials, args)._replace(left_out=tuple(args.leave_out)))
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
     args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
+    begin(water, brains)
     moved_by = args.engine if args.hybrid is None else args.hybrid.label(robot)
     kept = FinishedTrials(args.out, robot, trials, moved_by, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
@@ -148,6 +154,13 @@ def main(argv: list[str]) -> int:
         code = report(results, args)
     kept.end()
     return code
+
+
+def begin(water: choice.Choice, brains) -> None:
+    """Say what is judged in, and what the policies were not trained for."""
+    console.say(f"water: {water.said}")
+    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
+        console.warn(note)
 
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
@@ -166,7 +179,7 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
 
                     engine = Engine(robot, trials.flows()[0], args.hybrid, inner=engine)
             found = judge(brain, robot, trials, engine)
-        results.append(kept.keep(brain, found))
+        results.append(kept.keep(brain, found)._replace(left_out=tuple(args.leave_out)))
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
             save(args.out, results, findings(results) | {"unfinished": kept.unfinished})
     return results
@@ -237,6 +250,7 @@ def findings(results: list[Result]) -> dict:
     a = results[0]
     return {
         "condition": condition(a),
+        **({"left_out": list(a.left_out)} if a.left_out else {}),
         "results": [summary(r) for r in results],
         **({} if a.corrections is None else {"hybrid": {r.controller: [*map(json.loads, r.corrections)] for r in results}}),
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
@@ -249,7 +263,7 @@ def report(results: list[Result], args) -> int:
     summaries = found["results"]
     if args.out is not None:
         save(args.out, results, found)
-    console.say("", condition(results[0]), "value (95 % bootstrap interval over trials)", "")
+    console.say("", condition(results[0]), *not_as_trained(summaries), "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(overall(summaries)), "")
     console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))
     for s in summaries:

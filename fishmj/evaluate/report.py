@@ -93,11 +93,13 @@ def trial_of(r: Result, i: int) -> Trial:
         "engine": r.engine,
         "controller": r.controller,
         "policy_sha256": r.policy_sha256,
+        **({"policy": r.policy} if r.policy else {}),
         "target": r.target[i].tolist(),
         "seed": int(item.seed[0]),
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
         "randomisation": r.trials.randomisation,
         "excitation": "station holding",
+        **({"left_out": list(r.left_out)} if r.left_out else {}),
         **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
         **made_by("numpy", "mujoco"),
         "source": "fishmj.evaluate",
@@ -152,16 +154,27 @@ def condition(result: Result) -> str:
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
     switch = lambda on: "on" if on else "off"
+    without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
     return (
         f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
         f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
-        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}"
+        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
 
 
 def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
-    """One row a controller: value and 95 % interval over trials."""
-    return [{"controller": s["controller"], **{SHORT[k][0]: cell(k, s["overall"][k]) for k in keys}} for s in summaries]
+    """One row a controller: value and 95 % interval over trials; what is not as in training where that holds of a policy."""
+    rows: list[dict] = [{"controller": s["controller"]} for s in summaries]
+    if not_as_trained(summaries):
+        for row, s in zip(rows, summaries, strict=True):
+            row["not as trained"] = ", ".join((s["policy"] or {}).get("differs", ())) or "-"
+    return [row | {SHORT[k][0]: cell(k, s["overall"][k]) for k in keys} for row, s in zip(rows, summaries, strict=True)]
+
+
+def not_as_trained(summaries: list[dict]) -> list[str]:
+    """A line for each policy that is judged with another robot, other constants, another water or another command path."""
+    told = [(s["controller"], s["policy"]["said"]) for s in summaries if s["policy"]]
+    return [f"{name} is not judged as trained: {said}" for name, said in told if said]
 
 
 def cell(key: str, e: dict, interval: bool = True) -> str:
@@ -337,7 +350,7 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], repl
     """The report as one HTML text; its one reference is `replay`, the page of the worst trial beside it, where there is one."""
     first, summaries, told = results[0], found["results"], baseline(results)
     named = f"{', '.join(s['controller'] for s in summaries)}: station holding"
-    notes = [found["condition"]]
+    notes = [found["condition"], *not_as_trained(summaries)]
     if told is None:
         notes.append(f"Judged alone. Name {BASELINE} (no control) or another controller behind it, and it is compared with that.")
     elif np.isfinite(figures(first)["rmse_after_arrival"]).all():

@@ -183,6 +183,7 @@ def checked(robot: Robot) -> Robot:
             raise DescriptionError([f"{where} {name}: got {str(parts)[:60]}, expected a tuple of {kind.__name__}"])
     if not isinstance(robot.servo, Servo) or not isinstance(robot.timing, Timing) or not isinstance(robot.water, Mapping):
         raise DescriptionError([f"{where}: expected servo, a Servo, timing, a Timing, and water, a dict"])
+    chosen = ("own", "model") if "own" in robot.water else ()  # by water.choice, which no file states
     table = {
         "name": robot.name,
         "title": robot.title,
@@ -191,7 +192,7 @@ def checked(robot: Robot) -> Robot:
         "fin": [_plain(vars(fin)) for fin in robot.fins],
         "servo": _plain(vars(robot.servo)),
         "timing": _plain(vars(robot.timing)),
-        "water": _plain({key: value for key, value in robot.water.items() if key != "own"}),
+        "water": _plain({key: value for key, value in robot.water.items() if key not in chosen}),
     }
     notes = _examined(table, where)
     water, assumed = _water(robot.water, robot.links, where)

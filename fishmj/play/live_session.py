@@ -10,6 +10,7 @@ import numpy as np
 
 from fishmj import controllers, engines
 from fishmj.controllers import Controller
+from fishmj.controllers.learned import LearnedController
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
 from fishmj.errors import ConfigError, FishmjError
@@ -186,6 +187,7 @@ class LiveSession:
             "engine": self.engine_name,
             "controller": names[-1],
             "policy_sha256": str(getattr(self.controller, "sha256", "")),
+            **({"policy": self.controller.trained()} if isinstance(self.controller, LearnedController) else {}),
             "target": self.chunks[-1].target.tolist(),
             "excitation": "station holding" if still and steady else "live",
             **logged_meta(self.robot, tables, self._nominal.params, self._nominal.camera, self._start, self.noise),

@@ -19,7 +19,7 @@ from dm_control.suite import base
 from dm_control.utils import containers
 from dm_env import specs
 
-from fishmj.engines import Extensions, Trace
+from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
 from fishmj.suite.hybrid_physics import HybridPhysics
@@ -73,8 +73,10 @@ def environment(name: Any, course: dict, random, environment_kwargs, root: str, 
     solver, corrected = setting.pop("solver", {}), setting.pop("hybrid", None)
     asked = chosen(setting)
     water = choice.chosen(load_robot(asked.robot), asked.water)
-    if root == "free" and (water.kind in (choice.LBM, choice.HYBRID) or Extensions.of(water.robot).learnt is not None):
-        raise ConfigError(f"suite: water {water.kind!r} acts on a fish with a planar root; choose root = 'planar', or structured")
+    if root == "free" and water.kind in (choice.LBM, choice.HYBRID):
+        raise ConfigError(
+            f"suite: water {water.kind!r} acts on a fish with a planar root; choose root = 'planar', or another water"
+        )
     rules = TaskSpec(name, replace(asked, robot=water.robot, water=None), **course)
     options = dict(environment_kwargs or {})
     for key in ("time_limit", "control_timestep", "n_sub_steps"):

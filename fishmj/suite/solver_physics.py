@@ -32,7 +32,7 @@ class SolverPhysics(Physics):
         """A straight fish; `options` are those of `fishmj.engines.lbm.Engine`: domain, slip, device, finer.
 
         Raises:
-            ConfigError: a robot with effects.
+            ConfigError: a robot with effects that have no place in the solver.
         """
         physics = cls.of(rules.robot)
         physics._solver, physics._setting = options, rules.setting
@@ -66,6 +66,7 @@ class SolverPhysics(Physics):
         last = s.pending[-1:] if len(s.pending) else s.buffer[0, -1:]
         commands = np.concatenate([s.pending, np.repeat(last, ticks, 0)])[:ticks]
         self.fish, trace = self.engine.advance(self.fish, commands[None], s.params, s.current, np.array([s.step // s.steps]))
+        s.memory = self.fish.memory
         if stopped := self.engine.stopped[0]:
             raise control.PhysicsError(f"the flow solver stopped: {stopped}")
         s.pending, s.step = s.pending[ticks:], s.step + n_sub_steps

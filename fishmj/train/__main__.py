@@ -204,6 +204,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
 def main(argv: list[str]) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
+    from fishmj.policy import one_line
     from fishmj.store import Checkpoints
     from fishmj.train import training_cost
     from fishmj.train.build import referred, settled, water_for
@@ -229,21 +230,21 @@ def main(argv: list[str]) -> int:
         for folder in dict.fromkeys(folders.values()):
             shutil.rmtree(folder, ignore_errors=True)
     results = []
-    learner = None
+    learner, typed = None, one_line(shlex.join(["fishmj", "train", *argv]))
     if args.together:
         from fishmj.train.multi_seed import train_together
 
-        results, seeds = train_together(settings, seeds, folders[seeds[0]]), []
+        results, seeds = train_together(settings, seeds, folders[seeds[0]], typed), []
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
         resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
         if train := one.algo in ALGORITHMS and ALGORITHMS[one.algo].train:
-            results.append(referred(train)(one, folder, resume=resume))
+            results.append(referred(train)(one, folder, resume=resume, command=typed))
         else:
             from fishmj.train.training_run import TrainingRun, learner_of
 
             learner = learner or learner_of(one)
-            results.append(TrainingRun(one, folder, resume=resume, learner=learner).go())
+            results.append(TrainingRun(one, folder, resume=resume, learner=learner, command=typed).go())
         if results[-1]["stopped"]:
             break
     for r in results:

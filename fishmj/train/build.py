@@ -11,13 +11,14 @@ from fishmj import plugins
 from fishmj.engines import with_effects
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
-from fishmj.mjcf.identity import observation_of, structure_of
-from fishmj.policy import Policy
+from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.policy import Policy, structure_sha256
 from fishmj.tasks.station_hold import visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, Settings
 from fishmj.water.choice import SELF_MADE, Choice, chosen, residual_of
+from fishmj.water.identity import water_identity
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -120,10 +121,14 @@ def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
     seen = visible(joints, settings.task.get("hide", ()))
     seen = seen + ([True] * joints + seen) * (memory - 1)
     layers[0] = (layers[0][0] * np.asarray(seen, np.float32), layers[0][1])  # what training hid stays hidden on the robot
+    structure = structure_of(robot)
     header = {
         "robot": robot.name,
         "joints": joints,
-        "structure": structure_of(robot),
+        "structure": structure,
+        "structure_sha256": structure_sha256(structure),
+        "constants_sha256": constants_sha256(robot),
+        "water": water_identity(robot),
         "observation": observation_of(joints),
         "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": scale(joints).tolist(),
@@ -133,6 +138,7 @@ def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
         "command_path": settings.command_path,
         "algorithm": settings.algo if settings.algo in ALGORITHMS else plugins.name_of(settings.algo),
         "seed": settings.seed,
+        "command": None,  # called from Python
         "origin": "synthetic",  # trained in simulation only
         **meta,
     }

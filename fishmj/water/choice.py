@@ -5,7 +5,7 @@
     hybrid       `fitted`, corrected by the flow solver while the fish swims
     lbm          the flow solver itself
     none         no water: a bench in air
-    NAME         a fitted water by name or .toml file; NAME-base: its strips alone
+    NAME         a fitted water by name or .toml file; NAME-base: its strips alone; NAME#2: member 2 of its ensemble alone
 
     choice = chosen(robot, None)      Choice(kind, robot in that water, one line that says which it is)
 
@@ -17,12 +17,16 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fishmj import calib, console
 from fishmj.dynamics import strip_forces
 from fishmj.errors import ConfigError, FishmjError, UnknownName
 from fishmj.mjcf.description import Robot
+from fishmj.names import split_member
+
+if TYPE_CHECKING:
+    from fishmj.water.hydro_model import HydroModel
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
@@ -71,11 +75,9 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
         UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
     """
     name, described = canonical(water), robot.water.get(OWN, robot.water)
-    stated, states = canonical(robot.water.get("model")), canonical(described.get("model"))
+    stated = canonical(robot.water.get("model"))
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
-    elif name == FITTED and states not in (None, *KINDS):
-        name = states
     if name == STRUCTURED:
         why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
         return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
@@ -115,22 +117,48 @@ def canonical(water: "str | Path | None") -> str | None:
     """The name as it is written today; an old one is said once."""
     if water is None:
         return None
-    name = str(water)
-    if name in RENAMED:
-        if name not in _TOLD:
-            _TOLD.add(name)
-            console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
-        return RENAMED[name]
-    return name
+    name, member = split_member(str(water))
+    if name not in RENAMED:
+        return str(water)
+    if name not in _TOLD:
+        _TOLD.add(name)
+        console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
+    return _joined(RENAMED[name], member)
+
+
+def _joined(name: str, member: str | None) -> str:
+    """The inverse of `split_member`."""
+    return name if member is None else f"{name}#{member}"
 
 
 _TOLD: set[str] = set()
 
 
-def files_of(robot: Robot) -> list[Path]:
-    """The files of the robot's fitted water, none where it has its own coefficients."""
+def model_of(robot: Robot) -> "HydroModel | None":
+    """The fitted water that the robot swims in, or None. Raises UnknownName, StoreError, ConfigError: it cannot be read."""
     name = label(robot)
-    return [] if name in KINDS and name != FITTED else fitted_water(robot.name if name == FITTED else name).files
+    if name in (STRUCTURED, LBM, NONE):
+        return None
+    return fitted_water(_own(robot, name))
+
+
+def _own(robot: Robot, name: str) -> str:
+    """`fitted` as the fitted water that the description states, else as the one of the robot's name; other names as they are.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    kind, member = split_member(name)
+    if kind != FITTED:
+        return name
+    states = canonical(robot.water.get(OWN, robot.water).get("model"))
+    if states not in (None, *KINDS):
+        return _joined(split_member(states)[0], member or split_member(states)[1])
+    if robot.name not in calib.waters():
+        raise ConfigError(
+            f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
+        )
+    return _joined(robot.name, member)
 
 
 def label(robot: Robot) -> str:
@@ -155,16 +183,12 @@ def fitted_for(robot: Robot) -> str | None:
 
 
 def _fitted(robot: Robot, name: str) -> Choice:
-    if name == FITTED:
-        if robot.name not in calib.waters():
-            raise ConfigError(
-                f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
-            )
-        name = robot.name
+    name = _own(robot, name)
     model = fitted_water(name)
     made = _with(robot, model.swimmer(robot).water._asdict(), name)
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
-    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}){model.remark(robot)}")
+    preview = ", a preview" if model.preview else ""
+    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
 
 
 def _dry(robot: Robot) -> dict[str, Any]:
@@ -177,23 +201,23 @@ def _dry(robot: Robot) -> dict[str, Any]:
 
 def residual_of(robot: Robot):
     """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
-    name = label(robot)
-    if name in (STRUCTURED, LBM, NONE):
+    model = model_of(robot)
+    if model is None:
         return None
-    model = fitted_water(robot.name if name == FITTED and robot.name in calib.waters() else name)
     if (links := len(model.base.k)) != len(robot.links):
         raise ConfigError(
-            f"robot {robot.name!r} [water] model: got {name!r}, fitted for {model.robot!r} of {links} links, expected one for"
-            f" {len(robot.links)} links; 'structured' fits every robot"
+            f"robot {robot.name!r} [water] model: got {label(robot)!r}, fitted for {model.robot!r} of {links} links, expected"
+            f" one for {len(robot.links)} links; 'structured' fits every robot"
         )
     return model.learnt
 
 
 @lru_cache(8)
-def fitted_water(name: str):
+def fitted_water(name: str) -> "HydroModel":
     """A fitted water by name or file."""
     from fishmj.water.hydro_model import HydroModel, shipped
 
-    if name not in shipped() and name.removesuffix("-base") not in shipped() and not name.endswith(".toml"):
+    plain, _ = split_member(name)
+    if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
         raise UnknownName("water", name, (*KINDS, *shipped()))
     return HydroModel.load(name)

@@ -1,6 +1,6 @@
 """A fitted water: strip coefficients, the learnt residual with its range, and where both come from. TOML and safetensors.
 
-    model = HydroModel.load("swift")            a shipped one, or a path to its .toml
+    model = HydroModel.load("swift")            a shipped one, or a path to its .toml; "swift#2" is its member 2
     sw = model.swimmer(robot)                   the robot in this water
     model.learnt                                the residual, None where there is none; `residual_hooks` puts it into a step
     model.base_only                             the strip model fitted by itself, a water of its own
@@ -42,7 +42,7 @@ def robot_hash(robot: Robot) -> str:
 def body_hash(robot: Robot) -> str:
     """sha256 of what the water meets of a robot: lengths, sections, fins, water's density; not servo, masses or timing."""
     links = [(link.length, link.sections, link.fin_from) for link in robot.links]
-    parts = (links, robot.fins, robot.density_water, robot.water.get("stations"))
+    parts = (links, robot.fins, robot.density_water, robot.water.get("stations", 6))
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -112,6 +112,7 @@ class WaterFile(_Table):
     dt: Annotated[float, Field(gt=0.0, le=0.1)]
     slip: Annotated[float, Field(ge=0.0, le=1.0)]
     notes: str = ""
+    preview: bool = False
     weights: Weights
     base: Base
     found: dict[str, Stage] = {}
@@ -147,12 +148,12 @@ class HydroModel:
 
     Attributes:
         body_sha256: of the body alone; "" in an older file, which holds for that very robot only.
-        files: that it was read from.
         base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
         dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
         band: (offset, share, spread) of the error bar by channel (prediction_interval.py), `band_alone` without the residual.
+        preview: fitted to the first part of a plan, or to a coarse small box: what it is off by is not what a whole fit would be.
         scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (prediction_interval.py).
     """
 
@@ -173,7 +174,7 @@ class HydroModel:
     calibration: dict = field(default_factory=dict)
     notes: str = ""
     body_sha256: str = ""
-    files: tuple[Path, ...] = ()
+    preview: bool = False
 
     @property
     def base_only(self) -> "HydroModel":
@@ -182,6 +183,14 @@ class HydroModel:
             return self
         water = unflat(self.alone[0].tolist())
         return replace(self, name=f"{self.name}-base", learnt=None, base=water, members=self.alone[1:], band=self.band_alone)
+
+    @property
+    def sha256(self) -> str:
+        """Hex digest of what acts on a fish: coefficients and weights."""
+        digest = hashlib.sha256(repr([self.base, self.dt]).encode())
+        for key, value in sorted(({} if self.learnt is None else residual_hooks.packed(self.learnt)).items()):
+            digest.update(key.encode() + np.ascontiguousarray(value, np.float32).tobytes())
+        return digest.hexdigest()
 
     @property
     def calibrated(self) -> dict[str, float]:
@@ -215,13 +224,9 @@ class HydroModel:
             arrays |= {key: value.astype(np.float32) for key, value in residual_hooks.packed(self.learnt).items()}
         weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
         table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
-        table |= {
-            "robot": self.robot,
-            "robot_sha256": self.robot_sha256,
-            **({"body_sha256": self.body_sha256} if self.body_sha256 else {}),
-            "dt": self.dt,
-            "slip": self.slip,
-        }
+        table |= {"preview": True} if self.preview else {}
+        table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
+        table |= {"body_sha256": self.body_sha256} if self.body_sha256 else {}
         table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
         table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
         table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
@@ -230,11 +235,15 @@ class HydroModel:
 
     @classmethod
     def load(cls, source: "str | Path") -> "HydroModel":
-        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual.
+        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual, `NAME#2` its member 2.
 
         Raises:
-            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model.
+            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model, or
+            no such member.
         """
+        whole, number = names.split_member(str(source))
+        if number is not None:
+            return member_of(cls.load(whole), number)
         path = Path(source)
         if path.suffix != ".toml":
             plain_name = str(source).removesuffix("-base")
@@ -244,6 +253,22 @@ class HydroModel:
             model = cls.load(found[0])
             return model.base_only if str(source).endswith("-base") else model
         return _read(path)
+
+
+def member_of(model: HydroModel, number: "str | int") -> HydroModel:
+    """One member of the ensemble as a water of its own: its strip coefficients and its residual, which then has no spread.
+
+    Raises:
+        ConfigError: `number` is not one of 0 to E - 1.
+    """
+    count = len(model.members)
+    if not str(number).isdecimal() or not int(number) < count:
+        raise ConfigError(f"water '{model.name}#{number}': got member {number!r}, expected a number from 0 to {count - 1}")
+    e = int(number)
+    learnt = None if model.learnt is None else residual_hooks.member(model.learnt, e)
+    return replace(
+        model, name=f"{model.name}#{e}", base=unflat(model.members[e].tolist()), learnt=learnt, members=model.members[e : e + 1]
+    )
 
 
 def _read(path: Path) -> HydroModel:
@@ -262,14 +287,13 @@ def _read(path: Path) -> HydroModel:
         if sha256(weights) != expected:
             raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
         arrays, _ = read_tensors(weights)
-        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")} | {
-            k: table.get(k, "") for k in ("notes", "body_sha256")
-        }
+        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")}
+        given |= {key: table.get(key, "") for key in ("notes", "body_sha256")} | {"preview": table.get("preview", False)}
         given |= {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}
         if table["weights"]["residual"]:
             given["learnt"] = residual_hooks.unpacked({key: value.astype(float) for key, value in arrays.items()})
-        return HydroModel(**given, files=(path, weights))
+        return HydroModel(**given)
     except FishmjError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:

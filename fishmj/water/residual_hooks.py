@@ -14,6 +14,7 @@ The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states,
 had a link outside the range while it moved. `inner` are other hooks that act first, on the same fish.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,6 +75,9 @@ def inside(xp, r: Range, xi: list, speed, i: int):
     return fade, far
 
 
+_panels = lru_cache(8)(residual_network.panels)  # of a chain, wanted at every step
+
+
 class LearnedResidual:
     """Hooks that add a residual.
 
@@ -84,7 +88,7 @@ class LearnedResidual:
     """
 
     def __init__(self, xp, ch: planar_chain.Chain, learnt: Residual, memory, inner: Any = None):
-        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, residual_network.panels(ch)
+        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, _panels(ch)
         *self.z, self.store, self.guarded = list(memory)[-(residual_network.WAKES + 2) :]
         self.forces: list = []
         self.spread: Any = 0.0  # variance between the members' coefficients
@@ -119,8 +123,7 @@ class LearnedResidual:
         k = _batched(k)
         m = residual_network.motion(xp, p, k)
         z = [value + 0.0 * m.speed for value in self.z]
-        g = residual_network.coefficients(xp, self.learnt.net, m, z)
-        mean, self.spread = _mean_and_spread(g)
+        mean, self.spread, self.z = residual_network.mean_step(xp, self.learnt.net, m, z, dt)
         gamma: Any = 1.0
         outside: Any = 0.0
         if reach is not None:
@@ -128,7 +131,6 @@ class LearnedResidual:
             gamma = fade / (1.0 + self.spread / reach.spread**2)
         forces = [residual_network.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
         scale, self.store = bounded(xp, forces, residual_network.dissipated(xp, s, c, k), k, self.store, dt)
-        self.z = residual_network.wake_step(xp, self.learnt.net, m, z, dt)
         self.guarded = self.guarded + outside
         return [tuple(scale * value for value in f) for f in forces]
 
@@ -161,14 +163,6 @@ def _batched(k: planar_chain.Links) -> planar_chain.Links:
     zero = 0.0 * (k.u[-1] + k.w[-1] + k.omega[-1])
     whole = lambda values: [value + zero for value in values]
     return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
-
-
-def _mean_and_spread(g):
-    """Members' mean coefficients (3, N, ..), and the variance between members, mean over all."""
-    mean = g.mean(0)
-    if len(g) == 1:
-        return mean, 0.0 * mean[0, 0]
-    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
 
 
 def member(learnt: Residual, e: int) -> Residual:

@@ -66,7 +66,7 @@ def options() -> console.Parser:
     add("--model", type=console.text, default="fitted", help="the water that is corrected: fitted, a name or .toml")
     noslip = "of --wrong tail: that of a hull along which no water slides; default the model's name and -noslip"
     add("--noslip", type=console.text, help=noslip)
-    add("--policy", type=console.text, default="fitted", help="controller, shipped policy, policy file or module:Name")
+    add("--policy", type=console.text, default="station", help="controller, shipped policy, policy file or module:Name")
     add(
         "--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help="what is wrong about MuJoCo's water, or about the tank"
     )
@@ -196,7 +196,7 @@ def kept(one: Condition, trials: Trials, args) -> dict:
 
 def measured(one: Condition, trials: Trials, args) -> dict:
     """Swim three times, and compare."""
-    brain = controllers.chosen(args.policy, one.robot, any_command_path=True)
+    brain = controllers.chosen(args.policy, one.robot)
     hybrid = one.options(args)
     inside = batch.Engine(one.robot, threads=1)
     if one.chain != planar_chain.chain_of(one.robot):  # the same body in the water of another
