@@ -2,7 +2,7 @@
 
     python -m fishmj.hydro_fit hybrid --wrong stream --device cuda     12 trials of 60 s at 0.2 m/s in turbulence; resumable
     python -m fishmj.hydro_fit hybrid --wrong all ...                  every condition, one after the other
-    python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 10         a preview on a CPU
+    python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
 
     none          the water as fitted                slip      the solver at slip 0.98, the water fitted at 1
     tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
@@ -10,8 +10,9 @@
 
 Every trial is swum three times, with the same fish, noise and eddies: in MuJoCo alone, in MuJoCo corrected (the water `hybrid`),
 and in the flow solver, closed loop. Solved trials are kept in --out and serve every condition that they belong to. The trials are
-the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the last third of a trial, speed the mean over
-ground, averaged over a beat, and place how far the fish is from the solver's, mean over the trial.
+the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial; speed, over ground and
+averaged over a beat, and place, the distance from the solver's fish, are means from the end of the first segment on: before that
+nothing is corrected.
 """
 
 import contextlib
@@ -28,6 +29,7 @@ from fishmj.campaign.data.collect import ON_GPU
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.dynamics import planar_chain
 from fishmj.engines import Extensions, batch
+from fishmj.errors import ConfigError
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.metrics import Result, beat_mean, difference
 from fishmj.evaluate.protocol import Trials
@@ -71,7 +73,7 @@ def options() -> console.Parser:
         "--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help="what is wrong about MuJoCo's water, or about the tank"
     )
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
-    add("--seconds", type=console.number(8, 600), default=60.0, help="of each trial")
+    add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
     add("--every", type=console.number(3, 600), default=HybridOptions.every, help="s from segment to segment; each is 3 s")
     add("--first", type=console.number(0, 600), default=HybridOptions.first, help="s before the first segment")
@@ -93,6 +95,10 @@ def main(argv: list[str]) -> int:
     if args.wrong in RENAMED:
         console.warn(f"--wrong {args.wrong} is now called {RENAMED[args.wrong]}; the old name is deprecated")
         args.wrong = RENAMED[args.wrong]
+    if args.seconds <= (least := args.first + args.lead + HybridOptions.span):
+        raise ConfigError(
+            f"hydro_fit hybrid: --seconds {args.seconds:g}: the first segment ends at {least:g} s; take longer trials"
+        )
     conditions = [condition(name, args) for name in (WRONG if args.wrong == "all" else (args.wrong,))]
     args.tanks = args.tanks or (ON_GPU if str(device_of(args.device)).startswith("cuda") else 1)
     trials = trials_of(args)
@@ -221,7 +227,8 @@ def measured(one: Condition, trials: Trials, args) -> dict:
         swims["solver"] = run_trials.judge_in_solver(brain, asked, tanks, Path(args.out), progress=seen, **box)
     wall["solver"] = time.perf_counter() - began
     reports = [corrected.hybrid.report(i) for i in range(len(trials))]
-    found = verdict({name: figures(swim, swims["solver"]) for name, swim in swims.items()})
+    since = hybrid.first + hybrid.lead + hybrid.span
+    found = verdict({name: figures(swim, swims["solver"], since) for name, swim in swims.items()})
     share = max(report["solver_share"] for report in reports)
     real = {name: args.seconds * len(trials) / seconds for name, seconds in wall.items()}
     about = {"condition": one.name, "water": choice.label(one.robot), "policy": args.policy, "n": len(trials)}
@@ -238,13 +245,13 @@ def _on_cpu() -> contextlib.AbstractContextManager:
 # ---- what they say ----
 
 
-def figures(swim: Result, solver: Result) -> dict[str, np.ndarray]:
-    """(n,) rmse m, speed m/s, and place: mean distance from the solver's fish, m; NaN where the solver stopped."""
-    last = len(swim.t) - round(len(swim.t) / 3)
-    over_ground = [beat_mean(swim.velocity[..., i], swim.robot.timing.bus_dt) for i in (0, 1)]
-    apart = np.linalg.norm(swim.pose[..., :2] - solver.pose[..., :2], axis=-1).mean(1)
+def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]:
+    """(n,) rmse m of the second half; speed m/s and place m from `since` s on; NaN where the solver stopped."""
+    late, half = swim.t >= since, swim.t >= max(since, swim.t[-1] / 2)
+    over_ground = [beat_mean(swim.velocity[..., i], swim.robot.timing.bus_dt)[:, late] for i in (0, 1)]
+    apart = np.linalg.norm(swim.pose[..., :2] - solver.pose[..., :2], axis=-1)[:, late].mean(1)
     sound = np.where(solver.left < len(solver.t), np.nan, 1.0)
-    rmse = np.sqrt((swim.distance[:, last:] ** 2).mean(1))
+    rmse = np.sqrt((swim.distance[:, half] ** 2).mean(1))
     return {"rmse": sound * rmse, "speed": sound * np.hypot(*over_ground).mean(1), "place": sound * apart}
 
 
