@@ -10,9 +10,9 @@
 
 Every trial is swum three times, with the same fish, noise and eddies: in MuJoCo alone, in MuJoCo corrected (the water `hybrid`),
 and in the flow solver, closed loop. Solved trials are kept in --out and serve every condition that they belong to. The trials are
-the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial; speed, over ground and
-averaged over a beat, and place, the distance from the solver's fish, are means from the end of the first segment on: before that
-nothing is corrected.
+the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial; speed, over ground,
+averaged over a beat, and place, the distance from the solver's fish, are means from the end of the first segment on: before
+that nothing is corrected.
 """
 
 import contextlib
