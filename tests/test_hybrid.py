@@ -352,6 +352,27 @@ def test_a_verdict_asks_for_half_where_it_is_off_and_for_no_worse_where_not(alon
     assert command.verdict(rows)["ok"] is (ok and first)
 
 
+@pytest.mark.slow
+def test_the_verb_swims_three_times_and_goes_on_where_it_was(made_up, tmp_path, monkeypatch, capsys):
+    """The solver's trials are MuJoCo's own in the faster stream: the stream alone is wrong, and the correction finds it."""
+    swum_before: list = []
+
+    def solved(brain, robot, trials, folder, **water):
+        swum_before.append(water)
+        return run_trials.run(brain, robot, trials, engines.make("batch", robot))
+
+    monkeypatch.setattr(command.run_trials, "judge_in_solver", solved)
+    asked = "--wrong stream --episodes 2 --seconds 20 --own 0.5 --device cpu --json --out".split()
+    code = command.main([*asked, str(tmp_path)])
+    found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert swum_before[0]["domain"] == "window_coarse" and made_up[0]["stream"].speed == pytest.approx(0.25)
+    assert code == (0 if found["ok"] else 1) and found["solver_share"] == pytest.approx(0.15, rel=0.05)
+    assert all(report["segments"][0]["moved"] and report["stream"][0] > 0.03 for report in found["reports"])
+    place = found["same"][1]
+    assert place["hybrid"] < place["alone"]
+    assert command.main([*asked, str(tmp_path)]) == code and len(swum_before) == 1
+
+
 def test_a_free_root_is_refused():
     with pytest.raises(ConfigError, match="planar root"):
         Sim("fish", water="hybrid", root="free")
