@@ -166,6 +166,15 @@ def sample(xp, c: Current, points, tick):
     return c.mean[:, None, :] + c.rms[:, None, None] * _turned(xp, value, cos, sin), xp.zeros_like(c.mean)
 
 
+def shifted(c: Current, by, tick) -> Current:
+    """The same flow with another mean (NumPy): `by` (B, 2) m/s is added; the eddies are where they were at bus tick (B,)."""
+    by, cos, sin = np.asarray(by, float), c.turn[:, 0], c.turn[:, 1]
+    if c.table.ndim == 3:  # gusts are uniform: nothing rides on the mean
+        return c._replace(mean=c.mean + by)
+    ride = by * (np.asarray(tick) * TICK)[:, None]
+    return c._replace(mean=c.mean + by, offset=c.offset + _turned(np, ride, cos, -sin) / c.cell)
+
+
 def _turned(xp, vectors, cos, sin):
     x, y = vectors[..., 0], vectors[..., 1]
     return xp.stack([cos * x - sin * y, sin * x + cos * y], -1)
