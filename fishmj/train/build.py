@@ -9,7 +9,6 @@ import numpy as np
 
 from fishmj import plugins
 from fishmj.engines import in_water, with_effects
-from fishmj.engines.extensions import residual_of
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.mjcf.identity import observation_of, structure_of
@@ -23,14 +22,14 @@ CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
 
 def pick_engine(settings: Settings) -> str:
-    """The engine asked for; `auto`: MJX on a GPU, else compiled, or planar without numba or in a water with a learnt residual."""
+    """The engine asked for; `auto`: MJX on a GPU, else compiled, or planar without numba."""
     if settings.engine != "auto":
         return settings.engine
     import jax
 
     if jax.default_backend() != "cpu":
         return "mjx"
-    return "compiled" if has_numba() and residual_of(robot_for(settings)) is None else "planar"
+    return "compiled" if has_numba() else "planar"
 
 
 def has_numba() -> bool:
