@@ -89,8 +89,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])
     distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
-    name = getattr(engine, "name", type(engine).__module__.rpartition(".")[2])
-    hybrid = getattr(engine, "hybrid", None)
+    name, hybrid = getattr(engine, "name", type(engine).__module__.rpartition(".")[2]), getattr(engine, "hybrid", None)
     return Result(
         controller=controller.name,
         policy_sha256=getattr(controller, "sha256", ""),

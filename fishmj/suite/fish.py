@@ -73,7 +73,7 @@ def environment(name: Any, course: dict, random, environment_kwargs, root: str, 
     solver, corrected = setting.pop("solver", {}), setting.pop("hybrid", None)
     asked = chosen(setting)
     water = choice.chosen(load_robot(asked.robot), asked.water)
-    if root == "free" and water.kind in (choice.LBM, choice.HYBRID):
+    if root == "free" and water.kind in choice.SOLVED:
         raise ConfigError(
             f"suite: water {water.kind!r} acts on a fish with a planar root; choose root = 'planar', or another water"
         )

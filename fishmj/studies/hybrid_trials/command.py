@@ -28,7 +28,7 @@ from fishmj import console, controllers, interrupt
 from fishmj.campaign.data.collect import ON_GPU
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.dynamics import planar_chain
-from fishmj.engines import Extensions, batch
+from fishmj.engines import batch
 from fishmj.errors import ConfigError
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.metrics import Result, beat_mean, difference
@@ -207,7 +207,7 @@ def measured(one: Condition, trials: Trials, args) -> dict:
     inside = batch.Engine(one.robot, threads=1)
     if one.chain != planar_chain.chain_of(one.robot):  # the same body in the water of another
         for shoal in inside.shoals:
-            shoal.evaluate = batch._jax_evaluator(one.chain, Extensions.of(one.robot))
+            shoal.evaluate = batch.evaluator_of(one.robot, one.chain, "jax")
     corrected = Engine(one.robot, trials.flows()[0], hybrid, inner=inside, replay=Replay(one.robot, one.chain))
     total = args.seconds * len(trials)
     swims: dict[str, Result] = {}
