@@ -10,10 +10,11 @@ import numpy as np
 
 from fishmj import controllers, engines
 from fishmj.controllers import Controller
+from fishmj.controllers.learned import LearnedController
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
 from fishmj.errors import ConfigError, FishmjError
-from fishmj.flow import Flow, sample
+from fishmj.flow import Flow, sample, shifted
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
@@ -21,6 +22,7 @@ from fishmj.source import made_by
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.units import wrap
+from fishmj.water.choice import HYBRID, NONE, in_water, label
 
 FASTEST = 0.5  # m/s
 SENSED = 4  # stream of random numbers of what is logged, beside that of the observations
@@ -57,11 +59,12 @@ class LiveSession:
         flow: Flow | None = None,
         engine="batch",
         noise: float = 1.0,
+        water=None,
     ):
-        self.robot = load_robot(robot)
+        self.robot = in_water(load_robot(robot), water, who="play") if isinstance(engine, str) else load_robot(robot)
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.loop = ControlLoop(self.robot, engine)
-        self.engine_name = type(self.loop.engine).__module__.rpartition(".")[2]
+        self.engine_name = getattr(self.loop.engine, "name", type(self.loop.engine).__module__.rpartition(".")[2])
         self._chain = chain_of(self.robot)
         params = engines.nominal_params(self.robot, 1)
         camera = self.loop.sensors.ticks(np, np.array([self.robot.timing.camera_latency]), params.effects, "pose")
@@ -98,10 +101,8 @@ class LiveSession:
         self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
         now = self.flow.current()
         if now.table.ndim == 4:  # frozen eddies ride on the mean: carry their phase over
-            shift = (now.mean - before.mean)[0] * self.time
-            c, s = now.turn[0]
-            moved = np.array([[c * shift[0] + s * shift[1], c * shift[1] - s * shift[0]]]) / now.cell
-            now = now._replace(offset=before.offset + moved)
+            turned = now._replace(mean=before.mean, offset=before.offset)
+            now = shifted(turned, now.mean - before.mean, self.loop.count * self.loop.ticks)
         self.loop.scenario = self.loop.scenario._replace(current=now)
 
     @property
@@ -163,7 +164,7 @@ class LiveSession:
 
     def _meta(self, tables: dict) -> dict:
         """What a reader must know about the swim."""
-        names = list(dict.fromkeys(c.controller for c in self.chunks))
+        names, hybrid = list(dict.fromkeys(c.controller for c in self.chunks)), getattr(self.loop.engine, "hybrid", None)
         steady = len({c.current for c in self.chunks}) == 1
         notes = [NOTE]
         if not steady:
@@ -178,13 +179,15 @@ class LiveSession:
             "schema": SCHEMA,
             "origin": "synthetic",
             **identity(self.robot),
-            "medium": "water",
+            "medium": "air" if label(self.robot) == NONE else "water",
             "flow": {**vars(self.flow), "known": steady},
-            "water": str(self.robot.water.get("model", "structured")),
+            "water": label(self.robot) if hybrid is None else HYBRID,
+            **({} if hybrid is None else {"hybrid": hybrid.report()}),
             "root": "planar",
             "engine": self.engine_name,
             "controller": names[-1],
             "policy_sha256": str(getattr(self.controller, "sha256", "")),
+            **({"policy": self.controller.trained()} if isinstance(self.controller, LearnedController) else {}),
             "target": self.chunks[-1].target.tolist(),
             "excitation": "station holding" if still and steady else "live",
             **logged_meta(self.robot, tables, self._nominal.params, self._nominal.camera, self._start, self.noise),

@@ -14,6 +14,7 @@ The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states,
 had a link outside the range while it moved. `inner` are other hooks that act first, on the same fish.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,6 +75,9 @@ def inside(xp, r: Range, xi: list, speed, i: int):
     return fade, far
 
 
+_panels = lru_cache(8)(residual_network.panels)  # of a chain, wanted at every step
+
+
 class LearnedResidual:
     """Hooks that add a residual.
 
@@ -84,7 +88,7 @@ class LearnedResidual:
     """
 
     def __init__(self, xp, ch: planar_chain.Chain, learnt: Residual, memory, inner: Any = None):
-        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, residual_network.panels(ch)
+        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, _panels(ch)
         *self.z, self.store, self.guarded = list(memory)[-(residual_network.WAKES + 2) :]
         self.forces: list = []
         self.spread: Any = 0.0  # variance between the members' coefficients
@@ -131,8 +135,7 @@ class LearnedResidual:
 
     def network(self, m: residual_network.Motion, z: list, dt: float) -> tuple:
         """Members' mean coefficients (3, N, ..), the variance between them, and the wake dt later from z."""
-        mean, spread = _mean_and_spread(residual_network.coefficients(self.xp, self.learnt.net, m, z))
-        return mean, spread, residual_network.wake_step(self.xp, self.learnt.net, m, z, dt)
+        return residual_network.mean_step(self.xp, self.learnt.net, m, z, dt)
 
     def _inside(self, reach: Range, k: planar_chain.Links, m: residual_network.Motion):
         """How far inside the range the whole fish is, and 1 where a link that moves is outside."""
@@ -163,14 +166,6 @@ def batched(k: planar_chain.Links) -> planar_chain.Links:
     zero = 0.0 * (k.u[-1] + k.w[-1] + k.omega[-1])
     whole = lambda values: [value + zero for value in values]
     return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
-
-
-def _mean_and_spread(g):
-    """Members' mean coefficients (3, N, ..), and the variance between members, mean over all."""
-    mean = g.mean(0)
-    if len(g) == 1:
-        return mean, 0.0 * mean[0, 0]
-    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
 
 
 def member(learnt: Residual, e: int) -> Residual:
