@@ -246,3 +246,26 @@ def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
         store(attached_new, w, ATTACHED, block)
         store(power, w, POWER, block)
         store(memory_new, w, MEMORY, block)
+
+
+def look(first, stop, q, current, clock, table, cells, cell, gust, out):
+    """Water velocity at the links of fish first..stop and DU/Dt at one bus tick, into `out`."""
+    w = workspace()
+    mean, rms, row, offset, turn = current
+    flow, ambient = out
+    for block in range(first, stop, LANES):
+        load(w, Q, q, block)
+        load(w, MEAN, mean, block)
+        load(w, RMS, rms, block)
+        load(w, SLICE, row, block)
+        load(w, OFFSET, offset, block)
+        load(w, TURN, turn, block)
+        load(w, CLOCK, clock, block)
+        if gust:
+            gust_flow(w, table, cells)
+        else:
+            centres(w)
+            grid(w, cells, cell)
+            spatial_flow(w, table, cells)
+        store(flow, w, FLOW, block)
+        store(ambient, w, AMBIENT, block)
