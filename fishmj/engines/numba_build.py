@@ -157,7 +157,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
 
     fish = ("mass", "kp", "kv", "kb", "zero", "water", "effects")
     sensed = ("q", "v", "memory", "flow", *fish)
-    whole = (*sensed, "attached", "target", "ambient")
+    whole: tuple[str, ...] = (*sensed, "attached", "target", "ambient")
     if learnt is not None:
         whole, names = (*whole, "coefficient", "spread", "next", "range"), names | {"range": list(learnt.range_places())}
     function, arguments, results = {

@@ -138,7 +138,8 @@ def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
         n, seen, given = shape.links, residual_hooks.SEEN, iter(a["range"])
         take = lambda *counts: [take(*counts[1:]) for _ in range(counts[0])] if counts else next(given)
         reach = residual_hooks.Range(take(n, seen), take(n, seen, seen), take(n), take(n), take())
-    learnt = residual_hooks.Residual(None, reach)  # the weights are where the network is
+    unused: Any = None  # the weights are where the network is
+    learnt = residual_hooks.Residual(unused, reach)
     return Told(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])
 
 
