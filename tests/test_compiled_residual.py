@@ -16,7 +16,7 @@ from fishmj.dynamics import planar_chain
 from fishmj.effects import get
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import batch, compiled, fast_math, numba_build, planar, residual_lanes
-from fishmj.flow import Flow, stack
+from fishmj.flow import Flow, sample, stack
 from fishmj.mjcf import load_robot
 from fishmj.suite import physics
 from fishmj.water import residual_hooks, residual_network
@@ -129,6 +129,8 @@ def test_one_machine_code_serves_every_member_and_gives_its_own_force(double):
         want = expected.advance(*given)
     got = own.advance(*given)
     assert far(got, want) < 1e-9 and far(got, double.advance(*given)) > 1e-5
+    with jax.enable_x64(True):  # programs of one process that differ by their weights alone
+        assert [far(jax.jit(e.advance)(*given), e.advance(*given)) for e in (double, own)] == [0.0, 0.0]
     text = numba_build.write(ROBOT, "advance", fast_math.DOUBLE)
     assert all(repr(float(weight)) not in text for weight in np.ravel(learnt.net.inner)[:20])
 
@@ -160,11 +162,20 @@ def test_the_network_is_that_of_numpy_for_any_shape(links, members, hidden):
     np.testing.assert_allclose(work[rows["spread"]], np.broadcast_to(spread, numba_build.LANES), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("turbulence", ["default", "gust", "none"])
+def test_the_flow_at_the_links_is_that_of_numpy(turbulence):
+    engine, (state, _, _, current, tick) = compiled.Engine(ROBOT, threads=1), school(ROBOT, turbulence)
+    q = state.q + np.random.default_rng(1).normal(size=state.q.shape)
+    centres = planar.link_centres(np, planar_chain.chain_of(ROBOT), q)
+    for got, want in zip(engine.look(q, current, tick + 7), sample(np, current, centres, tick + 7), strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
+
+
 def test_mujocos_engines_take_the_compiled_evaluator(double):
     given = school(ROBOT, "default", 2)
     given = (given[0], given[1][:, :10], *given[2:])
     alike = [batch.Engine(ROBOT, threads=1, evaluator=name).advance(*given) for name in (None, "jax")]
     assert far(*alike) < 1e-9
-    evaluate = batch.evaluator_of(ROBOT, planar_chain.chain_of(ROBOT), None)
+    evaluate, _ = batch.evaluator_of(ROBOT, planar_chain.chain_of(ROBOT), None)
     assert evaluate.__self__.__class__ is compiled.Engine
     assert physics.evaluator(ROBOT, planar_chain.chain_of(ROBOT)).__self__.__class__ is compiled.Engine

@@ -43,8 +43,9 @@ class Engine:
         self.robot = load_robot(robot)
         model, ch = mjcf.build(self.robot, bare=True), planar_chain.chain_of(self.robot)
         self.steps, self.ticks = ticks_per(self.robot)
-        evaluate = evaluator_of(self.robot, ch, evaluator)
-        self.shoals = [ThreadedBatch(self.robot, model, ch, evaluate) for _ in range(threads or usable_cores())]
+        evaluate, look = evaluator_of(self.robot, ch, evaluator)
+        self.shoals = [ThreadedBatch(self.robot, model, evaluate, look) for _ in range(threads or usable_cores())]
+        self._table: tuple = (None, None)  # as it was given, and in float64
         self._pool = ThreadPoolExecutor(len(self.shoals), "fishmj-batch")
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
@@ -63,6 +64,9 @@ class Engine:
         edges = [count * i // used for i in range(used + 1)]
         current, tick = Current(*(np.asarray(a) for a in current)), np.asarray(tick)
         mean, rms, row, offset, turn, table, cell = current
+        if self._table[0] is not table:
+            self._table = table, np.ascontiguousarray(table, float)
+        table = self._table[1]
         jobs = []
         for i, j in zip(edges, edges[1:], strict=False):
             part = lambda tree: type(tree)(*(np.asarray(a)[i:j] for a in tree))  # noqa: B023, E731  used at once
@@ -85,8 +89,8 @@ class Engine:
 class ThreadedBatch:
     """The fish of one thread and their persistent MuJoCo batch."""
 
-    def __init__(self, robot: Robot, model, ch: planar_chain.Chain, evaluate):
-        self.model, self.chain, self.evaluate = model, ch, evaluate
+    def __init__(self, robot: Robot, model, evaluate, look):
+        self.model, self.evaluate, self.look = model, evaluate, look
         self.steps, _ = ticks_per(robot)
         self.ramp = robot.timing.command_path == "move_time"
         self._batch: Any = None
@@ -106,7 +110,7 @@ class ThreadedBatch:
         out = Trace(blank(3), blank(joints), blank(joints), blank(3), np.zeros((count, length)))
         for k in range(length):
             buffer = np.concatenate([buffer[:, 1:], commands[:, k : k + 1]], 1)
-            flow, ambient = sample(np, current, link_centres(np, self.chain, q), tick + k)
+            flow, ambient = self.look(q, current, tick + k)
             for target in arrived(np, buffer, params.delay, self.steps, self.ramp):
                 force, attached, power, memory = self.evaluate(q, v, attached, params, target, flow, ambient, memory)
                 ctrl[:], applied[:] = target, force
@@ -135,19 +139,24 @@ class ThreadedBatch:
         return self._batch
 
 
-def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None):
-    """f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), float64."""
+def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None) -> tuple:
+    """What the water does, in float64, and where it flows; of the compiled engine both hold no lock of the interpreter.
+
+    Returns:
+        f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), and
+        g(q, current, tick) -> (flow (B, N, 2), ambient (B, 2)).
+    """
     if name != "jax":
         try:
             from fishmj.engines.compiled import Engine as Compiled
 
             compiled = Compiled(robot, threads=1)  # each shoal brings its own thread
-            compiled._evaluate  # noqa: B018  compile now, not in the first step
-            return compiled.forces
+            compiled._evaluate, compiled._look  # noqa: B018  compile now, not in the first step
+            return compiled.forces, compiled.look
         except MissingExtra:
             if name == "compiled":
                 raise
-    return _jax_evaluator(ch, Extensions.of(robot))
+    return _jax_evaluator(ch, Extensions.of(robot)), lambda q, *given: sample(np, given[0], link_centres(np, ch, q), given[1])
 
 
 def _jax_evaluator(ch: planar_chain.Chain, added: Extensions):

@@ -103,6 +103,10 @@ class Engine:
     def _evaluate(self):
         return numba_build.load(self.robot, "evaluate", fast_math.DOUBLE).evaluate
 
+    @cached_property
+    def _look(self):
+        return numba_build.load(self.robot, "look", fast_math.DOUBLE).look
+
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
         """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
 
@@ -126,18 +130,10 @@ class Engine:
         delay = _reader(batch, np.dtype(np.int64))("params.delay", params.delay)
         if batch and delay.min() < 0:
             raise ConfigError(f"compiled engine, params.delay: got {delay.min()} physics steps, expected 0 or more")
-        table = np.ascontiguousarray(current.table, real)
-        water = (
-            read("current.mean", current.mean, 2),
-            _column(read("current.rms", current.rms)),
-            _column(_rows(read("current.row", current.row), table.shape)),
-            read("current.offset", current.offset, 2),
-            read("current.turn", current.turn, 2),
-        )
+        water, flow = _background(read, current, real)
         trace = tuple(np.empty((batch, ticks, size), real) for size in (3, joints, joints, 3, 1))
         swimmer = self._swimmer(read, params)
         bodies = ((q, v, _column(attached), memory), buffer, read("commands", commands, ticks, joints), swimmer)
-        flow = (table.reshape(-1), table.shape[1], real.type(current.cell), table.ndim == 3)
         self._share(
             batch, self._advance, (self._numbers(real), *bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace)
         )
@@ -160,6 +156,15 @@ class Engine:
         out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1, memory.shape[1]))
         self._share(batch, self._evaluate, (self._numbers(np.dtype(float)), *given, out))
         return Applied(out[0], out[1][:, 0], out[2][:, 0], out[3])
+
+    def look(self, q, current: Current, tick) -> tuple[np.ndarray, np.ndarray]:
+        """`flow.sample` at the link centres of q (B, nv) at bus tick (B,): (B, N, 2) m/s and (B, 2) m/s2, NumPy, float64."""
+        batch, links = len(q), self.robot.n_joints + 1
+        read = _reader(batch, np.dtype(np.float64))
+        water, flow = _background(read, current, np.dtype(np.float64))
+        out = np.empty((batch, 2 * links)), np.empty((batch, 2))
+        self._share(batch, self._look, (read("q", q, links + 2), water, _column(read("tick", tick)), *flow, out))
+        return out[0].reshape(batch, links, 2), out[1]
 
     def _swimmer(self, read, params: FishParams) -> tuple:
         j = self.robot.n_joints
@@ -206,7 +211,9 @@ class Engine:
         shape, given = jax.ShapeDtypeStruct((batch, width), real), (_pack(jnp, leaves, batch, real), current.table.astype(real))
         if jax.default_backend() == "cpu":
             does = f"{sizes} {results} {tree} {given[0].shape} {given[1].shape}"  # the kernel's module is named by its text
-            name = f"{self._advance.py_func.__module__}_{hashlib.sha256(does.encode()).hexdigest()[:24]}"
+            # and its numbers by themselves: fitted waters of one shape share the module
+            digest = hashlib.sha256(does.encode() + self._numbers(real).tobytes()).hexdigest()
+            name = f"{self._advance.py_func.__module__}_{digest[:24]}"
             out = host_call(name, host, shape, *given)
         else:
             out = jax.pure_callback(host, shape, *given, vmap_method="sequential")
@@ -224,6 +231,19 @@ def _reader(batch: int, dtype: np.dtype):
         return array
 
     return read
+
+
+def _background(read, current: Current, real: np.dtype) -> tuple[tuple, tuple]:
+    """The flow as the loops take it: what differs from fish to fish, and the table with its cells."""
+    table = np.ascontiguousarray(current.table, real)
+    water = (
+        read("current.mean", current.mean, 2),
+        _column(read("current.rms", current.rms)),
+        _column(_rows(read("current.row", current.row), table.shape)),
+        read("current.offset", current.offset, 2),
+        read("current.turn", current.turn, 2),
+    )
+    return water, (table.reshape(-1), table.shape[1], real.type(current.cell), table.ndim == 3)
 
 
 def _rows(row: np.ndarray, table: tuple) -> np.ndarray:

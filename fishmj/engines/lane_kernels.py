@@ -11,6 +11,13 @@ import numpy as np
 from numpy import floor
 
 
+def workspace():
+    """Zeros for all rows, each of which starts with a cache line: a vector across two lines costs twice."""
+    w = np.zeros((ROWS + 1) * LANES, real)
+    skip = -(w.ctypes.data // w.itemsize) % LANES
+    return w[skip : skip + ROWS * LANES]
+
+
 def load(w, base, values, block):
     """Columns of values (B, n) into rows base.. of w; spare lanes of the last block repeat the last fish."""
     last = values.shape[0] - 1
@@ -162,7 +169,7 @@ def record(w, k, block, pose, joint, rate, velocity, power):
 def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, clock, table, cells, cell, gust, trace):
     """Advance fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
     # one small workspace, used again for every block: it stays in the cache for all ticks of a block
-    w, ticks = np.zeros(ROWS * LANES, real), commands.shape[1]
+    w, ticks = workspace(), commands.shape[1]
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
     places = np.empty(3 * LANES, np.int64)
     q, v, attached, memory = state
@@ -214,7 +221,7 @@ def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, cl
 
 def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
     """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
-    w = np.zeros(ROWS * LANES, real)
+    w = workspace()
     q, v, attached, memory = state
     mass, kp, kv, kb, zero, water, effects = swimmer
     applied, attached_new, power, memory_new = out
@@ -239,3 +246,26 @@ def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
         store(attached_new, w, ATTACHED, block)
         store(power, w, POWER, block)
         store(memory_new, w, MEMORY, block)
+
+
+def look(first, stop, q, current, clock, table, cells, cell, gust, out):
+    """Water velocity at the links of fish first..stop and DU/Dt at one bus tick, into `out`."""
+    w = workspace()
+    mean, rms, row, offset, turn = current
+    flow, ambient = out
+    for block in range(first, stop, LANES):
+        load(w, Q, q, block)
+        load(w, MEAN, mean, block)
+        load(w, RMS, rms, block)
+        load(w, SLICE, row, block)
+        load(w, OFFSET, offset, block)
+        load(w, TURN, turn, block)
+        load(w, CLOCK, clock, block)
+        if gust:
+            gust_flow(w, table, cells)
+        else:
+            centres(w)
+            grid(w, cells, cell)
+            spatial_flow(w, table, cells)
+        store(flow, w, FLOW, block)
+        store(ambient, w, AMBIENT, block)

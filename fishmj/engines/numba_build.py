@@ -29,7 +29,7 @@ from fishmj.water.prior import unflat
 from fishmj.water.residual_hooks import at_rest
 
 LANES = 16  # fish a workspace row: one 512-bit or two 256-bit vectors of float32
-NEEDS = {"advance": ("physics", "centres"), "evaluate": ("forces",)}  # entry point -> generated functions
+NEEDS = {"advance": ("physics", "centres"), "evaluate": ("forces",), "look": ("centres",)}  # entry point -> generated functions
 STEPS = ("physics", "forces")  # generated functions that take a physics step
 
 # Strict arithmetic but for fused multiply-add: as fast as numba's full fastmath here, and NaN stays NaN.
@@ -72,6 +72,9 @@ STATE, SWIMMER = several(4, given(2)), several(7, given(2))
 ADVANCE = void(
     int64, int64, given(1), several(4, result(2)), result(3), given(3), SWIMMER, given(2, int64),
     several(5, given(2)), given(2), given(1), int64, item, boolean, several(5, result(3)),
+)
+LOOK = void(
+    int64, int64, given(2), several(5, given(2)), given(2), given(1), int64, item, boolean, several(2, result(2)),
 )
 EVALUATE = void(int64, int64, given(1), STATE, SWIMMER, given(2), given(2), given(2), several(4, result(2)))
 '''
@@ -154,7 +157,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
 
     fish = ("mass", "kp", "kv", "kb", "zero", "water", "effects")
     sensed = ("q", "v", "memory", "flow", *fish)
-    whole = (*sensed, "attached", "target", "ambient")
+    whole: tuple[str, ...] = (*sensed, "attached", "target", "ambient")
     if learnt is not None:
         whole, names = (*whole, "coefficient", "spread", "next", "range"), names | {"range": list(learnt.range_places())}
     function, arguments, results = {
@@ -187,7 +190,7 @@ def lane_loop(
 
 
 def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
-    """The text of the module whose entry point is `advance` or `evaluate`; `CACHE` is left to the loader.
+    """The text of the module whose entry point is `advance`, `evaluate` or `look`; `CACHE` is left to the loader.
 
     Of a learnt residual it holds the shape alone: its numbers are the argument `c` of the entry points.
     """

@@ -39,7 +39,8 @@ def arrived(xp, buffer, delay, steps: int, ramp: bool):
     whole, part = delay // steps, delay % steps
     rows = xp.arange(buffer.shape[0])
     last = buffer.shape[1] - 1
-    newest, previous, before = (buffer[rows, xp.maximum(last - whole - i, 0)] for i in range(3))
+    at = lambda age: buffer[rows, xp.maximum(last - whole - age, 0)]
+    newest, previous, before = at(0), at(1), at(2) if ramp else None
     out = []
     for j in range(steps):
         fresh = (j >= part)[:, None]

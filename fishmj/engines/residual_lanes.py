@@ -23,7 +23,7 @@ from fishmj.water import residual_hooks, residual_network
 from fishmj.water.residual_network import BOUND, WAKES
 
 BLOCK = 4  # units that share a load of the inputs
-NUMBER = re.compile(r"\bc\[[^]]*\]")  # one of the array, in the text of a loop
+NUMBER = re.compile(r"\bc\[([^]]*)\]")  # one of the array, in the text of a loop
 POWER = 2 / log(2)  # tanh x = (2^(POWER x) - 1) / (2^(POWER x) + 1)
 
 
@@ -78,10 +78,10 @@ class Shape(NamedTuple):
         forces = 3 * self.links
         even, odd = (len(pairs[0]) for pairs in residual_network.products(self.links))
         return {
-            "units": self.members * self.blocks * self.block,
-            "outer": self.members * forces * (1 + BLOCK * self.blocks),
+            "units": (self.members * self.blocks + WAKES // BLOCK) * self.block,  # the wake's last
+            "outer": self.members * self.blocks * BLOCK * forces,
+            "bias": self.members * forces,
             "products": self.links * even + 2 * self.links * odd,
-            "wake": WAKES // BLOCK * self.block,
             "rates": WAKES,
             "range": self.ranged * (self.links * (residual_hooks.SEEN * (residual_hooks.SEEN + 1) + 2) + 1),
         }
@@ -108,13 +108,12 @@ def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarra
         rows = np.concatenate([np.column_stack([bias, weights[:, columns]]), np.zeros((more, 1 + len(columns)))])
         return rows.reshape(-1, BLOCK, 1 + len(columns)).swapaxes(1, 2)
 
-    inner = [units(w, b) for w, b in zip(net.inner, net.inner_bias, strict=True)]
-    idle = ((0, 0), (0, BLOCK * shape.blocks - shape.hidden))
+    layers = [*zip(net.inner, net.inner_bias, strict=True), (net.wake, net.wake_bias)]
+    idle = ((0, 0), (0, 0), (0, BLOCK * shape.blocks - shape.hidden))
     even = np.arange(3 * shape.links) < shape.links  # a mirror takes the bias from the others
-    outer = [np.column_stack([b * even, np.pad(w, idle)]).T for w, b in zip(net.outer, net.outer_bias, strict=True)]
-    parts = [np.ravel(inner) * POWER, np.ravel(outer) * (POWER / BOUND)]
-    parts += [np.ravel(w.T) * (POWER / BOUND) for w in (net.even, net.odd)]
-    parts += [np.ravel(units(net.wake, net.wake_bias)) * POWER, -dt / np.exp(net.reach) / log(2)]
+    parts = [np.ravel(units(w, b)) * POWER for w, b in layers]
+    outer = (np.pad(net.outer, idle).swapaxes(1, 2), net.outer_bias * even, net.even.T, net.odd.T)
+    parts += [np.ravel(w) * (POWER / BOUND) for w in outer] + [-dt / np.exp(net.reach) / log(2)]
     if learnt.reach is not None:
         parts += [np.ravel(np.asarray(a, float)) for a in learnt.reach]
     return np.concatenate(parts).astype(dtype)
@@ -139,7 +138,8 @@ def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
         n, seen, given = shape.links, residual_hooks.SEEN, iter(a["range"])
         take = lambda *counts: [take(*counts[1:]) for _ in range(counts[0])] if counts else next(given)
         reach = residual_hooks.Range(take(n, seen), take(n, seen, seen), take(n), take(n), take())
-    learnt = residual_hooks.Residual(None, reach)  # the weights are where the network is
+    unused: Any = None  # the weights are where the network is
+    learnt = residual_hooks.Residual(unused, reach)
     return Told(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])
 
 
@@ -156,7 +156,7 @@ def features(xp, ch: planar_chain.Chain, sw, inner: Any, q, v, flow) -> list:
 def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
     """Text of `network(w, c)`; wake: the row of the first wake state."""
     starts, sizes, n, forces = shape.starts(), shape.sizes(), shape.links, 3 * shape.links
-    (even, odd), block, outer = shape.inputs, shape.block, forces * BLOCK
+    (even, odd), block = shape.inputs, shape.block
     at = lambda name, k=0: f"w[{rows[f'{name}0'] + k} * LANES + i]"
     one = lambda name: f"w[{rows[name]} * LANES + i]"
     seen = lambda j: at("feature", j) if j <= forces else f"w[{wake + j - forces - 1} * LANES + i]"
@@ -175,10 +175,12 @@ def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
     pairs += [f"{at('product', k)} = g{k}" for k in each]
     pairs += [f"{at('coefficient', k)} = real(0.0)" for k in each] + [f"{one('spread')} = real(0.0)"]
 
+    # all stores at the end: a number is read where it is used only if no store stands between
     gathered = [f"u{k} = {at('unit', k)}" for k in range(2 * BLOCK)]
     for k in each:
         parts = (f"c[{forces * u + k}] * u{u + BLOCK * (k >= n)}" for u in range(BLOCK))
-        gathered.append(f"{at('sum', k)} = {at('sum', k)} + {' + '.join(parts)}")
+        gathered.append(f"g{k} = {at('sum', k)} + {' + '.join(parts)}")
+    gathered += [f"{at('sum', k)} = g{k}" for k in each]
 
     # Welford's mean and variance over the members: none needs to be kept
     joined = [f"g{k} = {at('sum', k)}" for k in each] + [f"spread = {one('spread')}"]
@@ -191,33 +193,37 @@ def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
 
     last = [f"pace = {one('pace')}", f"{one('spread')} = {one('spread')} * real({1 / (max(shape.members - 1, 1) * forces)!r})"]
     for k in range(WAKES):
-        state, target = f"w[{wake + k} * LANES + i]", at("next", k)
-        last.append(f"{target} = {target} + ({state} - {target}) * exp2(pace * c[{starts['rates'] + k}])")
+        state = f"w[{wake + k} * LANES + i]"
+        last += [f"target = {at('next', k)}", f"z{k} = target + ({state} - target) * exp2(pace * c[{starts['rates'] + k}])"]
+    last += [f"{at('next', k)} = z{k}" for k in range(WAKES)]
 
     functions = {
-        "units(w, c)": units,
+        "units(w, c, row)": units,
         "products(w, c)": pairs,
-        "begin(w, c)": [f"{at('sum', k)} = {at('product', k)} + c[{k}]" for k in each],
-        "gather(w, c)": gathered,
+        "begin(w, c, row)": [f"{at('sum', k)} = {at('product', k)} + c[{k}]" for k in each],
+        "gather(w, c, row)": gathered,
         "join(w, weight)": joined,
         "settle(w, c)": last,
     }
-    text = "".join(f"@njit(**MATH)\ndef {name}:\n    wide()\n{_loop(lines)}\n\n" for name, lines in functions.items())
-    half = WAKES // BLOCK // 2
+    text = "".join(
+        f"@njit(**MATH)\ndef {name}:\n    wide()\n{_loop(lines, 'row' in name)}\n\n" for name, lines in functions.items()
+    )
+    table = lambda name, columns: f"c[{starts[name]} : {starts[name] + sizes[name]}].reshape({sizes[name] // columns}, {columns})"
     return f"""{text}
 @njit(**MATH)
 def network(w, c):
+    inner, outer, bias = {table("units", block)}, {table("outer", forces * BLOCK)}, {table("bias", forces)}
     products(w, c)
     for member in range({shape.members}):
-        begin(w, c[{starts["outer"]} + {sizes["outer"] // shape.members} * member :])
-        for block in range({shape.blocks}):
-            units(w, c[{starts["units"]} + {block} * ({shape.blocks} * member + block) :])
-            gather(w, c[{starts["outer"] + forces} + {sizes["outer"] // shape.members} * member + {outer} * block :])
+        begin(w, bias, member)
+        for row in range({shape.blocks} * member, {shape.blocks} * (member + 1)):
+            units(w, inner, row)
+            gather(w, outer, row)
         join(w, real(1.0) / real(member + 1))
-    for block in range({2 * half}):
-        units(w, c[{starts["wake"]} + {block} * block :])
+    for block in range({WAKES // BLOCK}):
+        units(w, inner, {shape.members * shape.blocks} + block)
+        turned = {BLOCK} * LANES if block >= {WAKES // BLOCK // 2} else 0
         for k in range({BLOCK} * LANES):
-            turned = {BLOCK} * LANES if block >= {half} else 0
             w[({rows["next0"]} + {BLOCK} * block) * LANES + k] = w[{rows["unit0"]} * LANES + turned + k]
     settle(w, c)
 
@@ -225,12 +231,15 @@ def network(w, c):
 """
 
 
-def _loop(lines: list[str]) -> str:
-    """`lines` for every lane, their numbers loaded before: then the compiler sees no store that may change one."""
-    numbers: dict[str, str] = {}
-    name = lambda found: numbers.setdefault(found[0], f"c{len(numbers)}")
+def _loop(lines: list[str], row: bool) -> str:
+    """`lines` for every lane, their numbers loaded before: then the compiler sees no store that may change one.
+
+    row: they are of one row of a table `c`.
+    """
+    names: dict[str, str] = {}
+    name = lambda found: names.setdefault(f"c[row, {found[1]}]" if row else found[0], f"c{len(names)}")
     body = "".join(f"        {NUMBER.sub(name, line)}\n" for line in lines)
-    return "".join(f"    {key} = {place}\n" for place, key in numbers.items()) + f"    for i in range(LANES):\n{body}"
+    return "".join(f"    {key} = {place}\n" for place, key in names.items()) + f"    for i in range(LANES):\n{body}"
 
 
 def _dense(out: str, inputs: list[int], at: int, bias: bool) -> list[str]:

@@ -7,6 +7,7 @@
 | hydro_wrench_residual | xfrc_applied with the residual, NumPy, one fish | hydro_passive_residual |
 | hydro_ellipsoid | MuJoCo's own fluid, C, one fish | bare `mj_step` |
 | hydro_batch_residual | engine `batch`, strips and residual | the strips alone |
+| hydro_compiled_residual | engine `compiled`, strips and residual | the strips alone |
 | hydro_mjx_residual | engine `mjx`, strips and residual | the strips alone |
 | hydro_residual | closed form in JAX, a long swim | the strips alone |
 
@@ -26,6 +27,7 @@ from fishmj.errors import FishmjError
 from fishmj.studies.bench import NotHere, Work, benchmark
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
+FISH_COMPILED = 4096
 MEMBERS, HIDDEN = 5, 16  # of the residual that the recipe learns
 
 
@@ -167,8 +169,19 @@ def hydro_batch(quick: bool) -> Work:
 
 @benchmark("hydro_batch_residual", "physics steps/s", baseline=hydro_batch)
 def hydro_batch_residual(quick: bool) -> Work:
-    """Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by JAX in double precision."""
+    """Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
     return _engine("batch", quick, True)
+
+
+def hydro_compiled(quick: bool) -> Work:
+    """Strips in the compiled engine."""
+    return _engine("compiled", quick, fish=FISH_COMPILED)
+
+
+@benchmark("hydro_compiled_residual", "physics steps/s", baseline=hydro_compiled)
+def hydro_compiled_residual(quick: bool) -> Work:
+    """Strips and residual in the compiled engine; 50 physics steps are a control step."""
+    return _engine("compiled", quick, True, FISH_COMPILED)
 
 
 def hydro_mjx(quick: bool) -> Work:
