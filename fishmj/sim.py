@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.engines.extensions import SURROGATE, Extensions, in_water
+from fishmj.engines.extensions import Extensions
 from fishmj.engines.recorder import Recorder, rescue
 from fishmj.engines.single import water_of
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
@@ -28,9 +28,9 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived, on_the_bus
-from fishmj.names import split_member
+from fishmj.water import choice
 
-WATERS = ("structured", "ellipsoid", "none")
+ELLIPSOID = "ellipsoid"  # MuJoCo's own fluid, for comparison
 ENGINES = ("mujoco",)
 KEPT = 100  # physics steps remembered for a diverged run
 
@@ -40,8 +40,9 @@ class Sim:
 
     Args:
         robot: description, TOML path or shipped name.
-        water: "structured" (strip model with added mass), "surrogate" (the shipped fitted one; another by the path of its TOML;
-            "#2" behind it: member 2 of its ensemble alone), "ellipsoid" (MuJoCo's own fluid) or "none".
+        water: as `fishmj.water.choice` names them: by default "fitted" where this body has a fitted one; "structured", "none", a
+            fitted one by name or TOML (NAME#2: one member of it); or "ellipsoid" (MuJoCo's own fluid). `water_name` says which
+            it became.
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
@@ -60,7 +61,7 @@ class Sim:
         self,
         robot="fish",
         *,
-        water: str = "structured",
+        water: "str | Path | None" = None,
         flow: Flow | None = None,
         engine: str = "mujoco",
         root: str = "planar",
@@ -70,17 +71,13 @@ class Sim:
         injection: str | None = None,
         rescue_folder: Path | None = None,
     ):
-        named, _ = split_member(str(water))
-        fitted = named == SURROGATE or named.endswith(".toml")
-        for kind, name, known in (("water", water, (*WATERS, *[water] * fitted)), ("engine", engine, ENGINES)):
-            if name not in known:
-                raise UnknownName(kind, name, known)
-        self.robot = mjcf.load_robot(robot)
-        self.water_name = water
+        if engine not in ENGINES:
+            raise UnknownName("engine", engine, ENGINES)
+        own_fluid = water == ELLIPSOID
+        self.robot = choice.in_water(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water, who="Sim")
+        self.water_name = ELLIPSOID if own_fluid else choice.label(self.robot)
         self.root = root
         self.start = tuple(float(value) for value in pose)
-        if fitted:
-            self.robot, water = in_water(self.robot, water), "structured"
         self.flow = flow or Flow()
         self.rescue_folder = rescue_folder
         timing = self.robot.timing
@@ -90,12 +87,12 @@ class Sim:
         late = float(self.added.late(np, self.added.row, "command"))
         self.delay = round(((timing.command_latency if latency is None else latency) + late) / timing.physics_dt)
         self.swimmer = swimmer or planar_chain.nominal(self.robot)
-        self.model = mjcf.build(self.robot, root, ellipsoid=water == "ellipsoid")
+        self.model = mjcf.build(self.robot, root, ellipsoid=own_fluid)
         s = self.swimmer
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
-        self.water = water_of(water, self.robot, root, self.model, self.swimmer, self.added, injection)
+        self.water = water_of(self.water_name, self.robot, root, self.model, self.swimmer, self.added, injection)
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)

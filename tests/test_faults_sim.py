@@ -33,7 +33,7 @@ def gait(t):
     ],
 )
 def test_fault_01_a_force_that_is_not_a_number_is_named_and_the_last_states_are_kept(tmp_path, root, field, index, term, link):
-    sim = Sim("fish", root=root, rescue_folder=tmp_path / "rescued")
+    sim = Sim("fish", root=root, water="structured", rescue_folder=tmp_path / "rescued")
     sim.run(gait, 0.6)
     strips = sim.water.strips
     water = strips.swimmer.water
@@ -114,7 +114,7 @@ def test_fault_05_two_fish_in_one_process_each_have_their_own_water():
     """Step by step in turn: each takes the path that it takes alone."""
 
     def swim(turns):
-        fish = [Sim("fish", flow=Flow(speed=0.1 * (i + 1), direction=float(i)), root=r) for i, r in enumerate(("planar", "free"))]
+        fish = [Sim(flow=Flow(speed=0.1 * (i + 1), direction=float(i)), root=r) for i, r in enumerate(("planar", "free"))]
         for i in turns:
             fish[i].step(gait(fish[i].data.time))
         return [f.pose for f in fish]
@@ -158,7 +158,7 @@ def test_fault_06_steps_that_do_not_nest_name_both_numbers_and_the_nearest():
     [
         (
             lambda: Sim("fish", water="structurd"),
-            "unknown water 'structurd'. Did you mean 'structured'? Known: ellipsoid, none, structured.",
+            "unknown water 'structurd'. Did you mean 'structured'? Known: fitted, hybrid, lbm, none, structured",
         ),
         (lambda: Sim("fish", engine="mujco"), "Did you mean 'mujoco'?"),
         (lambda: Sim("fish", root="plane"), "Did you mean 'planar'?"),

@@ -162,7 +162,7 @@ def water_of(
     added: Extensions,
     injection: str | None = None,
 ) -> Water:
-    """The water `name`: "structured" (with the robot's learnt residual, if it has one), "ellipsoid" or "none".
+    """The water `name`: "ellipsoid", "none", else the strips and the learnt force that the robot's water has.
 
     Args:
         injection: one of `INJECTIONS`; None: "qfrc" for a robot with effects, else "callback".
@@ -170,23 +170,24 @@ def water_of(
     Raises:
         UnknownName: no such way in. ConfigError: one that cannot be; effects with a free root or in MuJoCo's own fluid.
     """
+    wet = name not in ("none", "ellipsoid")
     if injection is not None and injection not in INJECTIONS:
         raise UnknownName("injection", injection, INJECTIONS)
     if added.active is not None and (root != "planar" or name == "ellipsoid"):
         raise ConfigError(
-            f"{robot.name}: effects act on a fish with a planar root in structured or fitted water or none, got"
+            f"{robot.name}: effects act on a fish with a planar root in strips, fitted water or air, got"
             f" root = {root!r}, water = {name!r}; take those, or a robot without [[effect]]"
         )
     way = injection or ("callback" if added.active is None else "qfrc")
     if added.active is not None and way != "qfrc":
         raise ConfigError(f"{robot.name}: effects act in the closed form, got injection = {way!r}; take 'qfrc', or no [[effect]]")
-    if injection is not None and name != "structured":
+    if injection is not None and not wet:
         raise ConfigError(f"{robot.name}: water = {name!r} has nothing to inject; leave injection = {injection!r} out")
     if way == "qfrc":
         if root != "planar":
             raise ConfigError(f"{robot.name}: injection = 'qfrc' is the closed form of a planar root; take 'callback' or 'xfrc'")
-        return HookedWater(robot, added, swimmer, wet=name == "structured")
-    if name != "structured":
+        return HookedWater(robot, added, swimmer, wet=wet)
+    if not wet:
         return MujocoWater(model, swimmer, wind=name == "ellipsoid")
     strips = {"planar": PlanarWater, "free": FreeWater}[root](robot, swimmer, learnt=added.learnt)
     return {"callback": StripWater, "xfrc": WrenchWater}[way](model, strips)
